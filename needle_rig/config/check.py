@@ -1,0 +1,153 @@
+"""Data from a YAML file held against a pydantic model; every error with its place and a hint."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from needle_rig.config.hints import meant_key, meant_value, number, number_from_text, symbol
+from needle_rig.config.places import DataPath, Places, dotted, kind_of
+from needle_rig.errors import BadInput
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validate(model: type[Model], data: dict[str, Any], places: Places) -> Model:
+    """`data` as a `model`, nothing converted silently (text is no number, `yes` is not true).
+
+    Raises BadInput with one line for every error, in the order of the file.
+    """
+    try:
+        return model.model_validate_json(json.dumps(data), strict=True)
+    except ValidationError as failed:
+        errors = failed.errors(include_url=False)
+    explained: set[DataPath] = set()
+    missing: dict[DataPath, list[str]] = {}
+    lines: list[tuple[tuple[int, int], str]] = []
+    for error in sorted(errors, key=lambda e: e["type"] == "missing"):
+        path: DataPath = tuple(error["loc"])
+        if error["type"] == "missing" and isinstance(path[-1], str):
+            if path not in explained:
+                missing.setdefault(path[:-1], []).append(path[-1])
+            continue
+        unknown = error["type"] == "extra_forbidden"
+        anchor = path[:-1] if error["type"] == "missing" else path
+        position = (places.keys if unknown else places.values).get(anchor, (0, 0))
+        sentence = _sentence(error, path, model, data, places, explained)
+        lines.append((position, f"{places.of(anchor, key=unknown)}: {sentence}"))
+    for path, keys in missing.items():
+        inside = f"{dotted(path)}: " if path else ""
+        verb, them = ("is", "it") if len(keys) == 1 else ("are", "them")
+        sentence = f"{places.of(path)}: {inside}{', '.join(keys)} {verb} missing; add {them}"
+        lines.append((places.values.get(path, (0, 0)), sentence))
+    raise BadInput("\n".join(line for _, line in sorted(lines, key=lambda entry: entry[0])))
+
+
+def _sentence(
+    error: ErrorDetails,
+    path: DataPath,
+    model: type[BaseModel],
+    data: dict[str, Any],
+    places: Places,
+    explained: set[DataPath],
+) -> str:
+    name, kind, value = dotted(path), error["type"], error["input"]
+    key = next((str(part) for part in reversed(path) if isinstance(part, str)), "")
+    context = error.get("ctx", {})
+    shown = places.written.get(path, "") if isinstance(value, int | float) else repr(value)
+    shown = shown or (number(value) if isinstance(value, int | float) else repr(value))
+    if kind == "extra_forbidden":
+        section = _model_at(model, path[:-1])
+        present = _data_at(data, path[:-1])
+        allowed = list(section.model_fields) if section else []
+        meant = meant_key(key, value, allowed, present)
+        if meant:
+            explained.add((*path[:-1], meant[0]))
+            return f"{name}: unknown key; {meant[1]}"
+        free = [k for k in allowed if k not in present]
+        return f"{name}: unknown key; " + (
+            f"not yet given here: {', '.join(free)}" if free else "every known key of this section is given"
+        )
+    if kind == "missing":
+        return f"{dotted(path[:-1])}: value number {int(path[-1]) + 1} of the list is missing; add it"
+    if kind == "too_long":
+        return f"{name}: {shown} has {context['actual_length']} values; give {context['max_length']}"
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return f"{name}: {shown} {_range(kind, key, float(value), context)}"
+    if kind == "finite_number":
+        return f"{name}: {shown} is not a finite number; give one{' in' + symbol(key) if symbol(key) else ''}"
+    if kind == "literal_error":
+        return f"{name}: {shown} is not one of {context['expected']}"
+    wanted = _WANTED.get(kind)
+    if wanted is None:
+        return f"{name}: {error['msg'][:1].lower()}{error['msg'][1:]} (it is {shown})"
+    if isinstance(value, str):
+        return f"{name}: {shown} is text, not {wanted}{_text_hint(kind, key, value)}"
+    if isinstance(value, bool):
+        return f"{name}: {'true' if value else 'false'} stands where {wanted} is expected"
+    if isinstance(value, int | float) and kind == "string_type":
+        return f"{name}: {shown} is {kind_of(value)}, not text; put it in quotes"
+    if isinstance(value, float) and kind.startswith("int_"):
+        return f"{name}: {shown} is not a whole number; write {round(value)}"
+    return f"{name}: {kind_of(value)} stands where {wanted} is expected"
+
+
+_WANTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+}
+
+
+def _text_hint(kind: str, key: str, text: str) -> str:
+    if kind == "bool_type":
+        meaning = {"on": "true", "yes": "true", "y": "true", "off": "false", "no": "false", "n": "false"}
+        return f"; write {meaning.get(text.lower(), 'true or false')}"
+    return number_from_text(key, text) if kind.startswith(("float", "int")) else ""
+
+
+def _range(kind: str, key: str, value: float, context: dict[str, Any]) -> str:
+    unit = symbol(key)
+    if kind.startswith("greater"):
+        limit = context["gt" if kind == "greater_than" else "ge"]
+        strict = kind == "greater_than"
+        words = f"is not above {number(limit)}{unit}" if strict else f"is below {number(limit)}{unit}"
+        return words + meant_value(key, value, limit, None, strict=strict)
+    limit = context["lt" if kind == "less_than" else "le"]
+    words = "is not below" if kind == "less_than" else "is above"
+    return f"{words} {number(limit)}{unit}" + meant_value(key, value, 0.0, limit, strict=True)
+
+
+def _model_at(model: type[BaseModel], path: DataPath) -> type[BaseModel] | None:
+    """The model of the section at `path`, looking through tuples, dicts and unions."""
+    found: type[BaseModel] | None = model
+    for part in path:
+        if found is None:
+            return None
+        if isinstance(part, int):
+            continue
+        field = found.model_fields.get(part)
+        found = _models_in(field.annotation) if field else None
+    return found
+
+
+def _models_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((m for a in get_args(annotation) if (m := _models_in(a))), None)
+
+
+def _data_at(data: Any, path: DataPath) -> dict[str, Any]:
+    for part in path:
+        data = data[part]
+    return data if isinstance(data, dict) else {}

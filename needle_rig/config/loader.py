@@ -1,0 +1,148 @@
+"""From a rig file to a checked RigConfig."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from needle_rig.config.check import validate
+from needle_rig.config.files import config_directories, find_config_file
+from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
+from needle_rig.config.schema import RigConfig
+from needle_rig.errors import BadInput
+
+__all__ = [
+    "Places",
+    "config_directories",
+    "find_config_file",
+    "load_rig_config",
+    "parse_rig_config",
+    "parse_yaml",
+    "read_yaml",
+    "rig_config_text",
+    "validate",
+    "write_yaml",
+]
+
+
+def load_rig_config(
+    path: str | os.PathLike[str] | None = None, overrides: Mapping[str, Any] | None = None
+) -> RigConfig:
+    """The rig file at `path`, or the nearest rig.yaml; every error carries file, line and column.
+
+    `overrides` maps dotted keys ("sequence.settle_s") to values that replace those of the file, as options of
+    a command do; None leaves the file's value. Raises BadInput.
+    """
+    data, places = read_yaml(find_config_file("rig.yaml") if path is None else path)
+    return _build(data, places, overrides or {})
+
+
+def parse_rig_config(text: str, name: str = "config") -> RigConfig:
+    """The rig in `text`, such as the config inside a run; `name` stands for the file in errors."""
+    data, places = parse_yaml(text, name)
+    return _build(data, places, {})
+
+
+def rig_config_text(config: RigConfig) -> str:
+    """The whole effective configuration as YAML; `parse_rig_config` gives back an equal one."""
+    return write_yaml(config.model_dump(mode="json", exclude_none=True))
+
+
+def _build(data: dict[str, Any], places: Places, overrides: Mapping[str, Any]) -> RigConfig:
+    given: dict[DataPath, Any] = {
+        tuple(key.split(".")): value for key, value in overrides.items() if value is not None
+    }
+    # The file is judged by itself first, so that an option never hides a mistake in it.
+    config = validate(RigConfig, data, places)
+    if given:
+        for path, value in given.items():
+            section: Any = data
+            for part in path[:-1]:
+                section = section.setdefault(part, {})
+            section[path[-1]] = value
+        written = {**places.written, **{path: str(value) for path, value in given.items()}}
+        places = dataclasses.replace(places, written=written, options=frozenset(given))
+        config = validate(RigConfig, data, places)
+    problems = [f"{places.of(path)}: {sentence}" for path, sentence in _contradictions(config)]
+    if problems:
+        raise BadInput("\n".join(problems))
+    return config
+
+
+def _contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
+    """What each value alone cannot show: (path, sentence) for every pair that cannot go together."""
+    yield from _layout_contradictions(config)
+    yield from _link_contradictions(config)
+    drive, sequence = config.drive, config.sequence
+    if sequence.speed_deg_s > drive.velocity_limit_deg_s:
+        yield (
+            ("sequence", "speed_deg_s"),
+            f"sequence.speed_deg_s: {sequence.speed_deg_s:g}°/s is above drive.velocity_limit_deg_s: "
+            f"{drive.velocity_limit_deg_s:g}°/s; lower the one or raise the other",
+        )
+    if sequence.torque_window_s > sequence.settle_s:
+        yield (
+            ("sequence", "torque_window_s"),
+            f"sequence.torque_window_s: {sequence.torque_window_s:g} s is longer than sequence.settle_s: "
+            f"{sequence.settle_s:g} s; the torque is averaged over the end of the settling",
+        )
+
+
+def _layout_contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
+    length_mm = config.needle.length_mm
+    path: DataPath
+    sections = config.layout.tissue_sections_mm
+    if not sections:
+        yield ("layout", "tissue_sections_mm"), "layout.tissue_sections_mm: give at least one [from, to]"
+    previous = None
+    for index, (start, end) in enumerate(sections):
+        path = ("layout", "tissue_sections_mm", index)
+        name = f"layout.tissue_sections_mm[{index}]: [{start:g}, {end:g}]"
+        if start >= end:
+            yield path, f"{name} ends before it starts; write [from, to] in mm from the base"
+        elif start < 0 or end > length_mm:
+            yield path, f"{name} leaves the needle, which runs from 0 to needle.length_mm: {length_mm:g}"
+        elif previous is not None and start < previous[1]:
+            yield path, f"{name} overlaps [{previous[0]:g}, {previous[1]:g}]; give sections in order, apart"
+        previous = (start, end)
+    sensors = config.layout.hall_sensors
+    if not sensors:
+        yield ("layout", "hall_sensors"), "layout.hall_sensors: give at least one sensor"
+    names: set[str] = set()
+    for index, sensor in enumerate(sensors):
+        path = ("layout", "hall_sensors", index)
+        if sensor.position_mm > length_mm:
+            yield (
+                (*path, "position_mm"),
+                f"layout.hall_sensors[{index}].position_mm: {sensor.name} at {sensor.position_mm:g} mm is "
+                f"beyond the needle's tip at needle.length_mm: {length_mm:g}",
+            )
+        if sensor.name in names:
+            yield (*path, "name"), f"layout.hall_sensors[{index}].name: {sensor.name} is used twice"
+        names.add(sensor.name)
+
+
+def _link_contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
+    links = config.links
+    if config.kind == "hardware":
+        for path, value in ((("can", "channel"), links.can.channel), (("hall", "port"), links.hall.port)):
+            if value == "auto":
+                yield (
+                    ("links", *path),
+                    f"links.{'.'.join(path)}: auto is for kind: simulated; name the port of the rig",
+                )
+    elif config.simulation is None:
+        yield ("kind",), "kind: simulated needs a section simulation: (parameters, seed, …)"
+    if config.simulation is None:
+        return
+    period_ms = 1000 / config.simulation.sensor_rate_hz
+    for key in ("torque_age_limit_ms", "hall_age_limit_ms", "drive_age_limit_ms"):
+        limit_ms = getattr(links, key)
+        if config.kind == "simulated" and limit_ms < 2 * period_ms:
+            yield (
+                ("links", key),
+                f"links.{key}: {limit_ms:g} ms is below two readings at simulation.sensor_rate_hz: "
+                f"{config.simulation.sensor_rate_hz:g} Hz ({2 * period_ms:g} ms)",
+            )
