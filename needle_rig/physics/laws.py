@@ -1,0 +1,51 @@
+"""Torque laws as addresses of machine code, so that one compiled solver serves every law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+LAW_SIGNATURE = types.float64(
+    types.CPointer(types.float64),  # type: ignore[no-untyped-call]
+    *(types.float64,) * 4,
+)
+"""law(parameters, angle_rad, rate_rad_s, time_s, position_m) -> N·m per metre."""
+
+_compiled: dict[Any, Any] = {}
+
+
+def law_address(law: Callable[..., float]) -> int:
+    """Address of the compiled `law`; compiles a Python or numba function once."""
+    if hasattr(law, "address"):
+        return int(law.address)
+    plain = getattr(law, "py_func", law)
+    if plain not in _compiled:
+        _compiled[plain] = numba.cfunc(LAW_SIGNATURE)(plain)
+    return int(_compiled[plain].address)
+
+
+def _call_law(  # type: ignore[no-untyped-def]
+    typing_context, address, parameters, angle_rad, rate_rad_s, time_s, position_m
+):
+    """Call the law at `address` with the pointer `parameters` (an integer) and four floats."""
+    signature = types.float64(
+        types.int64, types.int64, types.float64, types.float64, types.float64, types.float64
+    )
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        double = ir.DoubleType()
+        pointer = cgutils.voidptr_t
+        function = ir.FunctionType(double, [pointer, double, double, double, double])
+        code = builder.inttoptr(arguments[0], function.as_pointer())
+        return builder.call(code, [builder.inttoptr(arguments[1], pointer), *arguments[2:]])
+
+    return signature, generate
+
+
+call_law: Any = intrinsic(_call_law)

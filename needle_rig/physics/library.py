@@ -1,0 +1,149 @@
+"""The library of effects: one file each, found by name in the package and in users' directories.
+
+There is no registry: the file's name is the effect's name. A user's file passes the same checks as a
+built-in one and gets one sentence with file and line when something is missing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+from needle_rig.errors import BadInput
+from needle_rig.physics import effects as built_in
+from needle_rig.physics.effect import Effect, ParameterInfo
+
+HOOKS: dict[str, tuple[str, ...]] = {
+    "shape": ("self", "rod", "trial"),
+    "torque": ("self", "angle_rad", "rate_rad_s", "time_s", "position_m"),
+    "drive": ("self", "trial"),
+    "observe": ("self", "reading"),
+}
+
+
+def find_effects(user_directories: Iterable[str | Path] = ()) -> dict[str, type[Effect]]:
+    """Every effect by name: the built-in ones, then those in `user_directories` (missing ones are empty).
+
+    Raises BadInput with file and line for a file that is no effect, or takes the name of another.
+    """
+    found = dict(built_in_effects())
+    origin = dict.fromkeys(found, "a built-in effect")
+    for directory in user_directories:
+        for path in sorted(Path(directory).glob("*.py")):
+            if path.stem.startswith("_"):
+                continue
+            if path.stem in found:
+                raise BadInput(
+                    f"{path}:1: the name {path.stem} is taken by {origin[path.stem]}; rename the file"
+                )
+            found[path.stem] = load_effect(path)
+            origin[path.stem] = str(path)
+    return found
+
+
+@cache
+def built_in_effects() -> dict[str, type[Effect]]:
+    """The effects that come with the package, by name."""
+    folder = Path(built_in.__path__[0])
+    names = sorted(path.stem for path in folder.glob("*.py") if not path.stem.startswith("_"))
+    return {
+        name: effect_in(importlib.import_module(f"{built_in.__name__}.{name}"), folder / f"{name}.py")
+        for name in names
+    }
+
+
+def load_effect(path: Path) -> type[Effect]:
+    """The effect in the file `path`. Raises BadInput with file and line when it is missing or broken."""
+    path = path.resolve()
+    stamp = path.stat().st_mtime_ns
+    return _load(path, stamp)
+
+
+@cache
+def _load(path: Path, stamp: int) -> type[Effect]:
+    # Effects know their name from their module; the directory keeps equal names in two folders apart.
+    module_name = f"needle_rig_user_effects.d{abs(hash(path.parent)):x}.{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise BadInput(f"{path}:{error.lineno}: {error.msg}; correct the file or move it away") from None
+    except Exception as error:  # noqa: BLE001 any error of a user's file becomes one sentence
+        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
+        raise BadInput(
+            f"{path}:{lines[-1] if lines else 1}: {type(error).__name__} while the file is read: {error}"
+        ) from None
+    return effect_in(module, path)
+
+
+def effect_in(module: ModuleType, path: Path) -> type[Effect]:
+    """The one Effect subclass that `module` defines, checked. Raises BadInput with file and line."""
+    classes = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Effect) and value.__module__ == module.__name__
+    ]
+    if len(classes) != 1:
+        raise BadInput(
+            f"{path}:1: {len(classes)} classes derive from Effect; an effect's file has exactly one"
+        )
+    _check(classes[0], path)
+    return classes[0]
+
+
+def _check(effect: type[Effect], path: Path) -> None:
+    """Raises BadInput for what an effect must have and this one lacks."""
+    place = f"{path}:{inspect.getsourcelines(effect)[1]}: {effect.__name__}"
+    parameters = getattr(effect, "__dataclass_params__", None)
+    if parameters is None or "__dataclass_fields__" not in vars(effect) or not parameters.frozen:
+        raise BadInput(f"{place} is not a frozen dataclass; put @dataclass(frozen=True) above it")
+    fields = dataclasses.fields(effect)  # type: ignore[arg-type]
+    if not fields:
+        raise BadInput(f"{place} has no parameter; give it a field made by parameter(...)")
+    for field in fields:
+        info = field.metadata.get("info")
+        if not isinstance(info, ParameterInfo):
+            raise BadInput(
+                f"{place}.{field.name} has no bounds and unit; make it by parameter(off=…, unit=…)"
+            )
+        _check_info(info, f"{place}.{field.name}")
+    if all(field.metadata["info"].shapes for field in fields):
+        raise BadInput(f"{place} has no parameter with an off value; one must not be `shapes`")
+    hooks = [hook for hook in HOOKS if effect.has(hook)]
+    if not hooks:
+        raise BadInput(f"{place} has none of the hooks {', '.join(HOOKS)}; define one")
+    for hook in hooks:
+        method = getattr(effect, hook)
+        if tuple(inspect.signature(method).parameters) != HOOKS[hook]:
+            line = inspect.getsourcelines(method)[1]
+            raise BadInput(f"{path}:{line}: {hook} must be def {hook}({', '.join(HOOKS[hook])})")
+    text = inspect.getdoc(sys.modules[effect.__module__]) or ""
+    for word in ("Law:", "Source:", "Shows best:"):
+        if word not in text:
+            raise BadInput(f'{path}:1: the text at the top of the file has no "{word}"; say it there')
+
+
+def _check_info(info: ParameterInfo, place: str) -> None:
+    """Raises BadInput when the numbers of a parameter contradict each other."""
+    low, high = info.literature
+    if not info.lower < info.upper:
+        raise BadInput(f"{place}: lower {info.lower:g} is not below upper {info.upper:g}")
+    for name, value in (("typical", info.typical), ("literature", low), ("literature", high)):
+        if not info.lower <= value <= info.upper:
+            raise BadInput(f"{place}: {name} {value:g} is outside {info.lower:g} to {info.upper:g}")
+    if not info.unit:
+        raise BadInput(f"{place}: no unit; give it one (1 for a plain ratio)")
+    if not info.shapes and info.typical == info.off:
+        raise BadInput(f"{place}: typical equals off ({info.off:g}); give the size that the effect has")

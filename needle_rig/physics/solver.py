@@ -1,0 +1,265 @@
+"""Follows a rod while its base is turned: one trial, or many side by side on threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.physics.rod import Array, Rod
+
+DEFAULT_TOLERANCE_RAD = 6e-4
+LONGEST_STEP_S = 60.0
+SHORTEST_STEP_S = 1e-6
+SHORTEST_SNAP_S = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class RodState:
+    """Everything a rod remembers; arrays of shape (nodes,)."""
+
+    angle_rad: Array
+    grip_rad: Array
+    """Where the tissue grips; for the base node the turned base."""
+    creep_rad: Array
+    bond: Array
+    age_s: Array
+    slip: Array
+    """Direction of slip of the last step, −1, 0 or 1; 2 where nothing resists a turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What a solved rod did at `time_s` (samples,)."""
+
+    time_s: Array
+    torque_nm: Array
+    """Torque that the base exerts on the needle, shape (samples,)."""
+    sensor_rad: Array
+    """Shape (samples, sensors)."""
+    tip_rad: Array
+    shaft_rad: Array | None
+    """Angle of every node, shape (samples, nodes), when asked for."""
+    state: RodState
+    """At the last sample; give it to `solve` to go on."""
+    steps: int
+    solves: int
+
+
+def relaxed(rod: Rod, angle_rad: float = 0.0) -> RodState:
+    """The state of a rod at rest without any twist, base and needle at `angle_rad`."""
+    nodes = len(rod.position_m)
+    plus, minus = rod.coefficients[:2]
+    return RodState(
+        angle_rad=np.full(nodes, angle_rad),
+        grip_rad=np.full(nodes, angle_rad),
+        creep_rad=np.zeros(nodes),
+        bond=np.ones(nodes),
+        age_s=np.zeros(nodes),
+        slip=np.where((plus == 0) & (minus == 0), 2.0, 0.0),
+    )
+
+
+def solve(
+    rod: Rod,
+    time_s: Array,
+    base_angle_rad: Array,
+    *,
+    state: RodState | None = None,
+    shaft: bool = False,
+    tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
+    longest_step_s: float = LONGEST_STEP_S,
+) -> Solution:
+    """Turn the base along the line through (time_s, base_angle_rad), shapes (samples,).
+
+    The first sample is the start: `state` (default: relaxed at 0) holds at time_s[0]; a base angle there that
+    differs from the state's is reached within one sample. `tolerance_rad` bounds the error of one time step
+    where slip or creep depend on rate. A rod without viscosity, creep, static excess or torque laws depends
+    on no rate: one implicit step a sample is exact. Raises BadInput before computing anything, and
+    SolverError naming time and node when no solution was found.
+    """
+    time, base = _checked_path(time_s, base_angle_rad)
+    return _run(rod, time, base, state, shaft, tolerance_rad, longest_step_s)
+
+
+def solve_batch(
+    rods: Sequence[Rod],
+    inputs: Sequence[tuple[Array, Array]],
+    *,
+    threads: int | None = None,
+    tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
+) -> list[Solution]:
+    """Solve independent trials, one (time_s, base_angle_rad) a rod, on `threads` cores (default all).
+
+    One rod or one input serves for all of the others. Same results and errors as `solve`.
+    """
+    count = max(len(rods), len(inputs))
+    if len(rods) not in (1, count) or len(inputs) not in (1, count):
+        raise BadInput(f"{len(rods)} rods and {len(inputs)} inputs: give one of each, or as many of both")
+    if not rods or not inputs:
+        return []
+    paths = [_checked_path(*path) for path in inputs]
+    for rod in rods:
+        _ = rod.coefficients
+    jobs = [(rods[i % len(rods)], paths[i % len(paths)]) for i in range(count)]
+
+    def one(job: tuple[Rod, tuple[Array, Array]]) -> Solution:
+        rod, (time, base) = job
+        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S)
+
+    workers = min(threads or os.cpu_count() or 1, count)
+    if workers == 1:
+        return [one(job) for job in jobs]
+    with ThreadPoolExecutor(workers) as pool:
+        chunk = max(1, count // (8 * workers))
+        chunks = [jobs[i : i + chunk] for i in range(0, count, chunk)]
+        return [s for part in pool.map(lambda c: [one(job) for job in c], chunks) for s in part]
+
+
+def _checked_path(time_s: Array, base_angle_rad: Array) -> tuple[Array, Array]:
+    time = np.ascontiguousarray(time_s, dtype=np.float64)
+    base = np.ascontiguousarray(base_angle_rad, dtype=np.float64)
+    if time.ndim != 1 or time.shape != base.shape:
+        raise BadInput(f"times {time.shape} and base angles {base.shape} must be two rows of the same length")
+    if time.size == 0:
+        raise BadInput("the trajectory is empty; give at least the starting time and base angle")
+    for name, values in (("time", time), ("base angle", base)):
+        finite = np.isfinite(values)
+        if not finite.all():
+            sample = int(np.argmin(finite))
+            raise BadInput(f"{name} is {values[sample]} at sample {sample}; it must be a finite number")
+    if time.size > 1 and not (np.diff(time) > 0).all():
+        sample = int(np.argmin(np.diff(time) > 0)) + 1
+        raise BadInput(
+            f"time goes from {time[sample - 1]:g} to {time[sample]:g} s at sample {sample};"
+            " times must increase from sample to sample"
+        )
+    return time, base
+
+
+def _run(
+    rod: Rod,
+    time: Array,
+    base: Array,
+    state: RodState | None,
+    shaft: bool,
+    tolerance_rad: float,
+    longest_step_s: float,
+) -> Solution:
+    # numba takes longer to import than most trials to solve
+    from needle_rig.physics import kernel
+
+    coefficients = rod.coefficients
+    nodes = coefficients.shape[1]
+    if not (np.isfinite(tolerance_rad) and tolerance_rad > 0 and longest_step_s > 0):
+        raise BadInput(f"tolerance {tolerance_rad} rad and longest step {longest_step_s} s must be above 0")
+    packed = _packed_state(rod, relaxed(rod) if state is None else state)
+    addresses, parameters, weights, keep = _packed_laws(rod)
+    creeps, viscous, bonds = rod.depends_on_rate
+    flags = kernel.HAS_CREEP * creeps + kernel.HAS_VISCOUS * viscous + kernel.HAS_BOND * bonds
+    if flags or len(addresses):
+        flags += kernel.ADAPTIVE
+    scalars = np.array(
+        [
+            rod.base_compliance_rad_per_nm,
+            rod.stribeck_rate_rad_s,
+            rod.weakening_rad,
+            rod.ageing_time_s,
+            # angles show an error of the slip limits only later, when the limits are reached
+            tolerance_rad / 6.0 if bonds else tolerance_rad,
+            longest_step_s,
+            # a snap to a lower limit takes no time: shorter steps do not resolve it better
+            SHORTEST_SNAP_S if bonds else SHORTEST_STEP_S,
+        ]
+    )
+    torque = np.empty(time.size)
+    sensor = np.empty((time.size, len(rod.sensors)))
+    tip = np.empty(time.size)
+    shafts = np.empty((time.size if shaft else 0, nodes))
+    counts = np.zeros(6, dtype=np.int64)
+    failed = kernel.run(
+        np.ascontiguousarray(rod.stiffness_nm_per_rad, dtype=np.float64),
+        coefficients,
+        scalars,
+        flags,
+        addresses,
+        parameters,
+        weights,
+        time,
+        base,
+        np.ascontiguousarray(rod.sensors, dtype=np.int64),
+        packed,
+        torque,
+        sensor,
+        tip,
+        shafts,
+        counts,
+    )
+    del keep
+    if failed:
+        node = int(counts[kernel.FAILED_NODE])
+        sample = int(counts[kernel.FAILED_SAMPLE])
+        raise SolverError(
+            f"no balance of torques found after {time[sample]:g} s at node {node}"
+            f" ({rod.position_m[node] * 1e3:g} mm from the base); check the coefficients there"
+        )
+    if not (np.isfinite(torque).all() and np.isfinite(packed[kernel.ANGLE]).all()):
+        sample = int(np.argmin(np.isfinite(torque)))
+        node = int(np.argmin(np.isfinite(packed[kernel.ANGLE])))
+        raise SolverError(
+            f"angles stopped being finite at {time[sample]:g} s near node {node}"
+            f" ({rod.position_m[node] * 1e3:g} mm from the base); check the torque laws there"
+        )
+    return Solution(
+        time_s=time,
+        torque_nm=torque,
+        sensor_rad=sensor,
+        tip_rad=tip,
+        shaft_rad=shafts if shaft else None,
+        state=RodState(*packed),
+        steps=int(counts[kernel.STEPS]),
+        solves=int(counts[kernel.SOLVES]),
+    )
+
+
+def _packed_state(rod: Rod, state: RodState) -> Array:
+    nodes = len(rod.position_m)
+    rows = (state.angle_rad, state.grip_rad, state.creep_rad, state.bond, state.age_s, state.slip)
+    packed = np.empty((6, nodes))
+    for row, values in enumerate(rows):
+        if np.shape(values) != (nodes,):
+            raise BadInput(f"the state has {np.shape(values)} values a row; the rod has {nodes} nodes")
+        packed[row] = values
+    if not np.isfinite(packed).all():
+        raise BadInput("the state holds a value that is not a finite number; start from relaxed(rod)")
+    # friction may have been added or taken away since the state was made
+    plus, minus = rod.coefficients[:2]
+    free = (plus == 0) & (minus == 0)
+    packed[5] = np.where(free, 2.0, np.where(np.abs(packed[5]) == 2.0, 0.0, packed[5]))
+    packed[5, 0] = 0.0
+    return packed
+
+
+def _packed_laws(rod: Rod) -> tuple[Any, Any, Array, list[Array]]:
+    """Code addresses, parameter addresses and weights of the torque laws, and what must stay alive."""
+    count = len(rod.laws)
+    addresses = np.zeros(count, dtype=np.int64)
+    pointers = np.zeros(count, dtype=np.int64)
+    weights = np.zeros((count, len(rod.position_m)))
+    keep = []
+    for row, law in enumerate(rod.laws):
+        from needle_rig.physics.laws import law_address
+
+        values = np.ascontiguousarray(np.append(np.asarray(law.parameters, dtype=np.float64), 0.0))
+        if not np.isfinite(values).all() or np.shape(law.weight_m) != weights.shape[1:]:
+            raise BadInput("a torque law needs finite parameters and one weight_m a node")
+        addresses[row] = law_address(law.law)
+        pointers[row] = values.ctypes.data
+        weights[row] = law.weight_m
+        keep.append(values)
+    return addresses, pointers, weights, keep
