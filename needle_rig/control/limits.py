@@ -1,0 +1,157 @@
+"""The last gate before the drive: pure functions from a measurement and a wish to a command, or a fault.
+
+Limited is not broken: a wish that is too fast is cut and goes on. A fault stops the drive. Temporary faults
+end with their cause (a link that comes back); latching ones stay until a person clears them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
+from needle_rig.units import deg, nmm
+
+ROUNDING = 1e-9
+
+DRIVE_SENTENCES: dict[DriveFault, str] = {
+    DriveFault.COMMAND_AGE: "no valid command reached it for 50 ms; check the bus and this computer's load",
+    DriveFault.HEARTBEAT: "this computer's heartbeat stood still; check its load",
+    DriveFault.VELOCITY: "it turned faster than its own limit; check the commands and the encoder",
+    DriveFault.ANGLE: "it left its own angle range; turn the base back by hand",
+    DriveFault.TORQUE_TRIP: "the torque at the base passed its own trip level; free the needle",
+    DriveFault.ENCODER: "its encoder failed; check the cable",
+    DriveFault.FRAME: "too many commands arrived damaged; check the termination and shielding of the bus",
+    DriveFault.TORQUE_AGE: "the torque node went quiet; check its power and the bus",
+}
+TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the gate holds to: SI; ages are the oldest value that may still be used."""
+
+    angle_rad: float
+    velocity_rad_s: float
+    acceleration_rad_s2: float
+    torque_nm: float
+    torque_age_s: float
+    hall_age_s: float
+    drive_age_s: float
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Why the drive may not move; `link` is torque, hall, drive or control."""
+
+    link: str
+    text: str
+    latching: bool
+
+
+@dataclass(frozen=True)
+class Gated:
+    """The command that may go out, and whether it is less than what was asked for."""
+
+    command: Command
+    limited: bool
+    fault: Fault | None = None
+
+
+def find_fault(measurement: Measurement, limits: Limits) -> Fault | None:
+    """The first thing in `measurement` that forbids motion, or None: dead links before bad values."""
+    for link, age_s, limit_s, complaint in (
+        ("torque", measurement.torque_age_s, limits.torque_age_s, measurement.torque_complaint),
+        ("hall", measurement.hall_age_s, limits.hall_age_s, measurement.hall_complaint),
+        ("drive", measurement.drive_age_s, limits.drive_age_s, ""),
+    ):
+        if not age_s <= limit_s:
+            return Fault(link, _stale(link, age_s, limit_s, complaint), latching=False)
+    if not math.isfinite(measurement.torque_nm):
+        return Fault(
+            "torque", "the torque link gives a value that is no number; check the cell", latching=False
+        )
+    if not all(math.isfinite(angle) for angle in measurement.hall_rad):
+        return Fault(
+            "hall", "the hall link gives an angle that is no number; check the sensors", latching=False
+        )
+    if not math.isfinite(measurement.base_angle_rad):
+        return Fault(
+            "drive", "the drive link gives an angle that is no number; check the encoder", latching=False
+        )
+    if abs(measurement.torque_nm) > limits.torque_nm:
+        return Fault(
+            "torque",
+            f"the base torque is {nmm(measurement.torque_nm):.3f} N·mm, above the limit of"
+            f" {nmm(limits.torque_nm):g} N·mm (drive.torque_limit_nmm); free the needle,"
+            " then: needle-rig clear",
+            latching=True,
+        )
+    if abs(measurement.base_angle_rad) > limits.angle_rad:
+        return Fault(
+            "drive",
+            f"the base stands at {deg(measurement.base_angle_rad):.1f}°, outside ±{deg(limits.angle_rad):g}°"
+            " (drive.angle_limit_deg); turn it back by hand, then: needle-rig clear",
+            latching=True,
+        )
+    return drive_fault(measurement.drive_state, measurement.drive_faults)
+
+
+def drive_fault(state: DriveState, faults: DriveFault) -> Fault | None:
+    """The drive's own fault bits as a sentence; latching unless all of them end by themselves."""
+    if not faults and state is not DriveState.FAULT:
+        return None
+    reasons = [sentence for bit, sentence in DRIVE_SENTENCES.items() if bit in faults]
+    latching = not reasons or bool(faults & ~TEMPORARY)
+    text = "the drive stopped by itself: " + ("; ".join(reasons) or "it gives no reason")
+    return Fault("drive", text + (", then: needle-rig clear" if latching else ""), latching)
+
+
+def tick_fault(dt_s: float) -> Fault | None:
+    """A tick whose length cannot be right, or None."""
+    if 0.0 < dt_s < math.inf:
+        return None
+    return Fault("control", f"a tick took {dt_s} s; check the clock of this computer", latching=False)
+
+
+def gate(
+    velocity_rad_s: float, measurement: Measurement, last_velocity_rad_s: float, dt_s: float, limits: Limits
+) -> Gated:
+    """The command that may go out for a wish of `velocity_rad_s`; STOP and the fault when something is wrong.
+
+    Cuts speed to the velocity limit, to what can still brake before the angle limit, and its change to the
+    acceleration limit over `dt_s`.
+    """
+    fault = find_fault(measurement, limits)
+    if fault is None and not math.isfinite(velocity_rad_s):
+        fault = Fault(
+            "control", "the control loop asks for a speed that is no number; report this", latching=True
+        )
+    fault = fault or tick_fault(dt_s)
+    if fault is not None:
+        return Gated(STOP, limited=False, fault=fault)
+    low, high = -limits.velocity_rad_s, limits.velocity_rad_s
+    high = min(high, _braking_speed(limits.angle_rad - measurement.base_angle_rad, limits))
+    low = max(low, -_braking_speed(limits.angle_rad + measurement.base_angle_rad, limits))
+    velocity = min(max(velocity_rad_s, low), high)
+    change = limits.acceleration_rad_s2 * dt_s
+    velocity = min(max(velocity, last_velocity_rad_s - change), last_velocity_rad_s + change)
+    limited = abs(velocity - velocity_rad_s) > ROUNDING
+    return Gated(Command(velocity_rad_s=velocity, enable=True), limited)
+
+
+def _braking_speed(room_rad: float, limits: Limits) -> float:
+    return math.sqrt(2.0 * limits.acceleration_rad_s2 * max(room_rad, 0.0))
+
+
+def _stale(link: str, age_s: float, limit_s: float, complaint: str) -> str:
+    if complaint:
+        return f"the {link} link gives no good value: {complaint}"
+    check = {"torque": "the CAN bus and the torque node", "hall": "the serial cable and the hall node"}
+    where = check.get(link, "the CAN bus and the drive node")
+    if math.isinf(age_s):
+        return f"the {link} link has given no value yet; check {where}"
+    return (
+        f"the {link} link is dead: its newest value is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms;"
+        f" check {where}"
+    )

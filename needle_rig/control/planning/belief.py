@@ -1,0 +1,273 @@
+"""What is known of this needle in this run: a model with uncertain parameters, corrected by what settled.
+
+Every uncertain parameter is a standard normal number z on the parameter's own axis (its logarithm or
+reciprocal where it says so). Settled torques, and Hall angles where wanted, move z by Gauss–Newton steps to
+the most probable needle; the curvature there is what stays unknown.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.control.strategy import History, Task
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.needle_model import FRICTION, NeedleModel
+from needle_rig.physics.rod import Rod
+from needle_rig.physics.solver import RodState, Solution, relaxed
+from needle_rig.units import nm, rad
+
+Array = npt.NDArray[np.float64]
+
+ELEMENT_LENGTH_M = 3e-3
+"""Coarse enough for hundreds of sequences in half a second; against 0.5 mm it moves no angle by 0.01°."""
+TOLERANCE_RAD = rad(0.1)
+"""Of one time step, where the needle depends on rates or angles."""
+STEP = 0.3
+ITERATIONS = 4
+READ_BEFORE_END_S = 0.25
+"""Torques are means over the last half second: its middle stands for them."""
+RELAXED_NM = nm(0.002)
+LONGEST_WIND_RAD = rad(720.0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How far settled values may be from a true model's (standard deviations): sensors, and small things."""
+
+    torque_nm: float = nm(0.0015)
+    hall_rad: float = rad(0.7)
+
+
+@dataclass(frozen=True)
+class World:
+    """One needle that may be the true one, and where its shaft is now."""
+
+    model: NeedleModel
+    state: RodState
+
+    @cached_property
+    def rod(self) -> Rod:
+        """The model's rod."""
+        return self.model.rod(Trial(np.empty(0), np.empty(0)))
+
+    @cached_property
+    def tissue(self) -> slice:
+        """Nodes from the first tissue to the tip."""
+        return slice(self.rod.entry, None)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Most probable parameters (p,) in standard normal units, and the covariance around them (p, p)."""
+
+    model: NeedleModel
+    names: tuple[str, ...]
+    spread: Array
+    """Prior standard deviation of each parameter on its axis."""
+    mean: Array
+    covariance: Array
+
+    def model_at(self, z: Array) -> NeedleModel:
+        """The needle at `z`, kept inside the bounds of every parameter."""
+        here = self.model.values()
+        values = {}
+        for name, spread, at in zip(self.names, self.spread, z, strict=True):
+            info = self.model.info(name)
+            if name == FRICTION:
+                value = here[name] * math.exp(spread * at)
+            elif info.scale == "linear":
+                value = here[name] + spread * at
+            else:
+                value = info.from_scale(info.to_scale(here[name]) + spread * at)
+            values[name] = (
+                min(max(value, info.lower), info.upper) if value > 0 or info.lower < 0 else info.lower
+            )
+        return self.model.replaced(values)
+
+    def friction_factor(self) -> tuple[float, float]:
+        """Friction of this run over that of the model, and its relative standard deviation."""
+        place = self.names.index(FRICTION)
+        spread = float(self.spread[place])
+        factor = math.exp(spread * float(self.mean[place]))
+        return factor, spread * math.sqrt(float(self.covariance[place, place]))
+
+    def samples(self, count: int) -> list[Array]:
+        """`count` deterministic points of the belief, the likeliest first (the lattice of the R sequence)."""
+        from scipy.special import ndtri
+
+        size = len(self.names)
+        root = 2.0
+        for _ in range(30):
+            root = (1.0 + root) ** (1.0 / (size + 1))
+        alpha = root ** -np.arange(1.0, size + 1)
+        normal = ndtri((0.5 + np.outer(np.arange(count), alpha)) % 1.0)
+        factor = np.linalg.cholesky(self.covariance + 1e-12 * np.eye(size))
+        return list(self.mean + normal @ factor.T)
+
+
+def first_belief(model: NeedleModel, uncertainties: Mapping[str, float], friction_scatter: float) -> Belief:
+    """Before anything is measured: the model file's uncertainties, and friction that differs between runs."""
+    model = dataclasses.replace(
+        model,
+        element_length_m=max(model.element_length_m, ELEMENT_LENGTH_M),
+        tolerance_rad=max(model.tolerance_rad, TOLERANCE_RAD),
+    )
+    names, spreads = [], []
+    for name, value in model.values().items():
+        known = uncertainties.get(name, 0.0)
+        info = model.info(name)
+        if name == FRICTION:
+            spread = math.hypot(friction_scatter, known / value if value else 0.0)
+        elif not (known > 0 and math.isfinite(known) and math.isfinite(value)):
+            continue
+        elif info.scale == "linear":
+            spread = known
+        elif not value:
+            continue
+        else:
+            spread = min(known / abs(value), 0.5) if info.scale == "log" else known / value**2
+        names.append(name)
+        spreads.append(spread)
+    size = len(names)
+    return Belief(model, tuple(names), np.array(spreads), np.zeros(size), np.eye(size))
+
+
+def corrected(belief: Belief, task: Task, history: History, errors: Errors, use_hall: bool) -> Belief:
+    """The belief after the settled motions in `history`, from the first belief."""
+    told = _Told(task, history, errors, use_hall)
+    if not told.measured.size:
+        return belief
+    size = len(belief.names)
+    z, best = belief.mean.copy(), belief
+    value = math.inf
+    for _ in range(ITERATIONS):
+        here = told.residuals(belief.model_at(z))
+        now = float(here @ here + z @ z)
+        if now >= value - 1e-3:
+            break
+        value = now
+        slopes = [(told.residuals(belief.model_at(z + STEP * unit)) - here) / STEP for unit in np.eye(size)]
+        jacobian = np.column_stack(slopes)
+        curvature = jacobian.T @ jacobian + np.eye(size)
+        covariance = np.linalg.inv(curvature).astype(np.float64)
+        best = dataclasses.replace(belief, mean=z, covariance=covariance)
+        z = np.clip(z - np.linalg.solve(curvature, jacobian.T @ here + z), -6.0, 6.0)
+    return best
+
+
+def worlds(belief: Belief, task: Task, history: History, count: int) -> list[World]:
+    """Needles that agree with the belief, each with its shaft where `history` brought it."""
+    return [world_at(belief.model_at(z), task, history) for z in belief.samples(count)]
+
+
+def world_at(model: NeedleModel, task: Task, history: History) -> World:
+    """The needle `model` after the motions of `history`."""
+    return World(model, follow(model, task, history)[-1].state)
+
+
+def misfit(belief: Belief, task: Task, history: History, errors: Errors) -> tuple[float, str]:
+    """How far the last settled motion is from the corrected model, in standard deviations, and where."""
+    told = _Told(task, history, errors, use_hall=True, last_only=True)
+    off = told.residuals(belief.model_at(belief.mean))
+    worst = int(np.argmax(np.abs(off)))
+    return float(abs(off[worst])), told.sentence(worst, off[worst])
+
+
+def follow(model: NeedleModel, task: Task, history: History) -> list[Solution]:
+    """What `model` does in each settled motion; the first entry is the rest. The last sample is the end."""
+    start = history[0]
+    found = [_at_rest(model, task, start.base_angle_rad, start.torque_nm)]
+    for before, motion in pairwise(history):
+        turn = abs(motion.base_angle_rad - before.base_angle_rad)
+        held = motion.time_s - motion.moved_s
+        arrive = min(max(turn / task.speed_rad_s, 1e-3), 0.9 * held)
+        read = max(held - READ_BEFORE_END_S, 0.5 * (arrive + held))
+        path = Trial(
+            motion.moved_s + np.array([0.0, arrive, read, held]),
+            np.array([before.base_angle_rad, *(motion.base_angle_rad,) * 3]),
+        )
+        found.append(model.truth(path, found[-1].state))
+    return found
+
+
+def _at_rest(model: NeedleModel, task: Task, base_rad: float, torque_nm: float) -> Solution:
+    """A shaft at rest, base at `base_rad`: relaxed, or wound by one turn until it shows `torque_nm`."""
+    rod = model.rod(Trial(np.empty(0), np.empty(0)))
+
+    def wound(turn: float) -> tuple[Solution, float]:
+        times = np.array([0.0, max(abs(turn) / task.speed_rad_s, 1e-3)])
+        path = Trial(
+            np.append(times, times[-1] + task.settle_s), np.array([base_rad - turn, base_rad, base_rad])
+        )
+        solution = model.truth(path, relaxed(rod, base_rad - turn))
+        return solution, float(model.observed(path, solution).torque_nm[-1])
+
+    here, shown = wound(0.0)
+    missing = torque_nm - shown
+    if abs(missing) < RELAXED_NM:
+        return here
+    sign = math.copysign(1.0, missing)
+    low, high = 0.0, rad(10.0)
+    while True:
+        here, shown = wound(sign * high)
+        if sign * (torque_nm - shown) <= 0.0 or high >= LONGEST_WIND_RAD:
+            break
+        low, high = high, 2.0 * high
+    if high >= LONGEST_WIND_RAD:
+        return here
+    for _ in range(10):
+        middle = 0.5 * (low + high)
+        here, shown = wound(sign * middle)
+        low, high = (middle, high) if sign * (torque_nm - shown) > 0.0 else (low, middle)
+    return here
+
+
+class _Told:
+    """What the settled motions measured, against what a model gives, in standard deviations."""
+
+    def __init__(
+        self, task: Task, history: History, errors: Errors, use_hall: bool, last_only: bool = False
+    ) -> None:
+        self._task, self._history = task, history
+        self._from = len(history) - 1 if last_only else 0
+        self._hall = use_hall
+        sensors = len(history[0].hall_rad) if use_hall else 0
+        motions = history[self._from :]
+        self._labels = [(m.name, -1) for m in motions] + [
+            (m.name, s) for m in motions for s in range(sensors)
+        ]
+        torques = [m.torque_nm for m in motions]
+        halls = [angle for m in motions for angle in (m.hall_rad if use_hall else ())]
+        self.measured = np.array([*torques, *halls])
+        self._sizes = np.array([errors.torque_nm] * len(torques) + [errors.hall_rad] * len(halls))
+
+    def residuals(self, model: NeedleModel) -> Array:
+        """Model minus measured over the standard deviation, torques first, then Hall angles."""
+        torques, halls = [], []
+        for motion, solution in zip(self._history, follow(model, self._task, self._history), strict=True):
+            if motion.index < self._from:
+                continue
+            base = np.full(len(solution.time_s), motion.base_angle_rad)
+            reading = model.observed(Trial(solution.time_s, base), solution)
+            place = -2 if len(solution.time_s) == 4 else -1
+            torques.append(float(reading.torque_nm[place]))
+            if self._hall:
+                halls.extend(reading.hall_rad[place].tolist())
+        found: Array = (np.array([*torques, *halls]) - self.measured) / self._sizes
+        return found
+
+    def sentence(self, place: int, off: float) -> str:
+        """What is off at one place, for a person."""
+        name, sensor = self._labels[place]
+        size = float(off) * float(self._sizes[place])
+        if sensor < 0:
+            return f"after motion {name} the torque is {-size * 1e3:+.3f} N·mm from the model's"
+        return f"after motion {name} Hall angle {sensor + 1} is {-math.degrees(size):+.1f}° from the model's"

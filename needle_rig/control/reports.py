@@ -1,0 +1,118 @@
+"""What the brain is asked and what it tells: requests, settled motions, outcomes and its present state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+from needle_rig.control.strategy import Strategy
+from needle_rig.records import Measurement, Phase
+
+Status = Literal["aligned", "not_aligned", "aborted", "fault"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """One alignment: where to, by which strategy, with which options.
+
+    `strategy` is a name (the file in control/strategies) or an instance; `options` are the fields of its
+    dataclass by name (`{"extra_deg": 12}`). `settle_s` and `speed_rad_s` stand in for those of the
+    configuration. `lag_left_rad` is the tip lag that the run before left, for strategies that learn from it;
+    None takes it from the brain's own last run. `run` names the run in sentences.
+    """
+
+    target_rad: float
+    strategy: str | Strategy = "reed2008"
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    settle_s: float | None = None
+    speed_rad_s: float | None = None
+    lag_left_rad: float | None = None
+    run: str = "RUN"
+
+
+@dataclass(frozen=True)
+class SettledMotion:
+    """The rig after one motion came to rest: means over the torque window.
+
+    `index` 0 is the rest before the first motion. `predicted_lag_rad` is the lag of the tip behind the base
+    that the torque stands for by (5)–(7), (9); `tip_lag_rad` is base minus last Hall angle, as measured;
+    `moved_s` is when the motion began and `time_s` the end of the window, on the clock of the measurements.
+    """
+
+    index: int
+    name: str
+    moved_s: float
+    time_s: float
+    waypoint_rad: float
+    base_angle_rad: float
+    torque_nm: float
+    hall_rad: tuple[float, ...]
+    predicted_lag_rad: float
+    tip_lag_rad: float
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One of the paper's three conditions for an aligned needle, its value and its limit.
+
+    `unit` is rad or N·m; `value` must be at most `limit` in size.
+    """
+
+    name: Literal["8a", "8b", "8c"]
+    text: str
+    value: float
+    limit: float
+    unit: str
+    met: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a sequence ended, with a sentence for a person. Angles and torque are NaN when nothing settled."""
+
+    status: Status
+    text: str
+    target_rad: float
+    strategy: str
+    base_angle_rad: float
+    torque_nm: float
+    hall_rad: tuple[float, ...]
+    tip_lag_rad: float
+    """Base minus last Hall angle at the end."""
+    lag_rad: float
+    """Lag predicted from the torque after the first motion."""
+    mean_rad: float
+    """Mean of the Hall angles."""
+    range_rad: float
+    """Largest minus smallest Hall angle."""
+    conditions: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True)
+class BrainState:
+    """A snapshot for displays and the API. `remaining_s` and `expected_s` count down what is waited for."""
+
+    time_s: float
+    phase: Phase
+    motion: str
+    motion_index: int
+    motions_expected: int
+    waiting_for: str
+    remaining_s: float | None
+    progress: float
+    """0..1 over the whole sequence, estimated; never falls within one sequence."""
+    target_rad: float | None
+    strategy: str | None
+    waypoint_rad: float | None
+    velocity_rad_s: float
+    limited: bool
+    measurement: Measurement | None
+    settled: tuple[SettledMotion, ...]
+    """Settled motions of the present or last sequence, without the rest before the first."""
+    outcome: Outcome | None
+    fault: str | None
+    """The fault that holds the brain, as a sentence; None when there is none."""
+    latched: bool
+    """The fault stays until a clear."""

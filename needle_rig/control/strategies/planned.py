@@ -1,0 +1,199 @@
+"""Plan the rotations with a model of the needle, and correct the plan by what each one showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from needle_rig.control.planning.belief import Belief, Errors, corrected, first_belief, misfit, worlds
+from needle_rig.control.planning.fallback import reed_remaining
+from needle_rig.control.planning.search import Aim, Plan, best_plan, refine
+from needle_rig.control.strategy import History, Strategy, Task, Waypoint
+from needle_rig.errors import BadInput
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.units import deg, nmm, rad
+
+SAMPLES = 8
+MOST_AHEAD = 3
+MOST_AHEAD_WITH_LAWS = 2
+"""Torques that depend on angle cost five times as much to follow, and planning has half a second."""
+FRICTION_SIGMA = 1.64
+"""Before friction was seen, also a needle is planned for of which one in twenty slips easier."""
+QUICK_SETTLE_S = 0.5
+"""For motions between, of a needle that neither creeps nor flows; the last settles as the task says."""
+
+
+@dataclass(frozen=True)
+class Planned(Strategy):
+    """The fewest and shortest rotations that leave the shaft straight at the target, by the rig's model.
+
+    Minimised is a quantile, over what is uncertain of the needle, of the worst angle error from the first
+    tissue to the tip, plus the torque left (as the lag that it stands for, weighted). Of plans within
+    `tolerance_deg` the one with the fewest rotations is taken. After each settled motion, friction and the
+    model's other uncertain values are corrected from the torques (and, with `use_hall`, the Hall angles),
+    and the rest is planned anew. As long as the friction of the run has not been seen, the base goes only as
+    far as every likely needle needs.
+
+    It refuses a model whose error on runs held out of its fit is above `largest_error` times the noise floor.
+    When torque or Hall angles are more than `doubt_sigma` from what any likely needle gives, it says so and
+    goes on as reed2008.
+    """
+
+    slow = True
+
+    largest_overshoot_deg: float = 120.0
+    tolerance_deg: float = 0.5
+    quantile: float = 0.9
+    friction_scatter: float = 0.05
+    """Relative standard deviation of friction from run to run."""
+    largest_error: float = 5.0
+    doubt_sigma: float = 5.0
+    use_hall: bool = False
+    motions: int = 6
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.largest_overshoot_deg <= 720.0 or not 0.0 < self.tolerance_deg <= 20.0:
+            raise BadInput("planned: largest_overshoot_deg must be 0 to 720 and tolerance_deg 0 to 20")
+        if not 0.5 <= self.quantile <= 1.0 or not 0.0 < self.friction_scatter <= 0.5:
+            raise BadInput("planned: quantile must be 0.5 to 1 and friction_scatter above 0, to 0.5")
+        if not self.largest_error > 0 or not self.doubt_sigma > 0 or not 1 <= self.motions <= 20:
+            raise BadInput("planned: largest_error and doubt_sigma must be above 0, motions 1 to 20")
+
+    def check(self, task: Task) -> None:
+        """Refuse without a model, with one of another rig, or with one that foretells badly."""
+        model = task.model
+        if model is None:
+            raise BadInput(
+                "planned needs a model of this rig: give --model FILE (needle-rig adopt makes one from runs),"
+                " or choose --strategy reed2008"
+            )
+        sections, sensors = len(model.layout.tissue_sections_m), len(model.layout.sensor_positions_m)
+        have = task.layout
+        if sections != len(have.tissue_sections_m) or sensors != len(have.sensor_positions_m):
+            raise BadInput(
+                f"planned: the model {model.name} is of a rig with {sections} tissue sections and {sensors}"
+                f" Hall sensors, this one has {len(have.tissue_sections_m)} and"
+                f" {len(have.sensor_positions_m)}; give a model made from runs of this rig"
+            )
+        error = task.trust.error_over_floor
+        if error is not None and error > self.largest_error:
+            raise BadInput(
+                f"planned refuses the model {model.name}: on runs held out of its fit its error was"
+                f" {error:.1f} times the noise floor, limit {self.largest_error:g} (option largest_error);"
+                " look for the missing effect (needle-rig diagnose), or choose --strategy reed2008"
+            )
+
+    def next(self, task: Task, history: History) -> Waypoint | None:
+        """The next motion of the newest plan, or None when nothing is to be gained."""
+        self.check(task)
+        task = _in_this_rig(task)
+        doubt = self.doubt(task, history)
+        if doubt is not None:
+            return reed_remaining(task, history, *doubt)
+        if len(history) > self.motions:
+            return None
+        plan, note = self.plan(task, history)
+        if not plan.angles_rad:
+            return None
+        last = len(plan.angles_rad) == 1
+        return Waypoint(
+            plan.angles_rad[0],
+            "final" if last else f"step_{len(history)}",
+            settle_s=None if last else self._settle_s(task),
+            note=note,
+        )
+
+    def expected_motions(self, task: Task) -> int:
+        """The turn in two parts, and the way back."""
+        return 3
+
+    def belief(self, task: Task, history: History) -> Belief:
+        """What is known of the needle after `history`."""
+        assert task.model is not None
+        first = first_belief(task.model, task.trust.uncertainties, self.friction_scatter)
+        return corrected(first, task, history, Errors(), self.use_hall)
+
+    def doubt(self, task: Task, history: History) -> tuple[int, str] | None:
+        """The first settled motion that no likely needle explains, and a sentence, or None."""
+        for settled in range(2, len(history) + 1):
+            seen = history[:settled]
+            sigma, told = misfit(self.belief(task, seen), task, seen, Errors())
+            if sigma > self.doubt_sigma:
+                return (
+                    settled - 1,
+                    f"{told}, {sigma:.0f}σ: the model does not hold here, going on as reed2008",
+                )
+        return None
+
+    def plan(self, task: Task, history: History) -> tuple[Plan, str]:
+        """The best rest of the sequence (angles may be none), and what is expected of it."""
+        belief = self.belief(task, history)
+        samples = worlds(belief, task, history, SAMPLES)
+        aim = Aim(
+            task,
+            history[-1].base_angle_rad,
+            rad(self.largest_overshoot_deg),
+            self._settle_s(task),
+            self.quantile,
+        )
+        tolerance = rad(self.tolerance_deg)
+        ahead = MOST_AHEAD_WITH_LAWS if samples[0].rod.laws else MOST_AHEAD
+        left = min(ahead, self.motions + 1 - len(history))
+        plan = best_plan(aim, samples, left, tolerance, least=0 if len(history) > 1 else 1)
+        if len(history) == 1:
+            plan = self._careful(task, history, aim, belief, plan)
+        return plan, _expectation(task, plan, belief, len(history) == 1)
+
+    def _careful(self, task: Task, history: History, aim: Aim, belief: Belief, plan: Plan) -> Plan:
+        """The plan, its first motion cut to what the needle that slips easiest needs.
+
+        Going on in the same direction later loses nothing; having gone too far would cost a reversal.
+        """
+        likely = worlds(belief, task, history, 1)
+        known = refine(aim, likely, plan.angles_rad, 30)
+        if plan.cost_rad <= known.cost_rad + rad(self.tolerance_deg):
+            return plan
+        place = belief.names.index("friction_nmm_per_100mm")
+        easy = belief.mean.copy()
+        easy[place] -= FRICTION_SIGMA
+        light = replace(belief, mean=easy)
+        first = refine(aim, worlds(light, task, history, 1), known.angles_rad, 40).angles_rad[0]
+        near = min((first, known.angles_rad[0]), key=lambda angle: abs(angle - aim.base_rad))
+        return replace(known, angles_rad=(near, *known.angles_rad), cost_rad=known.cost_rad)
+
+    def _settle_s(self, task: Task) -> float:
+        assert task.model is not None
+        return task.settle_s if _takes_time(task.model) else min(QUICK_SETTLE_S, task.settle_s)
+
+
+def _in_this_rig(task: Task) -> Task:
+    assert task.model is not None
+    return replace(task, model=replace(task.model, layout=task.layout))
+
+
+@lru_cache(maxsize=8)
+def _takes_time(model: NeedleModel) -> bool:
+    """Whether the needle goes on moving while its base stands still."""
+    from needle_rig.physics.effect import Trial
+
+    rod = model.rod(Trial(np.empty(0), np.empty(0)))
+    creeps = np.isfinite(rod.creep_viscosity_nms_per_rad) & np.isfinite(rod.creep_stiffness_nm_per_rad)
+    return bool(creeps.any() or rod.viscous_nms_per_rad.any())
+
+
+def _expectation(task: Task, plan: Plan, belief: Belief, unseen: bool) -> str:
+    """What should be left, as a person wants to know it."""
+    worst, torque = (
+        np.quantile(plan.ends.worst_rad, [0.5, 0.95]),
+        np.quantile(np.abs(plan.ends.torque_nm), 0.95),
+    )
+    factor, spread = belief.friction_factor()
+    count = len(plan.angles_rad)
+    rotations = "1 rotation" if count == 1 else f"{count} rotations"
+    friction = "" if unseen else f", friction {100 * factor:.0f} ± {100 * spread:.0f} % of the model's"
+    return (
+        f"plans {rotations}, expects {deg(float(worst[0])):.1f}° (95 %: {deg(float(worst[1])):.1f}°) at the"
+        f" worst place of the shaft and up to {nmm(float(torque)):.3f} N·mm left{friction}"
+    )

@@ -1,0 +1,68 @@
+"""A list of base angles, for experiments that are no alignment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from needle_rig.control.strategy import History, Strategy, Task, Waypoint
+from needle_rig.errors import BadInput
+from needle_rig.units import deg, rad
+
+Each = float | tuple[float, ...] | list[float] | None
+
+
+@dataclass(frozen=True)
+class Protocol(Strategy):
+    """Base to each of `steps_deg` in turn, at `speed_deg_s`, resting `dwell_s` after each.
+
+    Speed and dwell are one number for all steps, a list with one for each, or None for the rig's own.
+    """
+
+    steps_deg: tuple[float, ...] | list[float] = ()
+    speed_deg_s: Each = None
+    dwell_s: Each = None
+
+    def __post_init__(self) -> None:
+        if not self.steps_deg:
+            raise BadInput("protocol: steps_deg is empty; give the base angles in turn, in degrees")
+        for field in ("speed_deg_s", "dwell_s"):
+            value = getattr(self, field)
+            if isinstance(value, list | tuple) and len(value) != len(self.steps_deg):
+                raise BadInput(f"protocol: {field} has {len(value)} values for {len(self.steps_deg)} steps")
+        for field in ("steps_deg", "speed_deg_s", "dwell_s"):
+            value = getattr(self, field)
+            for number, one in enumerate(value if isinstance(value, list | tuple) else (value,), 1):
+                if one is not None and not (math.isfinite(one) and (field == "steps_deg" or one > 0.0)):
+                    raise BadInput(f"protocol: {field} of step {number} is {one}; give a number above 0")
+
+    def check(self, task: Task) -> None:
+        """Refuse steps beyond the drive's limits, before the first."""
+        limit, fastest = task.angle_limit_rad, task.velocity_limit_rad_s
+        for number, angle in enumerate(self.steps_deg, 1):
+            if abs(rad(angle)) > limit:
+                raise BadInput(f"protocol: step {number} is {angle:g}°, outside ±{deg(limit):g}°")
+            speed = _each(self.speed_deg_s, number - 1)
+            if speed is not None and rad(speed) > fastest:
+                raise BadInput(f"protocol: step {number} turns at {speed:g}°/s, limit {deg(fastest):g}°/s")
+
+    def next(self, task: Task, history: History) -> Waypoint | None:
+        """The next step of the list."""
+        done = len(history) - 1
+        if done == len(self.steps_deg):
+            return None
+        speed = _each(self.speed_deg_s, done)
+        return Waypoint(
+            rad(self.steps_deg[done]),
+            f"step_{done + 1}",
+            speed_rad_s=None if speed is None else rad(speed),
+            settle_s=_each(self.dwell_s, done),
+        )
+
+    def expected_motions(self, task: Task) -> int:
+        """As many as there are steps."""
+        return len(self.steps_deg)
+
+
+def _each(value: Each, number: int) -> float | None:
+    return value[number] if isinstance(value, list | tuple) else value

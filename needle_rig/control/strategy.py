@@ -1,0 +1,143 @@
+"""What a strategy is: settled measurements in, next waypoint or done out. One file each in `strategies`.
+
+A strategy is a frozen dataclass whose fields are its options, in the units that people give them (degrees,
+the unit in the name). It keeps no memory: `next` is a function of the task and of the settled motions so far,
+so a run can be replayed from its record.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import math
+import pkgutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from needle_rig.errors import BadInput
+from needle_rig.physics.rod import Layout
+
+if TYPE_CHECKING:
+    from needle_rig.control.reports import SettledMotion
+    from needle_rig.physics.needle_model import NeedleModel
+
+History = tuple["SettledMotion", ...]
+
+
+@dataclass(frozen=True)
+class Dither:
+    """A sine on top of a motion: amplitude of the base angle, frequency."""
+
+    amplitude_rad: float
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One motion: where the base goes, how fast, and what the motion is called.
+
+    None stands for the speed and the settling time of the task.
+    """
+
+    angle_rad: float
+    name: str
+    speed_rad_s: float | None = None
+    settle_s: float | None = None
+    dither: Dither | None = None
+    note: str = ""
+    """What the strategy expects of this motion, for a person."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What a model file says of its own model: uncertainties by parameter, and how well it foretold.
+
+    `error_over_floor` is the largest error on runs that were held out of its fit, over the floor that
+    noise sets; None where the file tells of none.
+    """
+
+    uncertainties: Mapping[str, float] = field(default_factory=dict)
+    error_over_floor: float | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a strategy may know: the target, the rig, and what the last run left."""
+
+    target_rad: float
+    layout: Layout
+    torsional_rigidity_nm2: float
+    speed_rad_s: float
+    settle_s: float
+    angle_limit_rad: float = math.inf
+    velocity_limit_rad_s: float = math.inf
+    acceleration_limit_rad_s2: float = math.inf
+    model: NeedleModel | None = None
+    trust: Trust = field(default_factory=Trust)
+    lag_left_rad: float | None = None
+    """Tip lag left by the run before."""
+    extra_before_deg: float = 0.0
+    """Extra turn that the run before used."""
+
+
+class Strategy:
+    """Base of all strategies; subclasses are frozen dataclasses."""
+
+    name: ClassVar[str] = ""
+    """The file's name; set when the file is found."""
+    slow: ClassVar[bool] = False
+    """Thinks longer than a tick lasts: `next` solves models."""
+
+    def next(self, task: Task, history: History) -> Waypoint | None:
+        """The next motion, or None when the sequence is over.
+
+        `history[0]` is the rest before the first motion, `history[-1]` what just settled.
+        """
+        raise NotImplementedError
+
+    def check(self, task: Task) -> None:
+        """Raise BadInput when the task cannot be done with these options; asked before anything moves."""
+
+    def extra_used_deg(self, task: Task) -> float:
+        """Extra turn that this strategy adds to the first correction, for runs that learn from it."""
+        return 0.0
+
+    def expected_motions(self, task: Task) -> int:
+        """How many motions the sequence will take, for progress; an estimate."""
+        raise NotImplementedError
+
+
+def find_strategies() -> dict[str, type[Strategy]]:
+    """Every strategy by the name of its file, sorted."""
+    from needle_rig.control import strategies
+
+    found: dict[str, type[Strategy]] = {}
+    for module in sorted(pkgutil.iter_modules(strategies.__path__), key=lambda m: m.name):
+        loaded = importlib.import_module(f"{strategies.__name__}.{module.name}")
+        for value in vars(loaded).values():
+            if (
+                isinstance(value, type)
+                and issubclass(value, Strategy)
+                and value.__module__ == loaded.__name__
+            ):
+                value.name = module.name
+                found[module.name] = value
+    return found
+
+
+def make_strategy(name: str, options: Mapping[str, Any]) -> Strategy:
+    """The strategy called `name` with `options` as its fields; BadInput names what is unknown."""
+    found = find_strategies()
+    if name not in found:
+        raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(found)}")
+    fields = {f.name for f in dataclasses.fields(found[name])}  # type: ignore[arg-type]
+    for option in options:
+        if option not in fields:
+            known = ", ".join(sorted(fields)) or "none"
+            raise BadInput(f"strategy {name} has no option {option!r}; its options: {known}")
+    try:
+        return found[name](**options)
+    except TypeError:
+        given = ", ".join(f"{option}={value!r}" for option, value in options.items())
+        raise BadInput(f"strategy {name}: {given} has a value of the wrong kind; give numbers") from None
