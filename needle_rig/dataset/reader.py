@@ -1,0 +1,124 @@
+"""Datasets from disk. What is wrong with a file is an error with its line, or is handled and said."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from needle_rig.config.places import show_path
+from needle_rig.dataset.description import (
+    layout_of,
+    needle_of,
+    read_description,
+    unknown_keys,
+)
+from needle_rig.dataset.records import Dataset, DatasetTrial, in_series
+from needle_rig.dataset.samples import LeftOut
+from needle_rig.dataset.trial_file import read_trial
+from needle_rig.dataset.units_check import check_units, leave_out_wound
+from needle_rig.errors import BadInput
+
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+
+def read_dataset(path: Paths) -> Dataset:
+    """The dataset in a folder, or the trials of several folders of one rig as one series.
+
+    Trials that cannot be used (too few samples, not at rest at the start) are left out and named in `notes`.
+    Raises BadInput, with file and line, for anything else that cannot be used.
+    """
+    several = [path] if isinstance(path, str | os.PathLike) else list(path)
+    if not several:
+        raise BadInput("no dataset was named; give a folder with a dataset.yaml")
+    datasets = [_read_one(Path(p)) for p in several]
+    return datasets[0] if len(datasets) == 1 else joined(datasets)
+
+
+def joined(datasets: Sequence[Dataset]) -> Dataset:
+    """The trials of several datasets of one rig as one series, in the order given.
+
+    Raises BadInput when their layouts or needles differ.
+    """
+    first = datasets[0]
+    notes = list(first.notes)
+    trials = list(first.trials)
+    for other in datasets[1:]:
+        if not _same_layout(other, first):
+            raise BadInput(
+                f"{other.name} has another layout than {first.name}; compare datasets of one rig together"
+            )
+        if not np.allclose(dataclasses.astuple(other.needle), dataclasses.astuple(first.needle), rtol=1e-6):
+            raise BadInput(
+                f"{other.name} has another needle than {first.name}; compare datasets of one needle together"
+            )
+        end_s = max(t.trial.start_s + float(t.trial.time_s[-1]) for t in trials)
+        notes.extend(other.notes)
+        notes.append(
+            f"{other.name}: its clock is taken to go on where the one before it ended, at {end_s:.1f} s"
+        )
+        trials.extend(
+            dataclasses.replace(t, trial=dataclasses.replace(t.trial, start_s=t.trial.start_s + end_s))
+            for t in other.trials
+        )
+    name = " + ".join(dict.fromkeys(d.name for d in datasets))
+    return dataclasses.replace(first, name=name, trials=in_series(tuple(trials)), notes=tuple(notes))
+
+
+def _same_layout(one: Dataset, other: Dataset) -> bool:
+    """Whether two datasets are of one layout, to a nanometre."""
+    if one.sensor_names != other.sensor_names:
+        return False
+    places = [
+        np.array(
+            [d.layout.needle_length_m, *sum(d.layout.tissue_sections_m, ()), *d.layout.sensor_positions_m]
+        )
+        for d in (one, other)
+    ]
+    return places[0].shape == places[1].shape and np.allclose(places[0], places[1], rtol=0.0, atol=1e-9)
+
+
+def _read_one(path: Path) -> Dataset:
+    if path.is_file() and path.name == "dataset.yaml":
+        path = path.parent
+    if not path.is_dir():
+        if path.exists():
+            raise BadInput(f"{show_path(path)}: is no folder; name the folder that has the dataset.yaml")
+        raise BadInput(f"{show_path(path)}: there is no such folder")
+    if not (path / "dataset.yaml").is_file():
+        inside = sorted(p.parent.name for p in path.glob("*/dataset.yaml"))
+        hint = f"; did you mean {', '.join(inside[:6])} in it?" if inside else ""
+        raise BadInput(f"{show_path(path)}: has no dataset.yaml{hint}")
+    description, places = read_description(path)
+    layout = layout_of(description.rig, places)
+    sensors = tuple(s.name for s in description.rig.hall_sensors)
+    needle = needle_of(description.rig.needle)
+    notes = unknown_keys(description, places)
+    trials: list[DatasetTrial] = []
+    left_out: list[str] = []
+    end_s = 0.0
+    for place, part in enumerate(description.trials):
+        start_s = part.start_s
+        if start_s is None:
+            start_s = end_s
+            notes.append(f"{places.of(('trials', place))}: start_s is missing; taken as {end_s:.1f} s")
+        try:
+            trial = read_trial(path / part.file, sensors, part.command(), start_s)
+        except LeftOut as reason:
+            left_out.append(str(reason))
+            notes.append(str(reason))
+            continue
+        end_s = start_s + float(trial.trial.time_s[-1])
+        trials.append(trial)
+        notes.extend(trial.notes)
+    check_units(trials, layout, needle, sensors)
+    kept, wound = leave_out_wound(trials, sensors)
+    notes.extend(wound)
+    if not kept:
+        raise BadInput(
+            "\n".join([*left_out, *wound, f"{show_path(path)}: no trial is left that can be used"])
+        )
+    return Dataset(description.name, layout, sensors, needle, in_series(tuple(kept)), tuple(notes))

@@ -1,0 +1,122 @@
+"""What a dataset holds once it is read: SI, radians, one record a trial."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.rod import Layout
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Names = npt.NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class Needle:
+    """The needle's stated constants, and how well its torsional rigidity is known."""
+
+    diameter_m: float
+    shear_modulus_pa: float
+    density_kg_m3: float
+    rigidity_sigma: float = 0.02
+    """One standard deviation of the torsional rigidity, as a fraction of it."""
+
+    @property
+    def torsional_rigidity_nm2(self) -> float:
+        """π d⁴/32 · G, the product that twist depends on (PHYSICS eq. 1), in N·m²."""
+        return math.pi * self.diameter_m**4 / 32.0 * self.shear_modulus_pa
+
+
+@dataclass(frozen=True)
+class TrialCommand:
+    """What the rig was told to do. Equal for trials that repeat each other."""
+
+    kind: str
+    target_deg: float | None = None
+    speed_deg_s: float | None = None
+    settle_s: float | None = None
+    steps_deg: tuple[float, ...] = ()
+    other: tuple[tuple[str, str], ...] = ()
+    """Further keys of the trial in dataset.yaml, as written, by name."""
+
+    def told(self) -> dict[str, Any]:
+        """The keys that dataset and protocol files write for this command."""
+        keys = {
+            "target_deg": self.target_deg,
+            "steps_deg": list(self.steps_deg) or None,
+            "speed_deg_s": self.speed_deg_s,
+            "settle_s": self.settle_s,
+        }
+        return {"kind": self.kind} | {key: value for key, value in keys.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class DatasetTrial:
+    """One trial: what drives the model, what it must predict, and where it comes from.
+
+    Measured values that are missing are NaN; `torque_ok` and `hall_ok` are True where there is one.
+    """
+
+    trial: Trial
+    """Input of the model: the base path with the encoder's noise taken out (see `denoised_base`)."""
+    base_measured_rad: Array
+    """The encoder as recorded, (samples,), NaN where missing."""
+    base_residual_rad: float
+    """Root mean square of what was taken out of the encoder's reading."""
+    torque_nm: Array
+    hall_rad: Array
+    phase: Names
+    """Name of the motion at each sample, (samples,)."""
+    command: TrialCommand
+    file: str
+    notes: tuple[str, ...] = ()
+    """What was found wrong with the file and how it was handled, a sentence each."""
+
+    @property
+    def torque_ok(self) -> Mask:
+        """True where there is a torque, (samples,)."""
+        return np.isfinite(self.torque_nm)
+
+    @property
+    def hall_ok(self) -> Mask:
+        """True where there is an angle, (samples, sensors)."""
+        return np.isfinite(self.hall_rad)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Trials of one rig in the order in which they were made."""
+
+    name: str
+    layout: Layout
+    sensor_names: tuple[str, ...]
+    needle: Needle
+    trials: tuple[DatasetTrial, ...]
+    notes: tuple[str, ...] = field(default=())
+    """What was found wrong and how it was handled, those of the trials included."""
+
+    @property
+    def replicates(self) -> dict[TrialCommand, tuple[int, ...]]:
+        """Places in `trials` of those that repeat each other, by command."""
+        groups: dict[TrialCommand, list[int]] = {}
+        for place, trial in enumerate(self.trials):
+            groups.setdefault(trial.command, []).append(place)
+        return {command: tuple(places) for command, places in groups.items()}
+
+
+def in_series(trials: tuple[DatasetTrial, ...]) -> tuple[DatasetTrial, ...]:
+    """`trials` ordered by their start, each told its index and the base travel of those before it."""
+    ordered = sorted(trials, key=lambda t: t.trial.start_s)
+    travel_rad, placed = 0.0, []
+    for index, trial in enumerate(ordered):
+        driven = dataclasses.replace(trial.trial, index=index, travel_before_rad=travel_rad)
+        placed.append(dataclasses.replace(trial, trial=driven))
+        travel_rad += float(np.abs(np.diff(driven.base_angle_rad)).sum())
+    return tuple(placed)

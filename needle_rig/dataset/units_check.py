@@ -1,0 +1,179 @@
+"""Checks that need the whole dataset: units by their scale, and shafts that did not start relaxed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.dataset.channels import suspected_factor, white_noise
+from needle_rig.dataset.records import DatasetTrial, Needle
+from needle_rig.errors import BadInput
+from needle_rig.physics.rod import Layout
+
+Array = npt.NDArray[np.float64]
+
+WOUND_DEG = 3.0
+"""A shaft whose sensors start this far from where the other trials start was not relaxed."""
+
+
+def check_units(
+    trials: Sequence[DatasetTrial], layout: Layout, needle: Needle, sensors: tuple[str, ...]
+) -> None:
+    """Raise BadInput when a column has the scale of another unit than its name says."""
+    for trial in trials:
+        _check_base(trial)
+        _check_time(trial)
+    for sensor, name in enumerate(sensors):
+        for trial in trials:
+            _check_hall(trial, sensor, name)
+    for trial in trials:
+        _check_torque(trial, layout, needle)
+
+
+def leave_out_wound(
+    trials: Sequence[DatasetTrial], sensors: tuple[str, ...]
+) -> tuple[list[DatasetTrial], list[str]]:
+    """The trials that start as the others do, and a sentence for each that does not.
+
+    A shaft that was left wound shows it before the first motion. Offsets that all trials share stay.
+    """
+    if len(trials) < 3:
+        return list(trials), []
+    starts = np.array([_at_start(t) for t in trials])
+    with np.errstate(invalid="ignore"):
+        usual = _median(starts)
+        away = np.abs(starts - usual)
+    largest = float(np.nanmax([np.nanmax(np.abs(t.torque_nm), initial=0.0) for t in trials]) or 0.0)
+    kept: list[DatasetTrial] = []
+    notes: list[str] = []
+    for trial, start, distance in zip(trials, starts, away, strict=True):
+        hall = distance[1:]
+        worst = int(np.nanargmax(hall)) if np.isfinite(hall).any() else -1
+        if worst >= 0 and hall[worst] > math.radians(WOUND_DEG):
+            notes.append(
+                f"{trial.file}:2: left out: {sensors[worst]} begins at "
+                f"{math.degrees(start[1 + worst]):.1f}°, others at {math.degrees(usual[1 + worst]):.1f}°"
+            )
+        elif np.isfinite(distance[0]) and distance[0] > max(0.3 * largest, 1e-6):
+            notes.append(
+                f"{trial.file}:2: left out: the torque starts at {start[0] * 1e3:.3f} N·mm, other trials at "
+                f"{usual[0] * 1e3:.3f} N·mm; start relaxed"
+            )
+        else:
+            kept.append(trial)
+    return kept, notes
+
+
+def _at_start(trial: DatasetTrial) -> Array:
+    """Torque and Hall angles before the first motion, NaN where unknown."""
+    base = trial.trial.base_angle_rad
+    moving = np.flatnonzero(np.abs(base - base[0]) > math.radians(0.2))
+    rows = slice(0, max(3, min(int(moving[0]) if moving.size else len(base), 50)))
+    values = np.column_stack([trial.torque_nm[rows], trial.hall_rad[rows]])
+    return _median(values)
+
+
+def _median(values: Array) -> Array:
+    """Median of each column over its known values, NaN when there is none."""
+    result = np.full(values.shape[1], np.nan)
+    for k in range(values.shape[1]):
+        known = values[np.isfinite(values[:, k]), k]
+        if len(known):
+            result[k] = np.median(known)
+    return result
+
+
+def _check_base(trial: DatasetTrial) -> None:
+    targets = [abs(s) for s in trial.command.steps_deg]
+    if trial.command.target_deg is not None:
+        targets.append(abs(trial.command.target_deg))
+    target = math.radians(max(targets, default=0.0))
+    reached = float(np.max(np.abs(trial.trial.base_angle_rad)))
+    if suspected_factor(reached, target, 180.0 / math.pi, 3.0):
+        raise BadInput(
+            f"{trial.file}:1: base_angle_deg reaches {math.degrees(reached):.3g} where dataset.yaml has a "
+            f"target of {math.degrees(target):g}°: it looks like radians; convert it, or call the column "
+            "base_angle_rad"
+        )
+    if suspected_factor(reached, target, math.pi / 180.0, 3.0):
+        raise BadInput(
+            f"{trial.file}:1: base_angle reaches {math.degrees(reached):.4g}° where dataset.yaml has a "
+            f"target of {math.degrees(target):g}°: it looks like degrees in a column of radians; rename it"
+        )
+
+
+def _check_time(trial: DatasetTrial) -> None:
+    told = trial.command.speed_deg_s
+    if told is None:
+        return
+    time_s, base = trial.trial.time_s, trial.trial.base_angle_rad
+    travel = float(np.ptp(base))
+    if travel < math.radians(5):
+        return
+    # The fastest tenth of the moving samples shows the commanded speed.
+    rates = np.sort(np.abs(np.diff(base) / np.diff(time_s)))
+    fastest = float(np.mean(rates[-max(1, len(rates) // 50) :]))
+    for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds")):
+        if suspected_factor(math.degrees(fastest), told, factor, 8.0):
+            raise BadInput(
+                f"{trial.file}:1: the base turns at {math.degrees(fastest):.3g}°/s where dataset.yaml says "
+                f"{told:g}°/s: time_s looks like {unit}; convert it, or call the column "
+                f"{'time_ms' if factor == 1e3 else 'time_us'}"
+            )
+
+
+def _check_hall(trial: DatasetTrial, sensor: int, name: str) -> None:
+    angle = trial.hall_rad[:, sensor]
+    base = trial.trial.base_angle_rad
+    known = np.isfinite(angle)
+    if known.sum() < 20 or np.ptp(base[known]) < math.radians(10):
+        return
+    seen, driven = angle[known], base[known]
+    spread = float(np.ptp(seen))
+    if spread == 0.0:
+        return
+    # Until the base first turns back, every sensor goes along with it.
+    rising = slice(0, max(10, int(np.argmax(np.abs(driven))) + 1))
+    if np.ptp(seen[rising]) == 0.0 or np.ptp(driven[rising]) == 0.0:
+        return
+    together = float(np.corrcoef(seen[rising], driven[rising])[0, 1])
+    ratio = spread / float(np.ptp(driven))
+    as_if = ratio * 180.0 / math.pi
+    if together > 0.8 and 0.2 < as_if < 1.6 and math.degrees(white_noise(seen)) < 0.08:
+        raise BadInput(
+            f"{trial.file}:1: {name}_deg follows the base with 1/{1 / ratio:.0f} of its motion: it looks "
+            f"like radians; convert it, or call the column {name}_rad"
+        )
+    if together > 0.5 and 0.2 < ratio * math.pi / 180.0 < 1.6:
+        raise BadInput(
+            f"{trial.file}:1: {name} turns {ratio:.0f} times as far as the base: it looks like degrees in a "
+            f"column of radians; call the column {name}_deg"
+        )
+
+
+def _check_torque(trial: DatasetTrial, layout: Layout, needle: Needle) -> None:
+    """The twist up to the first sensor gives the torque to a factor of about two."""
+    if not layout.sensor_positions_m or not layout.tissue_sections_m:
+        return
+    nearest = int(np.argmin(layout.sensor_positions_m))
+    twist = trial.trial.base_angle_rad - trial.hall_rad[:, nearest]
+    known = np.isfinite(twist) & np.isfinite(trial.torque_nm)
+    if known.sum() < 20 or np.ptp(twist[known]) < math.radians(3):
+        return
+    span = float(np.ptp(twist[known]))
+    expected = span * needle.torsional_rigidity_nm2 / layout.sensor_positions_m[nearest]
+    seen = float(np.ptp(trial.torque_nm[known]))
+    for factor, unit, column in (
+        (1e3, "N·m", "base_torque_nm"),
+        (1e-3, "µN·m", "base_torque_unm"),
+        (1e-6, "nN·m", "base_torque_nmm"),
+    ):
+        if suspected_factor(seen, expected, factor, 8.0):
+            raise BadInput(
+                f"{trial.file}:1: base_torque_nmm spans {seen * 1e3:.3g} where the twist up to the first "
+                f"sensor asks for about {expected * 1e3:.2g} N·mm: it looks like {unit}; convert it, or call "
+                f"the column {column}"
+            )

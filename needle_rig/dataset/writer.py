@@ -1,0 +1,75 @@
+"""Datasets to disk, in the format that `read_dataset` reads."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from needle_rig.config.places import show_path, write_yaml
+from needle_rig.dataset.description import FORMAT
+from needle_rig.dataset.records import Dataset, DatasetTrial
+from needle_rig.errors import BadInput
+
+
+def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
+    """Write `dataset.yaml` and one CSV a trial below `folder`, which must not hold a dataset yet.
+
+    Angles are written to 0.0001°, torques to 1e-6 N·mm; missing samples are empty fields. Raises BadInput.
+    """
+    target = Path(folder)
+    if (target / "dataset.yaml").exists():
+        raise BadInput(
+            f"{show_path(target)}: holds a dataset already; name another folder or remove it first"
+        )
+    (target / "trials").mkdir(parents=True, exist_ok=True)
+    layout, needle = dataset.layout, dataset.needle
+    trials: list[dict[str, Any]] = []
+    for number, trial in enumerate(dataset.trials, start=1):
+        file = f"trials/{number:02d}.csv"
+        (target / file).write_text(_csv(trial, dataset.sensor_names), encoding="utf-8")
+        trials.append({"file": file, "start_s": round(trial.trial.start_s, 3), **trial.command.told()})
+    constants: dict[str, float] = {
+        "diameter_mm": _tidy(needle.diameter_m * 1e3),
+        "shear_modulus_gpa": _tidy(needle.shear_modulus_pa * 1e-9),
+        "density_g_cm3": _tidy(needle.density_kg_m3 * 1e-3),
+    }
+    if needle.rigidity_sigma != 0.02:
+        constants["uncertainty_percent"] = _tidy(needle.rigidity_sigma * 100.0)
+    described = {
+        "format": FORMAT,
+        "name": dataset.name,
+        "rig": {
+            "needle": constants,
+            "tissue_sections_mm": [[_tidy(a * 1e3), _tidy(b * 1e3)] for a, b in layout.tissue_sections_m],
+            "needle_length_mm": _tidy(layout.needle_length_m * 1e3),
+            "hall_sensors": [
+                {"name": name, "position_mm": _tidy(at * 1e3)}
+                for name, at in zip(dataset.sensor_names, layout.sensor_positions_m, strict=True)
+            ],
+        },
+        "trials": trials,
+    }
+    (target / "dataset.yaml").write_text(write_yaml(described), encoding="utf-8")
+    return target
+
+
+def _csv(trial: DatasetTrial, sensors: tuple[str, ...]) -> str:
+    header = ",".join(
+        ["time_s", "base_angle_deg", "base_torque_nmm", *(f"{s}_deg" for s in sensors), "phase"]
+    )
+    columns = [_texts(trial.trial.time_s, 5), _texts(np.degrees(trial.base_measured_rad), 4)]
+    columns.append(_texts(trial.torque_nm * 1e3, 6))
+    columns.extend(_texts(np.degrees(trial.hall_rad[:, k]), 4) for k in range(len(sensors)))
+    columns.append(trial.phase.tolist())
+    return "\n".join([header, *map(",".join, zip(*columns, strict=True)), ""])
+
+
+def _texts(values: np.ndarray, decimals: int) -> list[str]:
+    return ["" if v != v else f"{v:.{decimals}f}" for v in values.tolist()]
+
+
+def _tidy(value: float) -> float:
+    return float(f"{value:.10g}")
