@@ -1,0 +1,138 @@
+"""What a run file holds: the tables of its sources and the attributes that describe it."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig import __version__
+from needle_rig.config.loader import rig_config_text
+from needle_rig.config.schema import RigConfig
+from needle_rig.records import Sample
+from needle_rig.units import deg, nmm
+
+Array = npt.NDArray[Any]
+
+FORMAT = "needle-rig-run/1"
+
+EVENT = np.dtype([("time_s", "f8"), ("kind", "S24"), ("text", "S480")])
+"""One event; text longer than its field goes on in the next row, marked by an empty kind."""
+
+_EDGE_UNITS: tuple[tuple[str, str, Callable[[Array], Array], int], ...] = (
+    ("_rad_s", "_deg_s", deg, 4),
+    ("_rad", "_deg", deg, 4),
+    ("_nm", "_nmm", nmm, 6),
+)
+
+
+def at_edge(field: str) -> tuple[str, Callable[[Array], Array], int]:
+    """How files show a field: name with its unit there, conversion, decimals (`hall_rad` → `hall_deg`)."""
+    for inside, outside, convert, decimals in _EDGE_UNITS:
+        if field.endswith(inside):
+            return field.removesuffix(inside) + outside, convert, decimals
+    return field, lambda values: values, 6
+
+
+def run_tables(sensors: int, shaft_nodes: int = 0) -> dict[str, np.dtype[Any]]:
+    """The tables of a run: ticks (one row a Sample), the raw readings, and shaft pictures if any.
+
+    `sensors` is the number of Hall sensors; `shaft_nodes` the number of nodes that a simulated rig shows.
+    Field names carry units; time_s is the daemon's monotonic clock in every table.
+    """
+    tables: dict[str, list[tuple[Any, ...]]] = {
+        "ticks": [
+            ("time_s", "f8"),
+            ("dt_s", "f8"),
+            ("phase", "S12"),
+            ("motion", "S24"),
+            ("base_angle_rad", "f8"),
+            ("torque_nm", "f8"),
+            ("hall_rad", "f8", (sensors,)),
+            ("waypoint_rad", "f8"),
+            ("velocity_rad_s", "f8"),
+            ("enable", "?"),
+            ("limited", "?"),
+            ("drive_state", "u1"),
+            ("drive_faults", "u2"),
+            ("torque_age_s", "f8"),
+            ("hall_age_s", "f8"),
+            ("drive_age_s", "f8"),
+        ],
+        "torque": [("time_s", "f8"), ("node_time_s", "f8"), ("counter", "u4"), ("torque_nm", "f8")],
+        "hall": [
+            ("time_s", "f8"),
+            ("node_time_s", "f8"),
+            ("counter", "u4"),
+            ("angle_rad", "f8", (sensors,)),
+        ],
+        "drive": [
+            ("time_s", "f8"),
+            ("node_time_s", "f8"),
+            ("counter", "u4"),
+            ("angle_rad", "f8"),
+            ("state", "u1"),
+            ("faults", "u2"),
+        ],
+    }
+    if shaft_nodes:
+        tables["shaft"] = [("time_s", "f8"), ("angle_rad", "f8", (shaft_nodes,))]
+    return {name: np.dtype(fields) for name, fields in tables.items()}
+
+
+def sample_row(sample: Sample) -> tuple[Any, ...]:
+    """`sample` as a row of the table ticks."""
+    return (
+        sample.time_s,
+        sample.dt_s,
+        sample.phase.value.encode(),
+        sample.motion.encode(),
+        sample.base_angle_rad,
+        sample.torque_nm,
+        sample.hall_rad,
+        sample.waypoint_rad,
+        sample.velocity_rad_s,
+        sample.enable,
+        sample.limited,
+        int(sample.drive_state),
+        int(sample.drive_faults),
+        sample.torque_age_s,
+        sample.hall_age_s,
+        sample.drive_age_s,
+    )
+
+
+def run_attributes(
+    config: RigConfig, *, strategy: str, target_deg: float, parameters: str, **more: Any
+) -> dict[str, Any]:
+    """What every run says of itself: the request, the whole effective config, versions and the start.
+
+    `parameters` names the simulated needle, or is empty on hardware; `more` are text, numbers or arrays.
+    """
+    return {
+        "strategy": strategy,
+        "target_deg": float(target_deg),
+        "parameters": parameters,
+        "rig": config.name,
+        "kind": config.kind,
+        "config": rig_config_text(config),
+        "versions": json.dumps(_versions()),
+        "started_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"),
+        **more,
+    }
+
+
+def _versions() -> Mapping[str, str]:
+    found = {"needle-rig": __version__, "python": platform.python_version(), "linux": platform.release()}
+    for package in ("numpy", "scipy", "numba", "h5py", "python-can", "pyserial", "simple-pid", "cantools"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
