@@ -1,0 +1,101 @@
+/* The guard of the base drive: decides, every tick, how fast the motor may turn, and stops it when in doubt.
+ *
+ * Integers only. Angles in millidegrees, velocities in 1e-4 deg/s, torques in 1e-5 N.mm (the raw units of the DBC),
+ * times in microseconds of a counter that may wrap.
+ *
+ *   SILENT   after boot. Leaves only by a clear.
+ *   READY    holds still, takes commands; SILENT again when the host goes quiet.
+ *   RUNNING  an enabled command is in force.
+ *   FAULT    stopped by the guard; `faults` says why. Leaves only by a clear, when the cause is gone.
+ *
+ * A clear is a valid command with clear set, enable not set and zero velocity, that follows one without clear. It stands
+ * until it is granted or the bit goes, and is granted once: a stuck bit clears nothing twice. Temporary faults (command age, torque age, damaged frames) go with the first clear;
+ * the others are latching: they also want the shaft still for `latch_us`.
+ */
+#ifndef NR_GUARD_H
+#define NR_GUARD_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+enum nr_state { NR_SILENT = 0, NR_READY = 1, NR_RUNNING = 2, NR_FAULT = 3 };
+
+enum nr_fault {
+    NR_FAULT_COMMAND_AGE = 1,
+    NR_FAULT_HEARTBEAT = 2,
+    NR_FAULT_VELOCITY = 4,
+    NR_FAULT_ANGLE = 8,
+    NR_FAULT_TORQUE_TRIP = 16,
+    NR_FAULT_ENCODER = 32,
+    NR_FAULT_FRAME = 64,
+    NR_FAULT_TORQUE_AGE = 128,
+    NR_FAULTS_TEMPORARY = NR_FAULT_COMMAND_AGE | NR_FAULT_FRAME | NR_FAULT_TORQUE_AGE
+};
+
+struct nr_guard_config {
+    uint32_t command_age_us;    /* no valid command for longer: stop */
+    uint32_t heartbeat_us;      /* commands come, their heartbeat stands still for longer: stop */
+    uint32_t torque_age_us;     /* no valid torque for longer while running: stop */
+    uint32_t latch_us;          /* stillness wanted before a latching fault may be cleared */
+    uint32_t window_us;         /* over which rate and stall are judged */
+    int32_t velocity_limit;     /* a command above it is a fault */
+    int32_t rate_limit;         /* the measured rate above it is a fault */
+    int32_t angle_limit_mdeg;   /* commands that lead further out are held at zero */
+    int32_t angle_margin_mdeg;  /* an angle further out than limit + margin is a fault */
+    int32_t torque_trip;
+    int32_t stall_percent;      /* moved less than this share of what the motor was asked: a fault */
+    int32_t stall_floor_mdeg;   /* windows in which less than this was asked are not judged */
+    uint16_t bad_frames_limit;  /* damaged frames within one window: a fault */
+};
+
+struct nr_command {
+    int32_t velocity;
+    bool enable;
+    bool clear;
+    uint8_t counter;
+    uint16_t heartbeat;
+};
+
+struct nr_guard {
+    struct nr_guard_config config;
+    enum nr_state state;
+    uint8_t faults;
+    struct nr_command command;
+    bool command_seen;
+    bool counter_seen;
+    uint8_t last_counter;
+    bool last_clear;
+    bool clear_asked;
+    uint32_t command_us;
+    uint16_t last_heartbeat;
+    uint32_t heartbeat_us;
+    bool torque_seen;
+    uint32_t torque_us;
+    int32_t torque;
+    uint16_t bad_frames;
+    bool window_open;
+    uint32_t window_start_us;
+    int32_t window_angle_mdeg;
+    int64_t window_asked;       /* sum of velocity x dt, in 1e-4 deg/s x us */
+    uint32_t step_us;
+    uint32_t still_since_us;
+    int32_t permitted;
+};
+
+void nr_guard_init(struct nr_guard *guard, const struct nr_guard_config *config);
+
+/* A command whose checksum was right. Gives false, and takes nothing from it, when its counter did not move on by one to
+ * three; the next in sequence is taken again. */
+bool nr_guard_command(struct nr_guard *guard, uint32_t now_us, const struct nr_command *command);
+
+/* A torque whose frame was right; `good` false when the torque node says that its sensor is not. */
+void nr_guard_torque(struct nr_guard *guard, uint32_t now_us, int32_t torque, bool good);
+
+/* A frame that was meant for this node and damaged. */
+void nr_guard_bad_frame(struct nr_guard *guard);
+
+/* Once a tick. `asked` is the velocity that the drive asked of its motor since the last step, behind its ramp. Gives the
+ * velocity that the motor may have now: 0 unless RUNNING. */
+int32_t nr_guard_step(struct nr_guard *guard, uint32_t now_us, int32_t angle_mdeg, bool encoder_good, int32_t asked);
+
+#endif
