@@ -1,0 +1,190 @@
+"""The simulated rig as a process of its own, behind the ports that a real rig would use.
+
+`python -m needle_rig.simulation.bench [--config FILE]` prints one JSON line with its ports, then runs until
+its standard input ends. Lines on standard input make links fail: `torque|drive|hall|can` with
+`unplug|silence|garble|freeze|fade|restore`; `status` tells how it goes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from needle_rig.config.schema import RigConfig
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
+
+
+def needs_bench(config: RigConfig) -> bool:
+    """Whether a port of `config` is `auto`, that is, the bench's."""
+    return "auto" in (config.links.can.channel, config.links.hall.port)
+
+
+class Bench:
+    """A bench that runs as a child of this process and dies with it."""
+
+    def __init__(self, process: subprocess.Popen[bytes], ports: dict[str, str], folder: Any) -> None:
+        self._process = process
+        self._folder = folder
+        self._text = b""
+        self.ports = ports
+        """Names of the ports: `can` and `hall`."""
+
+    def configured(self, config: RigConfig) -> RigConfig:
+        """`config` with this bench's ports where it says `auto`."""
+        links = config.links
+        if links.can.channel == "auto":
+            can = links.can.model_copy(update={"interface": "slcan", "channel": self.ports["can"]})
+            links = links.model_copy(update={"can": can})
+        if links.hall.port == "auto":
+            hall = links.hall.model_copy(update={"port": self.ports["hall"]})
+            links = links.model_copy(update={"hall": hall})
+        return config.model_copy(update={"links": links})
+
+    def tell(self, line: str) -> None:
+        """Send a control line, such as `torque freeze`."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(line.encode() + b"\n")
+        self._process.stdin.flush()
+
+    def harm(self, link: str, fault: str, timeout_s: float = 10.0) -> float:
+        """Let a link fail (or `restore` it); gives when it did, on the monotonic clock, in seconds."""
+        self.tell(f"{link} {fault}")
+        wanted = {"event": "fault", "link": link, "fault": fault}
+        said = self.wait_for(lambda said: wanted.items() <= said.items(), timeout_s)
+        return float(said["time_s"])
+
+    def heard(self, timeout_s: float) -> dict[str, Any] | None:
+        """The next thing that the bench says; None when it says nothing for `timeout_s`.
+
+        Raises RigFault when the bench is gone.
+        """
+        assert self._process.stdout is not None
+        deadline_s = time.monotonic() + timeout_s
+        while b"\n" not in self._text:
+            ready, _, _ = select.select(
+                [self._process.stdout], [], [], max(deadline_s - time.monotonic(), 0.0)
+            )
+            if not ready:
+                return None
+            chunk = os.read(self._process.stdout.fileno(), 65536)
+            if not chunk:
+                raise RigFault(f"the simulated rig ended (exit {self._process.wait()})")
+            self._text += chunk
+        line, _, self._text = self._text.partition(b"\n")
+        said: dict[str, Any] = json.loads(line)
+        return said
+
+    def wait_for(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float) -> dict[str, Any]:
+        """The next thing said that is `wanted`; others are dropped. Raises TimeoutError."""
+        deadline_s = time.monotonic() + timeout_s
+        while (said := self.heard(max(deadline_s - time.monotonic(), 0.0))) is not None:
+            if wanted(said):
+                return said
+        raise TimeoutError(f"the bench did not say it within {timeout_s:g} s")
+
+    @property
+    def pid(self) -> int:
+        """Process id of the bench."""
+        return self._process.pid
+
+    def close(self) -> None:
+        """End the bench and remove its ports; safe to call twice."""
+        process = self._process
+        if process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.close()
+        try:
+            process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+        self._folder.cleanup()
+
+
+def start(config: RigConfig, timeout_s: float = 120.0) -> Bench:
+    """Start the bench of `config` as a child and wait until its ports are there.
+
+    The first start on a machine compiles the solver, which takes half a minute. Raises BadInput or RigFault
+    with what the child had to say. Blocks: from a running loop, use a thread.
+    """
+    folder = tempfile.TemporaryDirectory(prefix="needle-rig-bench-")
+    command = [sys.executable, "-m", "needle_rig.simulation.bench", "--config", "-", "--ports", folder.name]
+    # A session of its own: Ctrl-C in the terminal stops the sequence, not the rig under it. When this process
+    # ends in whatever way, so does the child's standard input, and with it the child.
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+    bench = Bench(process, {}, folder)
+    try:
+        bench.tell(config.model_dump_json())
+        said = bench.heard(timeout_s)
+        if said is None:
+            raise RigFault(f"the simulated rig did not start within {timeout_s:g} s")
+        if "error" in said:
+            raise (BadInput if said["exit_code"] == BadInput.exit_code else RigFault)(said["error"])
+    except BaseException:
+        bench.close()
+        raise
+    bench.ports = {name: said[name] for name in ("can", "hall")}
+    return bench
+
+
+def _read_config(name: str | None) -> RigConfig:
+    from needle_rig.config.loader import load_rig_config
+
+    if name == "-":
+        line = b""
+        while not line.endswith(b"\n") and (byte := os.read(0, 1)):
+            line += byte
+        return RigConfig.model_validate_json(line)
+    return load_rig_config(name)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the bench; see the module's description."""
+    import argparse
+
+    parser = argparse.ArgumentParser(prog="python -m needle_rig.simulation.bench", description=__doc__)
+    parser.add_argument(
+        "--config", help="rig file; default: config/rig.yaml; -: one JSON line on standard input"
+    )
+    parser.add_argument("--ports", help="folder for the names of the ports; default: a temporary one")
+    parser.add_argument("--keep", action="store_true", help="go on when standard input ends")
+    options = parser.parse_args(arguments)
+
+    from needle_rig.simulation.bench_loop import BenchLoop, be_urgent, speak
+
+    say = speak(1)
+    with contextlib.ExitStack() as stack:
+        try:
+            from needle_rig.simulation.build import build_plant
+
+            config = _read_config(options.config)
+            ports = options.ports or stack.enter_context(
+                tempfile.TemporaryDirectory(prefix="needle-rig-bench-")
+            )
+            loop = BenchLoop(config, build_plant(config), Path(ports), say)
+        except NeedleRigError as error:
+            say({"error": str(error), "exit_code": error.exit_code})
+            return error.exit_code
+        stack.callback(loop.close)
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        say(dict(loop.ports))
+        be_urgent()
+        with contextlib.suppress(KeyboardInterrupt):
+            loop.run(0, end_with_control=not options.keep)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

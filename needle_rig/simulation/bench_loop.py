@@ -1,0 +1,305 @@
+"""The plant behind its nodes in real time: absolute deadlines, ports of the machine, faults on request."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import random
+import select
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from needle_rig.config.files import find_config_file
+from needle_rig.config.schema import RigConfig
+from needle_rig.records import Measurement
+from needle_rig.simulation.node_set import build_nodes
+from needle_rig.simulation.slcan_hub import Frame, Pty, SlcanHub, SlcanPort
+from needle_rig.units import deg, rad
+from needle_rig.wire.can_frames import CanCodec, DriveCommand
+
+LINKS = ("torque", "drive", "hall", "can")
+FAULTS = {
+    "unplug": "off the bus; for hall and can the port hangs up",
+    "silence": "sends nothing",
+    "garble": "sends random bytes",
+    "freeze": "repeats its last frame",
+    "fade": "for hall: the magnet of the last sensor is out of reach",
+    "restore": "works again",
+}
+_LEAST_LOOP_HZ = 1000
+_GIVE_UP_S = 0.05
+_STEPS_A_WAKE = 4
+_TOO_OFTEN = 5
+_HAND_RAD_S = rad(120.0)
+
+
+class WorldPlant(Protocol):
+    """What the bench needs of the plant."""
+
+    def read(self) -> Measurement:
+        """Sensor values now."""
+
+    def turn(self, velocity_rad_s: float, dt_s: float, *, powered: bool = True) -> None:
+        """Let the world go on for `dt_s` with this command at the motor."""
+
+
+class Tap:
+    """Where a link can be made to fail."""
+
+    def __init__(self, seed: int) -> None:
+        self.fault = "restore"
+        self._last: bytes | None = None
+        self._random = random.Random(seed)
+
+    def through(self, data: bytes) -> bytes | None:
+        """What leaves the node instead of `data`; None when nothing does."""
+        if self.fault in ("unplug", "silence"):
+            return None
+        if self.fault == "garble":
+            return self._random.randbytes(len(data))
+        if self.fault == "freeze":
+            return self._last
+        self._last = data
+        return data
+
+
+class BenchLoop:
+    """Plant, nodes and ports. `say` receives what happens, as objects for JSON."""
+
+    def __init__(
+        self, config: RigConfig, plant: WorldPlant, ports: Path, say: Callable[[dict[str, Any]], None]
+    ) -> None:
+        if config.simulation is None:
+            raise ValueError("a bench needs the simulation section")
+        self._plant = plant
+        self._say = say
+        self._loop_hz = max(_LEAST_LOOP_HZ, config.simulation.sensor_rate_hz)
+        self._samples_a_step = config.simulation.sensor_rate_hz / self._loop_hz
+        self._due = 0.0
+        self._codec = CanCodec(find_config_file("needle_rig.dbc"))
+        nodes = build_nodes(config, self._codec)
+        self._torque, self._hall, self._drive = nodes.torque, nodes.hall, nodes.drive
+        self._inputs, self._front_end = nodes.inputs, nodes.front_end
+        self._by_hand_rad = 0.0
+        self._taps = {link: Tap(seed) for seed, link in enumerate(LINKS)}
+        self._hub = SlcanHub()
+        self._ports_folder = ports
+        self._can_port: SlcanPort | None = None
+        self._hall_port: Pty | None = None
+        self._plug_can()
+        self._plug_hall()
+        self._hub.attach(self._on_bus)
+        self._now_us = 0
+        self._start_s = 0.0
+        self._behind_s = 0.0
+        self._late_at_s = 0.0
+        self._late_in_a_row = 0
+        self._last_command: tuple[bool, bool] | None = None
+        self._last_state: Any = None
+        self._velocity_rad_s = 0.0
+
+    @property
+    def ports(self) -> dict[str, str]:
+        """Where the rig's links are."""
+        return {name: str(self._ports_folder / name) for name in ("can", "hall")}
+
+    def run(self, control_fd: int, *, end_with_control: bool = True) -> None:
+        """Run until `control_fd` ends; commands come from it, a line each."""
+        rest = b""
+        self._start_s = deadline_s = time.monotonic()
+        watched: list[Any] = [control_fd]
+        while True:
+            ports = [self._can_port] if self._can_port is not None else []
+            ready, _, _ = select.select([*watched, *ports], [], [], max(deadline_s - time.monotonic(), 0.0))
+            if self._can_port in ready and self._can_port is not None:
+                self._now_us = round((time.monotonic() - self._start_s) * 1e6)
+                self._hub.serve(self._can_port)
+                self._hub.flush()
+            if control_fd in ready:
+                text = os.read(control_fd, 4096)
+                if not text and end_with_control:
+                    return
+                if not text:
+                    watched.clear()
+                *lines, rest = (rest + text).split(b"\n")
+                for line in lines:
+                    self._obey(line.decode("utf-8", "replace").split())
+            late_s = time.monotonic() - deadline_s
+            if late_s > _GIVE_UP_S:
+                # The machine was away. Its world stood still: running after the clock would only add to it.
+                self._behind_s += late_s
+                self._start_s, deadline_s = self._start_s + late_s, deadline_s + late_s
+                self._say({"event": "late", "late_s": round(late_s, 4)})
+                now_s = time.monotonic()
+                self._late_in_a_row = self._late_in_a_row + 1 if now_s - self._late_at_s < 1.0 else 1
+                self._late_at_s = now_s
+                if self._late_in_a_row == _TOO_OFTEN:
+                    be_urgent(False)
+            for _ in range(_STEPS_A_WAKE):
+                if deadline_s > time.monotonic():
+                    break
+                self._now_us = round((deadline_s - self._start_s) * 1e6)
+                self._step()
+                deadline_s += 1.0 / self._loop_hz
+
+    def close(self) -> None:
+        """Hang up every port."""
+        for port in (*self._hub.ports, *([self._hall_port] if self._hall_port else [])):
+            port.close()
+        for name in ("can", "hall"):
+            (self._ports_folder / name).unlink(missing_ok=True)
+
+    def _step(self) -> None:
+        velocity, powered = self._velocity_rad_s, self._drive.powered
+        if self._by_hand_rad and not powered:
+            dt_s = 1.0 / self._loop_hz
+            turn = math.copysign(min(abs(self._by_hand_rad), _HAND_RAD_S * dt_s), self._by_hand_rad)
+            self._by_hand_rad -= turn
+            velocity, powered = turn / dt_s, True
+        self._plant.turn(velocity, 1.0 / self._loop_hz, powered=powered)
+        self._due += self._samples_a_step
+        if self._due < 1.0 - 1e-9:
+            return
+        self._due -= 1.0
+        now_us, counts = self._now_us, self._inputs(self._plant.read())
+        self._send("torque", self._torque.step(now_us, counts.torque))
+        status, self._velocity_rad_s = self._drive.step(now_us, counts.encoder)
+        self._send("drive", status)
+        if self._drive.state is not self._last_state:
+            self._last_state = self._drive.state
+            faults = int(self._drive.faults)
+            late_s = time.monotonic() - self._start_s - now_us * 1e-6
+            state = self._last_state.name.lower()
+            self._say({"event": "drive", "state": state, "faults": faults, "late_s": round(late_s, 6)})
+        hall = self._taps["hall"]
+        pairs = (*counts.hall[:-1], (0, 0)) if hall.fault == "fade" else counts.hall
+        frame = hall.through(self._hall.step(now_us, pairs))
+        if self._hall_port is not None:
+            self._hall_port.write(frame or b"")
+            self._hall_port.flush()
+        self._hub.flush()
+
+    def _send(self, link: str, frame: Frame) -> None:
+        data = self._taps[link].through(frame[1])
+        if data is None:
+            return
+        if link == "torque" and self._taps["drive"].fault != "unplug":
+            self._drive.receive(self._now_us, frame[0], data)
+        if self._taps["can"].fault == "garble" and self._can_port is not None:
+            self._can_port.write(
+                self._taps["can"].through(b"t%03X8%s\r" % (frame[0], data.hex().encode())) or b""
+            )
+        elif self._taps["can"].fault == "restore":
+            self._hub.send((frame[0], data), sender=self._on_bus)
+
+    def _on_bus(self, frame: Frame) -> None:
+        """A frame that came in through a port."""
+        content = self._codec.decode(*frame)
+        if isinstance(content, DriveCommand):
+            asked = (content.command.enable, content.command.clear)
+            if asked != self._last_command:
+                self._last_command = asked
+                self._say({"event": "command", "enable": asked[0], "clear": asked[1]})
+        if self._taps["drive"].fault != "unplug" and self._taps["can"].fault == "restore":
+            self._drive.receive(self._now_us, *frame)
+
+    def _obey(self, words: list[str]) -> None:
+        if words == ["status"]:
+            now = self._plant.read()
+            self._say(
+                {
+                    "base_deg": round(deg(now.base_angle_rad), 4),
+                    "velocity_deg_s": round(deg(self._velocity_rad_s), 4),
+                    "drive": self._drive.state.name.lower(),
+                    "faults": {link: tap.fault for link, tap in self._taps.items() if tap.fault != "restore"},
+                    "node_clock_zero_s": self._start_s,
+                    "plant_s": round(now.time_s, 3),
+                    "behind_s": round(self._behind_s, 4),
+                    "cpu_s": round(time.process_time(), 3),
+                }
+            )
+        elif len(words) == 2 and words[0] in LINKS and words[1] in FAULTS:
+            link, fault = words
+            self._taps[link].fault = fault
+            if link == "hall" and fault in ("unplug", "restore"):
+                self._plug_hall(fault == "restore")
+            if link == "can" and fault in ("unplug", "restore"):
+                self._plug_can(fault == "restore")
+            self._say({"event": "fault", "link": link, "fault": fault})
+        elif len(words) == 2 and words[0] in ("turn", "weigh"):
+            self._handle(*words)
+        elif words:
+            choices = f"{'|'.join(LINKS)} {'|'.join(FAULTS)}"
+            self._say({"error": f"{' '.join(words)!r}: give one of: {choices}; or: status"})
+
+    def _handle(self, what: str, amount: str) -> None:
+        """What a person does: turn the base by hand (degrees), hang a weight on the cell (N·mm)."""
+        try:
+            value = float(amount)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value) or abs(value) > 3600:
+            self._say({"error": f"{what} {amount!r}: give degrees (turn) or N.mm (weigh), 3600 at most"})
+        elif what == "turn":
+            self._by_hand_rad += rad(value)
+            self._say({"event": "turn", "turn_deg": value})
+        elif self._front_end is None:
+            self._say({"error": "weigh: only the firmware's load cell takes weights (simulation.nodes)"})
+        else:
+            self._front_end.weight_nmm = value
+            self._say({"event": "weigh", "weight_nmm": value})
+
+    def _plug_can(self, plugged: bool = True) -> None:
+        if plugged and self._can_port is None:
+            self._can_port = self._hub.add_port()
+            self._link("can", self._can_port.name)
+        elif not plugged and self._can_port is not None:
+            self._hub.remove_port(self._can_port)
+            self._can_port = None
+            (self._ports_folder / "can").unlink()
+
+    def _plug_hall(self, plugged: bool = True) -> None:
+        if plugged and self._hall_port is None:
+            self._hall_port = Pty()
+            self._link("hall", self._hall_port.name)
+        elif not plugged and self._hall_port is not None:
+            self._hall_port.close()
+            self._hall_port = None
+            (self._ports_folder / "hall").unlink()
+
+    def _link(self, name: str, target: str) -> None:
+        """A name that stays when a port is pulled and plugged in again."""
+        with (
+            tempfile.TemporaryDirectory(dir=self._ports_folder) as folder,
+            contextlib.suppress(FileExistsError),
+        ):
+            link = Path(folder) / name
+            link.symlink_to(target)
+            link.replace(self._ports_folder / name)
+
+
+def be_urgent(urgent: bool = True) -> None:
+    """Run before ordinary programs where the system allows it: a rig does not wait for the machine.
+
+    Not for a bench that cannot keep up, which would leave nothing to the others.
+    """
+    policy, priority = (os.SCHED_FIFO, 1) if urgent else (os.SCHED_OTHER, 0)
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+
+
+def speak(stream_fd: int) -> Callable[[dict[str, Any]], None]:
+    """A `say` that writes one JSON line, with the time, or drops it when nobody reads."""
+    os.set_blocking(stream_fd, False)
+
+    def say(what: dict[str, Any]) -> None:
+        line = json.dumps({**what, "time_s": round(time.monotonic(), 6)}) + "\n"
+        with contextlib.suppress(BlockingIOError):
+            os.write(stream_fd, line.encode())
+
+    return say

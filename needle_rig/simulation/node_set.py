@@ -1,0 +1,96 @@
+"""The nodes of a bench: in Python, or the firmware itself behind an analogue front end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from needle_rig.config.schema import RigConfig, SimulationSection
+from needle_rig.errors import BadInput
+from needle_rig.records import DriveFault, DriveState, Measurement
+from needle_rig.simulation.analogue import AnalogueFrontEnd, SensorErrors
+from needle_rig.simulation.front_end import Inputs, inputs
+from needle_rig.simulation.nodes import DriveNode, HallNode, TorqueNode
+from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.wire.can_frames import CanCodec
+
+FIRMWARE_SENSORS, FIRMWARE_RATE_HZ = 4, 1000
+
+
+class Torque(Protocol):
+    """The torque node."""
+
+    def step(self, now_us: int, torque_counts: int) -> Frame:
+        """The frame of one sample."""
+
+
+class Hall(Protocol):
+    """The Hall node."""
+
+    def step(self, now_us: int, pairs: Sequence[tuple[int, int]]) -> bytes:
+        """The bytes of one sample."""
+
+
+class Drive(Protocol):
+    """The drive node."""
+
+    state: DriveState
+    faults: DriveFault
+
+    @property
+    def powered(self) -> bool:
+        """Whether the motor is on."""
+
+    def receive(self, now_us: int, frame_id: int, data: bytes) -> None:
+        """A frame seen on the bus."""
+
+    def step(self, now_us: int, encoder_counts: int) -> tuple[Frame, float]:
+        """The status frame of one sample, and the velocity in rad/s asked of the motor."""
+
+
+@dataclass(frozen=True)
+class NodeSet:
+    """Three nodes and what makes counts for their inputs of what the plant's sensors feel."""
+
+    torque: Torque
+    hall: Hall
+    drive: Drive
+    inputs: Callable[[Measurement], Inputs]
+    front_end: AnalogueFrontEnd | None = None
+
+
+def build_nodes(config: RigConfig, codec: CanCodec) -> NodeSet:
+    """The nodes that `config`'s simulation section names. Raises BadInput when they cannot be made."""
+    simulation = config.simulation
+    if simulation is None or simulation.nodes == "python":
+        return NodeSet(TorqueNode(codec), HallNode(), DriveNode(codec, config.drive), inputs)
+    sensors = len(config.layout.hall_sensors)
+    if sensors != FIRMWARE_SENSORS:
+        raise BadInput(
+            f"layout.hall_sensors: the Hall node's firmware has {FIRMWARE_SENSORS} sensors, not {sensors}; "
+            "leave simulation.nodes at python for another number"
+        )
+    if simulation.sensor_rate_hz > FIRMWARE_RATE_HZ:
+        raise BadInput(
+            f"simulation.sensor_rate_hz: {simulation.sensor_rate_hz:g} Hz; the firmware samples at "
+            f"{FIRMWARE_RATE_HZ} Hz at most"
+        )
+    front_end = AnalogueFrontEnd(
+        SensorErrors.planted(simulation.sensor_errors_seed, sensors), simulation.seed
+    )
+    return NodeSet(*_firmware(simulation), front_end.inputs, front_end)
+
+
+def _firmware(simulation: SimulationSection) -> tuple[Torque, Hall, Drive]:
+    from needle_rig.simulation.firmware_nodes import (
+        DriveFirmware,
+        FirmwareNodes,
+        HallFirmware,
+        TorqueFirmware,
+    )
+
+    pages = None if simulation.node_pages is None else Path(simulation.node_pages)
+    made = FirmwareNodes(image=simulation.nodes == "image", pages=pages)
+    return TorqueFirmware(made), HallFirmware(made), DriveFirmware(made)
