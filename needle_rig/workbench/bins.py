@@ -1,0 +1,208 @@
+"""Trials cut into motions and bins, so that a thousand correlated samples become the facts they are worth.
+
+A motion is a stretch with one phase name: the base moves, then holds. While it moves, bins are equally wide;
+while it holds they widen with the time since it stopped. The model is driven on a grid of block centres, and
+the same averages are taken of model and data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+from scipy.sparse import csr_array
+
+from needle_rig.dataset import DatasetTrial
+from needle_rig.physics.effect import Trial
+from needle_rig.units import rad
+
+Array = npt.NDArray[np.float64]
+
+MOVING_BINS = 14
+MOVING_BLOCKS = 42
+HOLD_EDGES_S = (0.0, 0.12, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 600.0)
+STILL_RAD = rad(0.12)
+OUTLIER_SIGMAS = 6.0
+
+
+@dataclass(frozen=True)
+class BinnedTrial:
+    """One trial in bins. K bins, m grid points, C channels (torque, then each Hall sensor)."""
+
+    trial: Trial
+    """The grid: times and base angles (m,) that drive the model."""
+    average: csr_array
+    """Weights (K, m) that take the model on the grid to bin means."""
+    mean: Array
+    """Bin means (C, K) of the data; NaN where a channel has none. N·m and rad."""
+    count: Array
+    """Samples behind each mean (C, K)."""
+    time_s: Array
+    duration_s: Array
+    motion: npt.NDArray[np.int64]
+    moving: npt.NDArray[np.bool_]
+    since_stop_s: Array
+    base_rad: Array
+    base_rate_rad_s: Array
+    last_move_rad: Array
+    """Signed size of the motion that a bin belongs to, or that came before it at rest."""
+    motions: tuple[str, ...]
+    command: object
+    file: str
+    outliers: tuple[int, ...]
+    """Samples set aside as outliers, a channel each."""
+    missing: tuple[int, ...]
+
+
+def channels(trial: DatasetTrial) -> Array:
+    """Torque and Hall angles as (C, M)."""
+    return np.vstack([trial.torque_nm[None, :], trial.hall_rad.T])
+
+
+def motions_of(base_rad: Array, phase: npt.NDArray[np.str_]) -> list[tuple[int, int, int]]:
+    """(first, stop, end) sample of every motion; from `stop` on the base holds still."""
+    change = np.flatnonzero(phase[1:] != phase[:-1]) + 1
+    found = []
+    for first, end in zip(np.r_[0, change], np.r_[change, phase.size], strict=True):
+        path = base_rad[first:end]
+        goal = np.median(path[-max(1, min(path.size // 4, 50)) :])
+        away = np.flatnonzero(np.abs(path - goal) > STILL_RAD)
+        found.append((int(first), int(first + (away[-1] + 1 if away.size else 0)), int(end)))
+    return found
+
+
+def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """(values with holes and outliers filled in from their neighbours, valid, outlier) of one channel (M,).
+
+    An outlier lies more than 6 robust standard deviations from the median of its neighbours.
+    """
+    valid = np.isfinite(values)
+    outlier = np.zeros(values.size, bool)
+    if valid.sum() < 7:
+        return np.where(valid, values, 0.0), valid, outlier
+    where = np.arange(values.size)
+    filled = values if valid.all() else np.interp(where, where[valid], values[valid])
+    middle = median_filter(filled, 5, mode="mirror")
+    away = np.abs(filled - middle)
+    spread = 1.4826 * np.median(away[away > 0]) if np.any(away > 0) else 0.0
+    if spread > 0:
+        outlier = valid & (away > OUTLIER_SIGMAS * 1.3 * spread)
+        filled = np.where(outlier, middle, filled)
+    return filled, valid & ~outlier, outlier
+
+
+def _blocks(time_s: Array, parts: list[tuple[int, int, int]]) -> tuple[list[int], list[int], list[int]]:
+    """(first sample of each block, its bin, bin kinds) for all motions; bin kind -1 holds, else moving."""
+    starts: list[int] = []
+    bins: list[int] = []
+    moving_bins: list[int] = []
+    number = 0
+    for first, stop, end in parts:
+        if stop > first:
+            blocks = min(MOVING_BLOCKS, stop - first)
+            edges = np.unique(np.linspace(first, stop, blocks + 1).astype(int))[:-1]
+            groups = min(MOVING_BINS, edges.size)
+            group = (np.arange(edges.size) * groups) // edges.size
+            starts += edges.tolist()
+            bins += (number + group).tolist()
+            moving_bins += [1] * groups
+            number += groups
+        if end > stop:
+            since = time_s[stop:end] - time_s[stop]
+            cut = stop + np.searchsorted(since, HOLD_EDGES_S)
+            cut = np.unique(np.r_[cut[cut < end], end])
+            widths = np.diff(cut)
+            keep = [int(cut[0])]
+            for edge, width in zip(cut[1:-1], widths[1:], strict=True):
+                if width >= 3 and edge - keep[-1] >= 3:
+                    keep.append(int(edge))
+            for a, b in zip(keep, [*keep[1:], int(end)], strict=True):
+                middle = (a + b) // 2
+                starts += [a, middle] if middle > a else [a]
+                bins += [number] * (2 if middle > a else 1)
+                moving_bins.append(0)
+                number += 1
+    return starts, bins, moving_bins
+
+
+def bin_trial(given: DatasetTrial) -> BinnedTrial:
+    """Bins of one trial."""
+    base_rad = given.trial.base_angle_rad
+    time_s = given.trial.time_s
+    phase = np.asarray(given.phase)
+    parts = motions_of(base_rad, phase)
+    starts, bins, moving_bins = _blocks(time_s, parts)
+    first = np.asarray(starts)
+    of_bin = np.asarray(bins)
+    size = np.diff(np.r_[first, time_s.size])
+    number = len(moving_bins)
+
+    def block_mean(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, first) / size, dtype=np.float64)
+
+    def bin_sum(values: Array) -> Array:
+        return np.asarray(np.bincount(of_bin, values, number), dtype=np.float64)
+
+    block_time, block_base = block_mean(time_s), block_mean(base_rad)
+    samples = bin_sum(size.astype(float))
+    outliers, missing, mean, count = [], [], [], []
+    for values in channels(given):
+        filled, valid, outlier = set_aside(values)
+        have = np.add.reduceat(valid.astype(float), first)
+        count.append(bin_sum(have))
+        average = bin_sum(block_mean(filled) * size) / samples
+        mean.append(np.where(count[-1] >= 0.5 * samples, average, np.nan))
+        outliers.append(int(outlier.sum()))
+        missing.append(int((~np.isfinite(values)).sum()))
+
+    guards = np.unique([0, *[end - 1 for _, _, end in parts]])
+    grid_time = np.r_[block_time, time_s[guards]]
+    grid_base = np.r_[block_base, base_rad[guards]]
+    order = np.argsort(grid_time, kind="stable")
+    distinct = np.r_[True, np.diff(grid_time[order]) > 1e-9]
+    place = np.empty(order.size, int)
+    place[order] = np.cumsum(distinct) - 1
+    grid_time, grid_base = grid_time[order][distinct], grid_base[order][distinct]
+    weights = np.zeros((number, grid_time.size))
+    weights[of_bin, place[: first.size]] = size / samples[of_bin]
+
+    motion = np.repeat(np.arange(len(parts)), [end - begin for begin, _, end in parts])[first]
+    stop_time = np.array([time_s[min(stop, time_s.size - 1)] for _, stop, _ in parts])
+    bin_motion = np.zeros(number, int)
+    bin_motion[of_bin] = motion
+    bin_time = bin_sum(block_time * size) / samples
+    moves = np.array([base_rad[end - 1] - base_rad[begin] for begin, _, end in parts])
+    base = bin_sum(block_base * size) / samples
+    moving = np.asarray(moving_bins, bool)
+    rate = np.zeros(number)
+    edge_time, edge_base = time_s[first], base_rad[first]
+    end_sample = np.r_[first[1:], time_s.size - 1]
+    low = np.full(number, -1)
+    for block, which in enumerate(of_bin):
+        if low[which] < 0:
+            low[which] = block
+        high = end_sample[block]
+        span = time_s[high] - edge_time[low[which]]
+        rate[which] = (base_rad[high] - edge_base[low[which]]) / span if span > 0 else 0.0
+    return BinnedTrial(
+        trial=dataclasses.replace(given.trial, time_s=grid_time, base_angle_rad=grid_base),
+        average=csr_array(weights),
+        mean=np.asarray(mean),
+        count=np.asarray(count),
+        time_s=bin_time,
+        duration_s=samples * np.median(np.diff(time_s)),
+        motion=bin_motion,
+        moving=moving,
+        since_stop_s=np.where(moving, 0.0, bin_time - stop_time[bin_motion]),
+        base_rad=base,
+        base_rate_rad_s=np.where(moving, rate, 0.0),
+        last_move_rad=moves[bin_motion],
+        motions=tuple(str(phase[begin]) for begin, _, _ in parts),
+        command=given.command,
+        file=given.file,
+        outliers=tuple(outliers),
+        missing=tuple(missing),
+    )

@@ -1,0 +1,80 @@
+"""How well a fit foretells commands that it has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.problem import Point, Problem
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Prediction of every trial by a fit to the trials of other commands."""
+
+    error: float
+    """Root mean square over all bins, in units of the noise (trial scatter included): 1 is the floor."""
+    loss: Array
+    """−2 log predictive density of each trial (T,), up to a constant."""
+    residuals: tuple[Array, ...]
+    """Data minus prediction in bin means (C, K), with the friction that the other trials share."""
+
+
+def held_out(problem: Problem, fit: Fit) -> HeldOut:
+    """Leave every command out in turn; parameters move to where the rest puts them, to first order.
+
+    A held-out trial is then simulated afresh; its own friction is unknown and integrated out.
+    """
+    trials = len(problem.trials)
+    p = 2 + len(fit.axes)
+    groups = problem.groups
+    blocks, pushes = [], []
+    for jacobian, rows in zip(fit.jacobians, fit.residuals, strict=True):
+        shared, own = jacobian[:, :p], jacobian[:, p]
+        tight = fit.scatter**-2
+        # the trial's own friction profiled out
+        weight = 1.0 / (own @ own + tight)
+        cross = shared.T @ own
+        blocks.append(shared.T @ shared - weight * np.outer(cross, cross))
+        pushes.append(shared.T @ rows - weight * cross * (own @ rows))
+    prior = np.r_[0.0, problem.rigidity_prior**-2, [a.width**-2 for a in fit.axes]]
+    whole = sum(blocks) + np.diag(prior)
+    low = np.r_[-np.inf, -np.inf, [a.bounds[0] for a in fit.axes]]
+    high = np.r_[np.inf, np.inf, [a.bounds[1] for a in fit.axes]]
+    at = np.r_[fit.point.log_friction, fit.point.log_rigidity, fit.point.positions]
+    models, order = [], []
+    for group in groups if len(groups) > 1 else []:
+        left = whole - sum(blocks[t] for t in group)
+        move = -np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ sum(pushes[t] for t in group)
+        move[0] = np.clip(move[0], -1.0, 1.0)
+        move[1] = np.clip(move[1], -0.3, 0.3)
+        x = np.clip(at + move, low, high)
+        point = Point(float(x[0]), float(x[1]), x[2:], np.zeros(trials))
+        for t in group:
+            models.append(problem.model(fit.axes, point))
+            order.append(t)
+    loss, residuals = np.full(trials, np.inf), [np.zeros((0, 0))] * trials
+    if not models:
+        return HeldOut(float("inf"), loss, tuple(residuals))
+    try:
+        readings = problem.readings(models, order)
+    except (SolverError, BadInput):
+        return HeldOut(float("inf"), loss, tuple(residuals))
+    total = 0.0
+    nuisance = fit.nuisance
+    for t, reading, row in zip(order, readings, problem.residuals(readings, order), strict=True):
+        own = fit.jacobians[t][:, p]
+        rows = row - problem.nuisance[t] @ nuisance
+        weight = 1.0 / (own @ own + fit.scatter**-2)
+        best = weight * (own @ rows)
+        chi2 = float(rows @ rows - best * (own @ rows))
+        loss[t] = chi2 + float(np.log1p((own @ own) * fit.scatter**2))
+        total += chi2
+        residuals[t] = problem.trials[t].mean - reading
+    return HeldOut(float(np.sqrt(total / problem.size)), loss, tuple(residuals))

@@ -1,0 +1,85 @@
+"""Recorded runs as trials of a dataset, so that a model can be held against them."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from needle_rig.control.brain import layout_of, torsional_rigidity_nm2
+from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, in_series
+from needle_rig.dataset.samples import LeftOut, checked_trial
+from needle_rig.errors import BadInput
+from needle_rig.recording import RunFile
+from needle_rig.units import m
+
+_ACTIVE = (b"rest", b"moving", b"settling", b"measuring")
+
+
+def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
+    """`runs` of one rig as a dataset, in the order in which they were made.
+
+    Raises BadInput for a run without a sequence, one that began with the base away from 0°, and for runs of
+    rigs that differ in layout or needle.
+    """
+    if not runs:
+        raise BadInput("no run was named; list them with: needle-rig runs")
+    first = min(_started(run) for run in runs)
+    config = runs[0].config
+    for run in runs[1:]:
+        if (run.config.layout, run.config.needle) != (config.layout, config.needle):
+            raise BadInput(
+                f"{run.path}: its layout or needle differs from that of {runs[0].path}; keep them apart"
+            )
+    diameter_m = m(config.needle.diameter_mm)
+    trials = in_series(tuple(_trial(run, _started(run) - first) for run in runs))
+    return Dataset(
+        name=name or runs[0].name,
+        layout=layout_of(config),
+        sensor_names=tuple(sensor.name for sensor in config.layout.hall_sensors),
+        needle=Needle(
+            diameter_m=diameter_m,
+            shear_modulus_pa=torsional_rigidity_nm2(config) * 32.0 / (math.pi * diameter_m**4),
+            density_kg_m3=config.needle.density_g_cm3 * 1e3,
+        ),
+        trials=trials,
+        notes=tuple(note for trial in trials for note in trial.notes),
+    )
+
+
+def _trial(run: RunFile, start_s: float) -> DatasetTrial:
+    shown, notes = str(run.path), []
+    if not run.complete:
+        notes.append(f"{shown}: the run was cut off; what was recorded is used")
+    ticks = run.table("ticks")
+    active = np.flatnonzero(np.isin(ticks["phase"], _ACTIVE)) if len(ticks) else np.empty(0, dtype=int)
+    if len(active) < 2:
+        raise BadInput(f"{shown}: holds no sequence, so there is nothing to compare a model with")
+    ticks = ticks[active[0] : active[-1] + 1]
+    rows = np.arange(active[0], active[-1] + 1) + 1
+    time_s = np.maximum.accumulate(ticks["time_s"] - ticks["time_s"][0])
+    values = np.column_stack([time_s, ticks["base_angle_rad"], ticks["torque_nm"], ticks["hall_rad"]])
+    known = run.attributes
+    strategy = str(known.get("strategy", "unknown"))
+    command = TrialCommand(
+        kind="compensate" if strategy == "reed2008" else strategy,
+        target_deg=float(known.get("target_deg", math.nan)),
+        speed_deg_s=float(known.get("speed_deg_s", run.config.sequence.speed_deg_s)),
+        settle_s=float(known.get("settle_s", run.config.sequence.settle_s)),
+        other=(("options", str(known["options"])),) if known.get("options") else (),
+    )
+    sensors = tuple(sensor.name for sensor in run.config.layout.hall_sensors)
+    phase = np.char.decode(ticks["motion"], "utf-8")
+    try:
+        return checked_trial(values, phase, rows, sensors, shown, command, start_s, notes)
+    except LeftOut as reason:
+        raise BadInput(str(reason).replace("left out: ", "")) from None
+
+
+def _started(run: RunFile) -> float:
+    try:
+        return datetime.datetime.fromisoformat(str(run.attributes["started_utc"])).timestamp()
+    except (KeyError, ValueError):
+        return 0.0
