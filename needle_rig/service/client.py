@@ -1,0 +1,191 @@
+"""Talks to a daemon: one that runs already, or a private one that lives as long as the client."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
+from needle_rig.service.endpoint import sockets_for_client
+
+Document = dict[str, Any]
+
+_TIMEOUT_S = 15.0
+_START_TIMEOUT_S = 600.0
+_PATIENCE_S = 5.0
+_END_TIMEOUT_S = 15.0
+
+
+class DaemonClient:
+    """One daemon, by its socket."""
+
+    def __init__(self, path: Path, process: subprocess.Popen[bytes] | None = None) -> None:
+        self.path = path
+        self._process = process
+
+    @property
+    def private(self) -> bool:
+        """Whether it is ours and ends with us."""
+        return self._process is not None
+
+    def let_go(self) -> None:
+        """We need it no more: a private daemon ends now, while we do the rest."""
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def state(self) -> Document:
+        """What the daemon says of itself."""
+        return self._ask("GET", "/state")
+
+    def compensate(self, order: Document) -> Document:
+        """Start a run; raises BadInput or RigFault when it cannot start."""
+        return self._ask("POST", "/compensate", order)
+
+    def stop(self, reason: str) -> None:
+        """Stop the drive in the next tick."""
+        self._ask("POST", "/stop", {"reason": reason})
+
+    def clear(self) -> None:
+        """Leave a fault."""
+        self._ask("POST", "/clear", {})
+
+    @contextmanager
+    def stream(self) -> Iterator[Iterator[Document]]:
+        """Everything that happens from now on; the first document is the whole state."""
+        from websockets.exceptions import ConnectionClosed
+        from websockets.sync.client import unix_connect
+
+        def documents() -> Iterator[Document]:
+            with contextlib.suppress(ConnectionClosed):
+                for text in connection:
+                    yield json.loads(text)
+
+        with unix_connect(
+            str(self.path), uri="ws://daemon/stream", max_size=None, compression=None
+        ) as connection:
+            yield documents()
+
+    def _ask(self, method: str, path: str, content: Document | None = None) -> Document:
+        import httpx
+
+        try:
+            with httpx.Client(
+                transport=httpx.HTTPTransport(uds=str(self.path)),
+                base_url="http://daemon",
+                timeout=_TIMEOUT_S,
+            ) as client:
+                response = client.request(method, path, json=content)
+        except httpx.TransportError as error:
+            raise RigFault(f"{self.path}: the daemon does not answer ({error}); look at its log") from None
+        answer: Document = response.json()
+        if "error" in answer:
+            raise failure(answer)
+        return answer
+
+
+def failure(told: Document) -> NeedleRigError:
+    """The error that a daemon told, with its exit code."""
+    kinds = {kind.exit_code: kind for kind in (BadInput, RigFault, Aborted)}
+    return kinds.get(told.get("exit_code", RigFault.exit_code), RigFault)(told["error"])
+
+
+def find_daemon(path: Path | None = None) -> DaemonClient | None:
+    """The daemon at `path`, or at the usual places; None where nobody answers.
+
+    Raises BadInput when one is there that this user may not talk to.
+    """
+    for candidate in sockets_for_client() if path is None else [path]:
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                probe.connect(str(candidate))
+        except PermissionError:
+            raise BadInput(
+                f"{candidate}: you may not talk to this daemon; join the socket's group, or give --socket"
+            ) from None
+        except OSError:
+            continue
+        return DaemonClient(candidate)
+    return None
+
+
+def the_daemon(path: Path | None = None) -> DaemonClient:
+    """The running daemon; RigFault says where was looked when there is none."""
+    found = find_daemon(path)
+    if found is None:
+        places = " or ".join(str(place) for place in (sockets_for_client() if path is None else [path]))
+        raise RigFault(f"no daemon answers at {places}; start one: needle-rig daemon")
+    return found
+
+
+@contextmanager
+def private_daemon(
+    options: Sequence[str],
+    meanwhile: Callable[[], None] = lambda: None,
+    on_wait: Callable[[str], None] = lambda sentence: None,
+) -> Iterator[DaemonClient]:
+    """A daemon of our own, started with these command-line options and ended with the block.
+
+    It holds the other end of a pipe: should this process die in whatever way, the daemon stops the drive and
+    ends. `meanwhile` is called while it starts, `on_wait` gets a sentence when that takes long. Raises what
+    the daemon says when it cannot start.
+    """
+    command = [sys.executable, "-m", "needle_rig", "daemon", "--private", *options]
+    with tempfile.TemporaryFile("w+") as complaints:
+        # a session of its own: Ctrl-C in the terminal reaches the client alone, which stops the run in order
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints, start_new_session=True
+        )
+        try:
+            meanwhile()
+            yield DaemonClient(Path(_first_word(process, complaints, on_wait)["socket"]), process)
+        finally:
+            _end(process)
+
+
+def _first_word(
+    process: subprocess.Popen[bytes], complaints: IO[str], on_wait: Callable[[str], None]
+) -> Document:
+    assert process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], _PATIENCE_S)
+    if not ready:
+        on_wait("starting; the first start compiles the needle's equations, which takes up to a minute")
+        ready, _, _ = select.select([process.stdout], [], [], _START_TIMEOUT_S)
+    line = process.stdout.readline() if ready else b""
+    if line:
+        told: Document = json.loads(line)
+        if "error" in told:
+            raise failure(told)
+        return told
+    if not ready:
+        raise RigFault(
+            f"the daemon did not start within {_START_TIMEOUT_S:g} s; run `needle-rig daemon` to see why"
+        )
+    code = process.wait()
+    complaints.seek(0)
+    said = complaints.read().strip()
+    if code == BadInput.exit_code and said:
+        raise BadInput(said.splitlines()[-1])
+    raise RigFault(f"the daemon ended while it started (exit {code}): {said or 'it said nothing'}")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with contextlib.suppress(BrokenPipeError):
+        process.stdin.close()
+    try:
+        process.wait(_END_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, 9)
+        process.wait()
+    process.stdout.close()

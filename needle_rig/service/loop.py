@@ -1,0 +1,90 @@
+"""The tick: read the rig, let the brain decide, write the command."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from needle_rig.control.brain import Brain
+from needle_rig.records import STOP, Sample
+from needle_rig.rig import Rig
+from needle_rig.service.clock import Clock
+
+_REMEMBERED_TICKS = 4096
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How well ticks kept their time. `missed` counts ticks skipped, or not done when the next was due."""
+
+    ticks: int
+    missed: int
+    late_p50_s: float
+    late_p99_s: float
+    late_max_s: float
+
+
+class ControlLoop:
+    """Runs ticks until told to end, and always leaves the drive told to stop.
+
+    `on_sample` receives each tick's sample; `on_met` is called with the time after every tick that met its
+    deadline: it feeds the watchdog.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        brain: Brain,
+        clock: Clock,
+        on_sample: Callable[[Sample], None],
+        on_met: Callable[[float], None],
+    ) -> None:
+        self._rig, self._brain, self._clock = rig, brain, clock
+        self._on_sample, self._on_met = on_sample, on_met
+        self._ticks = 0
+        self._missed = 0
+        self._late_s: deque[float] = deque(maxlen=_REMEMBERED_TICKS)
+        self._ending = False
+        self.busy = False
+        """Something is going on; while nothing is, virtual time may stand still."""
+
+    async def run(self) -> None:
+        """Tick until `end`; whatever happens, the last word to the drive is stop."""
+        brain, rig, clock = self._brain, self._rig, self._clock
+        before_s: float | None = None
+        try:
+            while not self._ending:
+                skipped = await clock.tick(self.busy)
+                now_s = clock.now_s()
+                if now_s == before_s:
+                    continue
+                dt_s = clock.period_s if before_s is None else now_s - before_s
+                before_s = now_s
+                measurement = rig.read()
+                command, sample = brain.step(measurement, dt_s)
+                rig.write(command)
+                self._on_sample(sample)
+                self._ticks += 1
+                self._late_s.append(clock.lateness_s)
+                overrun = clock.overrun()
+                self._missed += skipped + overrun
+                if not overrun:
+                    self._on_met(now_s)
+        finally:
+            rig.write(STOP)
+
+    def end(self) -> None:
+        """Leave `run` after the present tick."""
+        self._ending = True
+
+    def timing(self) -> Timing:
+        """Counts since the start; lateness over the newest ticks."""
+        late_s = sorted(self._late_s) or [0.0]
+        return Timing(
+            self._ticks,
+            self._missed,
+            late_s[len(late_s) // 2],
+            late_s[int(len(late_s) * 0.99)],
+            late_s[-1],
+        )

@@ -1,0 +1,143 @@
+"""What the daemon tells: its state and a run's result as JSON documents in degrees, N·mm and mm."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from needle_rig.config.schema import RigConfig
+from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
+from needle_rig.records import DriveFault, Measurement
+from needle_rig.units import deg, nmm
+
+Document = dict[str, Any]
+
+
+def number(value: float | None, digits: int = 4) -> float | None:
+    """`value` for JSON: None where there is none or it is not finite, and no more digits than it deserves."""
+    return None if value is None or not math.isfinite(value) else round(value, digits)
+
+
+def _deg(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else number(deg(angle_rad))
+
+
+def _nmm(torque_nm: float) -> float | None:
+    return number(nmm(torque_nm), 5)
+
+
+def _degrees(angles_rad: tuple[float, ...]) -> list[float | None]:
+    return [_deg(angle) for angle in angles_rad]
+
+
+def rig_document(config: RigConfig) -> Document:
+    """What does not change: the rig's name, its parameters when simulated, and its layout."""
+    return {
+        "name": config.name,
+        "parameters": config.simulation.parameters if config.simulation else None,
+        "tick_hz": config.tick_hz,
+        "needle_length_mm": config.needle.length_mm,
+        "tissue_sections_mm": [list(section) for section in config.layout.tissue_sections_mm],
+        "hall_positions_mm": [sensor.position_mm for sensor in config.layout.hall_sensors],
+        "angle_limit_deg": config.drive.angle_limit_deg,
+    }
+
+
+def state_document(state: BrainState) -> Document:
+    """Where the brain stands and what the sensors say."""
+    return {
+        "time_s": number(state.time_s),
+        "phase": state.phase.value,
+        "motion": state.motion,
+        "motion_index": state.motion_index,
+        "motions_expected": state.motions_expected,
+        "waiting_for": state.waiting_for,
+        "remaining_s": number(state.remaining_s, 2),
+        "progress": number(state.progress),
+        "target_deg": _deg(state.target_rad),
+        "strategy": state.strategy,
+        "waypoint_deg": _deg(state.waypoint_rad),
+        "velocity_deg_s": _deg(state.velocity_rad_s),
+        "limited": state.limited,
+        "sensors": None if state.measurement is None else _sensors(state.measurement),
+        "settled": [settled_document(motion) for motion in state.settled],
+        "fault": state.fault,
+        "latched": state.latched,
+    }
+
+
+def _sensors(measurement: Measurement) -> Document:
+    return {
+        "base_deg": _deg(measurement.base_angle_rad),
+        "torque_nmm": _nmm(measurement.torque_nm),
+        "hall_deg": _degrees(measurement.hall_rad),
+        "drive_state": measurement.drive_state.name.lower(),
+        "drive_faults": [
+            (fault.name or "").lower() for fault in DriveFault if fault and fault in measurement.drive_faults
+        ],
+        "age_ms": {
+            "torque": number(measurement.torque_age_s * 1e3, 1),
+            "hall": number(measurement.hall_age_s * 1e3, 1),
+            "drive": number(measurement.drive_age_s * 1e3, 1),
+        },
+    }
+
+
+def settled_document(motion: SettledMotion) -> Document:
+    """One settled motion with what the model behind the torque predicts."""
+    return {
+        "phase": motion.name,
+        "waypoint_deg": _deg(motion.waypoint_rad),
+        "base_deg": _deg(motion.base_angle_rad),
+        "torque_nmm": _nmm(motion.torque_nm),
+        "predicted_lag_deg": _deg(motion.predicted_lag_rad),
+        "hall_deg": _degrees(motion.hall_rad),
+        "tip_lag_deg": _deg(motion.tip_lag_rad),
+        "moved_s": number(motion.moved_s),
+        "settled_s": number(motion.time_s),
+    }
+
+
+def result_document(
+    outcome: Outcome, settled: tuple[SettledMotion, ...], parameters: str | None, run: str
+) -> Document:
+    """The result of a run: the object that `needle-rig compensate --json` prints."""
+    return {
+        "status": outcome.status,
+        "target_deg": _deg(outcome.target_rad),
+        "strategy": outcome.strategy,
+        "parameters": parameters,
+        "lag_deg": _deg(outcome.lag_rad),
+        "motions": [
+            {
+                "phase": motion.name,
+                "base_deg": _deg(motion.base_angle_rad),
+                "torque_nmm": _nmm(motion.torque_nm),
+                "hall_deg": _degrees(motion.hall_rad),
+            }
+            for motion in settled
+        ],
+        "final": {
+            "base_deg": _deg(outcome.base_angle_rad),
+            "torque_nmm": _nmm(outcome.torque_nm),
+            "hall_deg": _degrees(outcome.hall_rad),
+            "tip_lag_deg": _deg(outcome.tip_lag_rad),
+            "mean_deg": _deg(outcome.mean_rad),
+            "range_deg": _deg(outcome.range_rad),
+        },
+        "run": run,
+    }
+
+
+def condition_document(condition: Condition) -> Document:
+    """One of the paper's conditions, in degrees or N·mm."""
+    angle = condition.unit == "rad"
+    convert = deg if angle else nmm
+    return {
+        "name": condition.name,
+        "text": condition.text,
+        "value": number(convert(condition.value), 5),
+        "limit": number(convert(condition.limit), 5),
+        "unit": "°" if angle else "N·mm",
+        "met": condition.met,
+    }
