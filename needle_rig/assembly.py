@@ -1,0 +1,123 @@
+"""Builds everything from a rig file, once, in plain Python."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from needle_rig.control.brain import Brain
+from needle_rig.control.strategy import find_strategies
+from needle_rig.service.clock import Clock, TimerClock, VirtualClock
+from needle_rig.service.daemon import Daemon, Parts
+from needle_rig.service.notify import Notify
+from needle_rig.service.realtime import make_steady
+from needle_rig.service.thinker import Thinker
+
+if TYPE_CHECKING:
+    from needle_rig.config.schema import RigConfig
+    from needle_rig.control.strategy import Trust
+    from needle_rig.devices.hardware_rig import HardwareRig
+    from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.records import Command, Measurement
+    from needle_rig.rig import RawReadings, Rig
+    from needle_rig.simulation.bench import Bench
+    from needle_rig.simulation.plant import Plant
+
+_BENCH_START_S = 300.0
+"""The first start ever compiles the needle's equations."""
+
+
+def build_daemon(
+    config: RigConfig,
+    *,
+    virtual: bool = False,
+    runs: Path | None = None,
+    model: NeedleModel | None = None,
+    trust: Trust | None = None,
+) -> Daemon:
+    """The daemon of a rig file.
+
+    `virtual` puts the plant in the rig's place and lets time pass as fast as it can. `runs` stands in for
+    the configured folder. `model` is what planning strategies know of the needle, `trust` how well. Raises
+    BadInput.
+    """
+    period_s = 1.0 / config.tick_hz
+    folder = Path(config.recording.directory) if runs is None else runs
+    make_parts = _virtual_parts if virtual else _real_parts
+    parts = make_parts(config, model, trust, period_s)
+    return Daemon(parts, folder, Notify())
+
+
+def _real_parts(config: RigConfig, model: NeedleModel | None, trust: Trust | None, period_s: float) -> Parts:
+    # imported now: looking for strategies within a run would hold up the tick
+    find_strategies()
+    thinker = Thinker()
+    return Parts(
+        config,
+        Brain(config, model, thinker, trust),
+        make_rig=lambda raw: _real_rig(config, raw),
+        make_clock=lambda rig: TimerClock(period_s),
+        make_steady=make_steady,
+        close=thinker.close,
+    )
+
+
+def _virtual_parts(
+    config: RigConfig, model: NeedleModel | None, trust: Trust | None, period_s: float
+) -> Parts:
+    from needle_rig.simulation.build import build_plant
+
+    plants: list[Plant] = []
+
+    def make_rig(raw: RawReadings) -> Rig:
+        plants.append(build_plant(config, raw))
+        return plants[-1]
+
+    def make_clock(rig: Rig) -> Clock:
+        return VirtualClock(period_s, plants[-1].advance)
+
+    return Parts(config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list)
+
+
+def _real_rig(config: RigConfig, raw: RawReadings) -> Rig:
+    """The rig behind its ports; the ports called `auto` belong to a simulated rig, which is started."""
+    from needle_rig.devices.hardware_rig import HardwareRig
+    from needle_rig.simulation.bench import needs_bench
+
+    return RigOnBench(config, raw) if needs_bench(config) else HardwareRig(config, raw)
+
+
+class RigOnBench:
+    """The ordinary drivers on the ports of a simulated rig, which runs as a child process meanwhile."""
+
+    def __init__(self, config: RigConfig, raw: RawReadings) -> None:
+        self._config, self._raw = config, raw
+        self._bench: Bench | None = None
+        self._hardware: HardwareRig | None = None
+
+    async def open(self) -> None:
+        """Start the bench and connect to it; BadInput or RigFault when either fails."""
+        from needle_rig.devices.hardware_rig import HardwareRig
+        from needle_rig.simulation.bench import start
+
+        self._bench = await asyncio.to_thread(start, self._config, _BENCH_START_S)
+        self._hardware = HardwareRig(self._bench.configured(self._config), self._raw)
+        await self._hardware.open()
+
+    def read(self) -> Measurement:
+        """See `Rig.read`."""
+        assert self._hardware is not None
+        return self._hardware.read()
+
+    def write(self, command: Command) -> None:
+        """See `Rig.write`."""
+        if self._hardware is not None:
+            self._hardware.write(command)
+
+    async def close(self) -> None:
+        """Stop the drive, release the ports and end the bench."""
+        if self._hardware is not None:
+            await self._hardware.close()
+        if self._bench is not None:
+            await asyncio.to_thread(self._bench.close)

@@ -1,0 +1,66 @@
+"""How a finished run is told: table, verdict, files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+Document = dict[str, Any]
+
+EXIT_CODES = {"aligned": 0, "not_aligned": 0, "fault": 3, "aborted": 4}
+
+
+def settled_table(settled: list[Document]) -> Table:
+    """A row for each settled motion; angles in degrees, torque in N·mm."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
+    sensors = len(settled[0]["hall_deg"]) if settled else 0
+    table.add_column("motion\n", no_wrap=True)
+    halls = (f"hall {n + 1}\n°" for n in range(sensors))
+    for name in ("base\n°", "torque\nN·mm", "predicted\nlag °", *halls, "tip lag\n°"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for motion in settled:
+        table.add_row(
+            motion["phase"],
+            number(motion["base_deg"], 2),
+            number(motion["torque_nmm"], 4),
+            number(motion["predicted_lag_deg"], 1),
+            *(number(angle, 1) for angle in motion["hall_deg"]),
+            number(motion["tip_lag_deg"], 1),
+        )
+    return table
+
+
+def number(value: float | None, digits: int) -> str:
+    """`value` with so many digits, never as minus zero; a dash where there is none."""
+    if value is None:
+        return "–"
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def tell_result(console: Console, ended: Document, figure: str | None) -> None:
+    """Table, the paper's three conditions, the verdict and the files of a run that ended."""
+    if ended["settled"]:
+        console.print(settled_table(ended["settled"]))
+        console.print()
+    for condition in ended["conditions"]:
+        angle = condition["unit"] == "°"
+        unit = "°" if angle else f" {condition['unit']}"
+        mark, colour = ("✓", "green") if condition["met"] else ("✗", "red")
+        console.print(
+            f"[{colour}]{mark}[/] {condition['name']}  {condition['text']}: "
+            f"{number(condition['value'], 1 if angle else 3)}{unit}, limit {condition['limit']:g}{unit}",
+            highlight=False,
+        )
+    status = ended["result"]["status"]
+    colour = {"aligned": "green", "not_aligned": "yellow"}.get(status, "red")
+    text = ended["text"]
+    console.print(f"[bold {colour}]{text[:1].upper()}{text[1:]}.[/]", highlight=False, soft_wrap=True)
+    console.print(f"run:     {ended['result']['run']}", highlight=False, soft_wrap=True)
+    if figure is not None:
+        console.print(f"picture: {figure}", highlight=False, soft_wrap=True)

@@ -1,0 +1,118 @@
+"""`needle-rig bench`: a rig without a rig, its nodes running their own firmware."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+_WORDS = """\
+Words that it takes, a line each:
+  status                                        how it goes
+  torque|drive|hall|can  unplug|silence|garble|freeze|restore
+                                                let a link fail, or work again
+  turn DEGREES                                  turn the base by hand while the drive is off
+  weigh N.MM                                    hang a weight on the load cell; weigh 0 takes it off
+Ctrl-C ends it."""
+
+
+@click.command()
+@click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
+@click.option("--image", is_flag=True, help="Run the Cortex-M images under an emulator, not the library.")
+@click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
+@click.option("--seed", type=int, help="Seed of the plant's noise.")
+@click.option("--errors", type=int, help="Give the sensors the errors of this number; 0: none.")
+@click.option("--pages", type=click.Path(), help="Folder of calibration pages to flash into the nodes.")
+@click.option("--free", is_flag=True, help="The needle out of the tissue, turning freely.")
+@click.option(
+    "--ports", type=click.Path(path_type=Path, file_okay=False), help="Where to put the port names."
+)
+def command(
+    config: str | None,
+    image: bool,
+    parameters: str | None,
+    seed: int | None,
+    errors: int | None,
+    pages: str | None,
+    free: bool,
+    ports: Path | None,
+) -> None:
+    """Run the plant behind the nodes' real firmware, on ports that a daemon opens like a rig's.
+
+    The firmware is built when it was not built before (needs the dev extra). Another terminal drives it with
+    the rig file that is printed at the start. Faults are typed in, as in `torque freeze`.
+    """
+    from needle_rig.config.loader import load_rig_config, rig_config_text
+    from needle_rig.simulation.bench_loop import BenchLoop, be_urgent
+    from needle_rig.simulation.build import build_plant
+
+    rig = load_rig_config(
+        config,
+        {
+            "simulation.nodes": "image" if image else "firmware",
+            "simulation.parameters": parameters,
+            "simulation.seed": seed,
+            "simulation.sensor_errors_seed": errors,
+            "simulation.node_pages": pages,
+            "simulation.free_needle": free or None,
+        },
+    )
+    with contextlib.ExitStack() as stack:
+        folder = ports or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="needle-rig-bench-")))
+        folder.mkdir(parents=True, exist_ok=True)
+        click.echo("building plant and firmware …", err=True)
+        loop = BenchLoop(rig, build_plant(rig), folder, _tell)
+        stack.callback(loop.close)
+        links = rig.links
+        named = links.model_copy(
+            update={
+                "can": links.can.model_copy(update={"interface": "slcan", "channel": loop.ports["can"]}),
+                "hall": links.hall.model_copy(update={"port": loop.ports["hall"]}),
+            }
+        )
+        file = folder / "rig.yaml"
+        file.write_text(rig_config_text(rig.model_copy(update={"links": named})), encoding="utf-8")
+        stack.callback(file.unlink, missing_ok=True)
+        click.echo(f"CAN (slcan)  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
+        click.echo(f"nodes        {'Cortex-M images under the emulator' if image else 'firmware library'}")
+        click.echo(f"drive it     needle-rig compensate --config {file} --target 45\n{_WORDS}")
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        be_urgent()
+        with contextlib.suppress(KeyboardInterrupt):
+            loop.run(0, end_with_control=False)
+        click.echo("bench ended")
+
+
+def _tell(what: dict[str, Any]) -> None:
+    """What happens on the bench, for a person."""
+    from needle_rig.records import DriveFault
+
+    match what:
+        case {"error": text}:
+            click.echo(text)
+        case {"event": "drive", "state": state, "faults": faults}:
+            names = (DriveFault(faults).name or "").lower().replace("_", " ").replace("|", ", ")
+            click.echo(f"drive node: {state}{f' ({names})' if faults else ''}")
+        case {"event": "command", "enable": enable, "clear": clear}:
+            click.echo(
+                f"host: {'enables the drive' if enable else 'clears' if clear else 'holds the drive off'}"
+            )
+        case {"event": "late", "late_s": late_s}:
+            click.echo(f"this machine was away for {late_s:g} s; the bench's world stood still meanwhile")
+        case {"event": "fault", "link": link, "fault": fault}:
+            click.echo(f"{link}: {fault}")
+        case {"event": "turn", "turn_deg": turn}:
+            click.echo(f"base: turned by hand by {turn:g}°")
+        case {"event": "weigh", "weight_nmm": weight}:
+            click.echo(f"load cell: carries {weight:g} N·mm")
+        case {"base_deg": base, "velocity_deg_s": velocity, "drive": drive, "faults": faults}:
+            broken = ", ".join(f"{link} {fault}" for link, fault in faults.items()) or "none"
+            click.echo(
+                f"base {base:.3f}°, motor asked for {velocity:.2f}°/s, drive {drive}, link faults: {broken}, "
+                f"CPU {what['cpu_s']:.1f} s of {what['plant_s']:.1f} s, behind {what['behind_s']:.2f} s"
+            )

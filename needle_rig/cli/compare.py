@@ -1,0 +1,98 @@
+"""needle-rig compare: where the model fails on measurements."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from needle_rig.cli._workbench import (
+    data_argument,
+    effects_option,
+    json_option,
+    library,
+    model_option,
+    number,
+    one_thread_each,
+    read_data,
+    read_model,
+)
+
+if TYPE_CHECKING:
+    from needle_rig.workbench.compare import Comparison
+
+
+@click.command("compare")
+@data_argument
+@model_option
+@effects_option
+@click.option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
+@click.option(
+    "--png", "png_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder."
+)
+@json_option
+def command(
+    data: tuple[Path, ...],
+    model_path: Path | None,
+    directories: tuple[str, ...],
+    html_path: Path | None,
+    png_folder: Path | None,
+    as_json: bool,
+) -> None:
+    """Drive the model with the measured base angle and show where it fails, worst first.
+
+    \b
+    needle-rig compare data/mine
+    needle-rig compare data/mine --model fitted.yaml --html report.html
+
+    DATA is a dataset folder or a run file, or several. Without --model: rigid tissue with uniform friction.
+    """
+    one_thread_each()
+    from needle_rig.workbench.compare import compare
+
+    found = compare(read_data(data), library(directories), read_model(model_path, directories))
+    if png_folder is not None:
+        from needle_rig.workbench.report import write_pngs
+
+        for path in write_pngs(found, png_folder):
+            click.echo(f"wrote {path}", err=True)
+    if html_path is not None:
+        from needle_rig.workbench.report import write_html
+
+        write_html(found, html_path)
+        click.echo(f"wrote {html_path}", err=True)
+    if as_json:
+        click.echo(json.dumps(found.as_json(), ensure_ascii=False))
+    else:
+        _show(found)
+
+
+def _show(found: Comparison) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    model = found.prepared.problem.base.name
+    console.print(
+        f"[bold]{found.prepared.dataset.name}[/bold] against the model {model}: error on commands left out"
+        f" {found.held_out_error:.2f} × the noise, reduced χ² {found.reduced_chi2:.2f}"
+    )
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in ("channel", "rmse", "noise", "in units of the noise"):
+        table.add_column(heading)
+    for name, values in found.channels.items():
+        unit = values["unit"]
+        table.add_row(
+            name, f"{values['rmse']} {unit}", f"{values['noise']} {unit}", number(values["whitened"])
+        )
+    console.print(table)
+    console.print("Worst places:" if found.worst else "No place is above 3 × its noise.")
+    for place in found.worst:
+        console.print(f"  {place.sigmas:6.0f}σ  {place.words}")
+    for name, value in found.free_parameters.items():
+        pull = f" ({value['pull_sigma']:+.1f}σ from what is stated)" if "pull_sigma" in value else ""
+        console.print(f"fitted: {name} = {value['value']:g} {value.get('unit', '')}{pull}")
+    for note in (*found.prepared.dataset.notes, *found.prepared.notes):
+        console.print(f"note: {note}")

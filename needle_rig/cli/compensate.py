@@ -1,0 +1,290 @@
+"""`needle-rig compensate`: turns the base to the target and takes the windup out of the needle."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from needle_rig.cli._live import View
+    from needle_rig.service.client import DaemonClient
+
+Document = dict[str, Any]
+
+_RELAX: Document = {"target_deg": 0.0, "strategy": "decay"}
+"""Brings a needle that is not ours to start anew back to rest between trials."""
+
+
+@click.command()
+@click.option("--target", type=float, help="Angle that the whole needle shall reach, degrees.")
+@click.option("--protocol", help="Run a series of trials instead: a protocol's name or file.")
+@click.option("--strategy", default="reed2008", show_default=True, help="How to get there.")
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="An option of the strategy.")
+@click.option(
+    "--extra", type=float, help="Extra turn of reed2008_elastic, degrees; same as --option extra_deg=."
+)
+@click.option("--after", metavar="RUN", help="Run whose lag reed2008_elastic learns from; also: last.")
+@click.option("--settle", type=float, help="Seconds that each motion settles; default: of the config.")
+@click.option("--speed", type=float, help="Speed of the base, degrees per second; default: of the config.")
+@click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
+@click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
+@click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
+@click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
+@click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
+@click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images instead of the library.")
+@click.option("--fast", is_flag=True, help="The simulated rig in virtual time instead of real time.")
+@click.option("--out", type=click.Path(file_okay=False), help="Folder of the run; default: of the config.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object, nothing else.")
+@click.option(
+    "--picture/--no-picture", default=None, help="Draw a PNG beside the run; default: unless --json."
+)
+@click.option("--require-aligned", is_flag=True, help="Exit 1 when the needle is not aligned at the end.")
+@click.option("--socket", type=click.Path(path_type=Path), help="Socket of the daemon to use.")
+def command(
+    target: float | None,
+    protocol: str | None,
+    strategy: str,
+    options: tuple[str, ...],
+    extra: float | None,
+    after: str | None,
+    settle: float | None,
+    speed: float | None,
+    as_json: bool,
+    picture: bool | None,
+    require_aligned: bool,
+    socket: Path | None,
+    **rig: Any,
+) -> int:
+    """Turn the base to --target and take the windup out of the needle, or run the trials of --protocol.
+
+    A running daemon is used when there is one. Without one, or when an option chooses the rig (--config,
+    --parameters, --model, --seed, --rig, --fast, --out), a private daemon is started and ended. Ctrl-C stops
+    the drive and closes the run. With --protocol every trial starts from a relaxed needle and is a run of its
+    own; --json then prints an object a line.
+
+    \b
+    Exit codes:
+      0  the sequence ran to its end; whether the needle is aligned stands in the output
+      1  it is not aligned, and --require-aligned was given
+      2  bad use: an option, a file or a value that cannot be used
+      3  a fault of the rig: a link, a sensor, the drive or a limit
+      4  stopped by a person
+    """
+    if after is not None:
+        from needle_rig.cli._runs import learned_extra_deg, the_run
+
+        if extra is not None:
+            raise BadInput("give either --extra or --after: the run stands for an extra turn")
+        out = rig.get("out")
+        extra = learned_extra_deg(the_run(after, Path(out) if out else None, rig.get("config")))
+        click.echo(f"extra turn learned from {after}: {extra:.1f}°", err=True)
+    orders = _orders(target, protocol, strategy, options, extra, settle, speed)
+    picture = not as_json if picture is None else picture
+    if picture:
+        # the picture's libraries take a second to load: do it while the daemon starts and the run goes on
+        threading.Thread(target=_load_figure, daemon=True).start()
+    code = 0
+    for number, order in enumerate(orders, 1):
+        if len(orders) > 1:
+            click.echo(f"trial {number} of {len(orders)}", err=True)
+        with _daemon(socket, rig) as client:
+            if number > 1 and not client.private:
+                _run(client, _RELAX, _view(as_json))
+            ended = _run(client, order, _view(as_json))
+            client.let_go()
+            if as_json:
+                click.echo(json.dumps(ended["result"]))
+            figure = _draw(ended["result"]["run"]) if picture else None
+            code = max(code, _tell(ended, figure, as_json, require_aligned))
+        if ended["result"]["status"] in ("aborted", "fault"):
+            break
+    return code
+
+
+def _orders(
+    target: float | None, protocol: str | None, strategy: str, options: tuple[str, ...], *more: float | None
+) -> list[Document]:
+    """The requests to the daemon, one a trial."""
+    if (target is None) == (protocol is None):
+        raise BadInput("give either --target, as in --target 45, or --protocol")
+    if target is not None:
+        return [_order(target, strategy, options, *more)]
+    from needle_rig.simulation.protocol import load_protocol
+
+    assert protocol is not None
+    extra, settle, speed = more
+    orders = []
+    for trial in load_protocol(protocol).trials:
+        pace = (settle or trial.settle_s, speed or trial.speed_deg_s)
+        if trial.kind == "compensate" and trial.target_deg is not None:
+            orders.append(_order(trial.target_deg, strategy, options, extra, *pace))
+        else:
+            orders.append(_order(trial.steps_deg[-1], "protocol", (), None, *pace))
+            orders[-1]["options"] = {"steps_deg": list(trial.steps_deg)}
+    return orders
+
+
+def _order(
+    target: float,
+    strategy: str,
+    options: tuple[str, ...],
+    extra: float | None,
+    settle: float | None,
+    speed: float | None,
+) -> Document:
+    """The request to the daemon, with what can be judged without a rig judged."""
+    for name, value in (("--target", target), ("--extra", extra), ("--settle", settle), ("--speed", speed)):
+        if value is not None and not math.isfinite(value):
+            raise BadInput(f"{name} {value}: is not a number to turn by; give one, as in --target 45")
+    chosen: Document = dict(_option(text) for text in options)
+    if extra is not None:
+        chosen["extra_deg"] = extra
+    return {
+        "target_deg": target,
+        "strategy": strategy.replace("-", "_"),
+        "options": chosen,
+        "settle_s": settle,
+        "speed_deg_s": speed,
+    }
+
+
+def _option(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise BadInput(f"--option {text}: write NAME=VALUE, as in --option extra_deg=12")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+@contextmanager
+def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
+    """The running daemon, or a private one."""
+    from needle_rig.service.client import find_daemon, private_daemon, the_daemon
+
+    given = [f"--{name}" for name, value in rig.items() if value]
+    if path is not None:
+        if given:
+            raise BadInput(
+                f"{given[0]} chooses the rig, but the daemon at {path} has its own: "
+                f"give {given[0]} to `needle-rig daemon`"
+            )
+        yield the_daemon(path)
+        return
+    running = None if given else find_daemon()
+    if running is not None:
+        yield running
+        return
+    options: list[str] = []
+    for name, value in rig.items():
+        if value is True:
+            options.append(f"--{name}")
+        elif value is not None and value is not False:
+            options.append(f"--{name}={value}")
+    wait = partial(click.echo, err=True)
+    with private_daemon(options, meanwhile=_get_ready, on_wait=wait) as client:
+        yield client
+
+
+def _get_ready() -> None:
+    """Import what talking to the daemon needs while it starts."""
+    import httpx  # noqa: F401
+    import websockets.sync.client  # noqa: F401
+
+
+def _view(as_json: bool) -> View:
+    from needle_rig.cli._live import LiveDisplay, PhaseLines
+
+    if as_json or not sys.stdout.isatty():
+        return PhaseLines()
+    from rich.console import Console
+
+    return LiveDisplay(Console())
+
+
+def _run(client: DaemonClient, order: Document, view: View) -> Document:
+    """Start the run, show it until it has ended, and return how."""
+    with client.stream() as documents, view:
+        view.show(next(documents))
+        run = client.compensate(order)["run"]
+        with _ctrl_c_stops(client):
+            for document in documents:
+                view.show(document)
+                if document["type"] == "ended" and document["result"]["run"] == run:
+                    return document
+    raise RigFault(f"the daemon ended during the run; what was recorded until then is in {run}")
+
+
+@contextmanager
+def _ctrl_c_stops(client: DaemonClient) -> Iterator[None]:
+    """Ctrl-C (or a closed terminal) stops the drive; the run then ends in order. A second one gives up."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        for each in before:
+            signal.signal(each, signal.default_int_handler)
+        client.stop("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
+
+    before = {
+        number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _load_figure() -> None:
+    # a failure shows when the figure is drawn
+    with contextlib.suppress(ImportError):
+        import needle_rig.workbench.run_figure  # noqa: F401
+
+
+def _draw(run: str) -> str | None:
+    """Draw the picture of a run beside it, or here where its folder is the daemon's alone."""
+    from needle_rig.recording import RunFile
+    from needle_rig.workbench.run_figure import draw_run
+
+    path = Path(run).with_suffix(".png")
+    if not os.access(path.parent, os.W_OK):
+        path = Path(path.name)
+    try:
+        return str(draw_run(RunFile(run), path))
+    except NeedleRigError as error:
+        click.echo(f"no picture: {error}", err=True)
+        return None
+
+
+def _tell(ended: Document, figure: str | None, as_json: bool, require_aligned: bool) -> int:
+    """Tell how it ended; the exit code."""
+    from needle_rig.cli._output import EXIT_CODES, tell_result
+
+    status = ended["result"]["status"]
+    if as_json:
+        click.echo(f"{ended['text']}{'' if figure is None else f' (picture: {figure})'}", err=True)
+    else:
+        from rich.console import Console
+
+        tell_result(Console(), ended, figure)
+    if status == "aborted":
+        click.echo("Stopped: the drive is stopped and the run is closed.", err=True)
+    if require_aligned and status == "not_aligned":
+        return 1
+    return EXIT_CODES[status]

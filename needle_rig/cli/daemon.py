@@ -1,0 +1,158 @@
+"""`needle-rig daemon`: owns the rig and serves it on a socket."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from needle_rig.cli._rig import bench_nodes
+from needle_rig.errors import NeedleRigError
+
+if TYPE_CHECKING:
+    from needle_rig.service.daemon import Daemon
+
+
+@click.command()
+@click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
+@click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
+@click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
+@click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
+@click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
+@click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images instead of the library.")
+@click.option("--fast", is_flag=True, help="The simulated rig in virtual time.")
+@click.option("--socket", type=click.Path(path_type=Path), help="Where to listen; default: the usual place.")
+@click.option("--group", help="Group whose members may use the socket.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the runs.")
+@click.option("--private", is_flag=True, hidden=True, help="Child of one client; ends with standard input.")
+def command(
+    config: str | None,
+    parameters: str | None,
+    model: str | None,
+    seed: int | None,
+    rig: str | None,
+    image: bool,
+    fast: bool,
+    socket: Path | None,
+    group: str | None,
+    out: Path | None,
+    private: bool,
+) -> None:
+    """Own the rig and serve it on a Unix socket, until a signal (TERM, INT) ends it.
+
+    Only the socket's owner and --group may use it (mode 0660). The rig's drive is told to stop at the end,
+    whatever ended it. Under systemd it says when it is ready and feeds the watchdog from ticks that met their
+    deadline: see scripts/needle-rig.service.
+    """
+    try:
+        with _place(socket, private) as path:
+            options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
+            options["simulation.nodes"] = bench_nodes(rig, image, fast)
+            daemon = _build(config, options, model, fast, out, absolute=not private)
+            _serve(daemon, path, group, private)
+    except NeedleRigError as error:
+        if not private:
+            raise
+        _tell(error=str(error), exit_code=error.exit_code)
+        sys.exit(error.exit_code)
+
+
+@contextmanager
+def _place(socket: Path | None, private: bool) -> Iterator[Path]:
+    """Where to listen; a private daemon makes a folder of its own and takes it away."""
+    import tempfile
+
+    from needle_rig.service.endpoint import socket_for_daemon
+
+    if private:
+        with tempfile.TemporaryDirectory(prefix="needle-rig-") as folder:
+            yield Path(folder) / "daemon.sock"
+    else:
+        yield socket or socket_for_daemon()
+
+
+def _build(
+    config: str | None,
+    options: dict[str, Any],
+    model: str | None,
+    fast: bool,
+    out: Path | None,
+    *,
+    absolute: bool,
+) -> Daemon:
+    """The daemon; clients in other folders need the `absolute` place of its runs."""
+    from needle_rig.assembly import build_daemon
+    from needle_rig.config.loader import load_rig_config
+
+    rig = load_rig_config(config, options)
+    needle = trust = None
+    if model is not None:
+        from needle_rig.control.strategy import Trust
+        from needle_rig.model import load_model
+
+        saved = load_model(model)
+        needle, trust = saved.model, Trust(saved.uncertainties, saved.error_over_floor)
+    runs = out or Path(rig.recording.directory)
+    return build_daemon(
+        rig, virtual=fast, runs=runs.absolute() if absolute else runs, model=needle, trust=trust
+    )
+
+
+def _serve(daemon: Daemon, path: Path, group: str | None, private: bool) -> None:
+    import asyncio
+
+    from needle_rig.service.endpoint import listening
+
+    _log(private)
+    with listening(path, group) as listener:
+
+        async def serve() -> None:
+            with _ends(daemon, private):
+                await daemon.run(listener, lambda: _tell(socket=str(path)) if private else None)
+
+        # told to end before it was ready
+        with suppress(asyncio.CancelledError):
+            asyncio.run(serve())
+
+
+@contextmanager
+def _ends(daemon: Daemon, private: bool) -> Iterator[None]:
+    """A signal ends the daemon; so does the end of standard input of a private one: its client has gone."""
+    import asyncio
+    import os
+    import signal
+
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, daemon.end)
+
+    def on_input() -> None:
+        if not os.read(0, 4096):
+            loop.remove_reader(0)
+            daemon.end()
+
+    if private:
+        loop.add_reader(0, on_input)
+    yield
+
+
+def _tell(**content: Any) -> None:
+    """One line to the client that started this daemon."""
+    print(json.dumps(content), flush=True)  # noqa: T201 - the reply channel
+
+
+def _log(private: bool) -> None:
+    """Log to stderr; a private daemon leaves it to its client to tell a person what matters."""
+    import logging
+
+    import structlog
+
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL if private else logging.INFO),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+    )

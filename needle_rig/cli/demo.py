@@ -1,0 +1,77 @@
+"""needle-rig demo: from a needle that ends crooked to one that ends straight, by learning what is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from needle_rig.cli._workbench import effects_option, jobs_option, json_option, library, one_thread_each, say
+
+
+@click.command("demo")
+@click.option("--parameters", default="rig_rigid", show_default=True, help="Parameter set, or a model file.")
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME[=VALUE]",
+    help="What to hide in the rig; default: tissue_elasticity=0.3.",
+)
+@effects_option
+@click.option("--target", type=click.FloatRange(-360.0, 360.0), default=45.0, show_default=True)
+@click.option("--runs", type=click.IntRange(1, 100), default=8, show_default=True, help="Fresh needles.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--model-out", type=click.Path(path_type=Path), help="Model file to write what was learnt to.")
+@click.option("--png", "picture", type=click.Path(path_type=Path), help="Folder for the picture.")
+@jobs_option
+@json_option
+def command(
+    parameters: str,
+    effects: tuple[str, ...],
+    directories: tuple[str, ...],
+    target: float,
+    runs: int,
+    seed: int,
+    model_out: Path | None,
+    picture: Path | None,
+    jobs: int | None,
+    as_json: bool,
+) -> None:
+    """Go round the whole circle on a simulated rig that hides an effect.
+
+    Runs with reed2008, diagnose, adopt, and planned with the new model on fresh needles of the same rig.
+    Takes about a minute.
+    """
+    one_thread_each()
+    from needle_rig.cli._workbench import worker
+    from needle_rig.errors import BadInput
+    from needle_rig.model import load_parameters, save_model
+    from needle_rig.physics.effect_text import parse_effects
+    from needle_rig.workbench.demo import figure, in_words, tell_story
+
+    if target == 0.0:
+        raise BadInput("--target 0: there is nothing to turn; give up to ±360 degrees")
+    known = library(directories)
+    plant = load_parameters(parameters, effects=directories)
+    hidden = effects or (() if plant.effects else ("tissue_elasticity=0.3",))
+    plant = plant.with_effects(*parse_effects(hidden, known))
+    story = tell_story(
+        plant, known, target_deg=target, runs=runs, seed=seed, work=worker(jobs, None), say=say
+    )
+    if model_out is not None:
+        save_model(model_out, story.lesson.after)
+        click.echo(f"model: {model_out}", err=True)
+    if picture is not None:
+        from needle_rig.workbench.report import png
+
+        picture.mkdir(parents=True, exist_ok=True)
+        file = picture / "demo.png"
+        file.write_bytes(png(figure(story)))
+        click.echo(f"picture: {file}", err=True)
+    if as_json:
+        click.echo(json.dumps(story.as_json(), ensure_ascii=False))
+        return
+    for paragraph in in_words(story):
+        click.echo(paragraph)

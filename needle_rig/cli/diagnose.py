@@ -1,0 +1,121 @@
+"""needle-rig diagnose: which physical effect is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from needle_rig.cli._workbench import (
+    cluster_option,
+    data_argument,
+    effects_option,
+    jobs_option,
+    json_option,
+    library,
+    model_option,
+    one_thread_each,
+    read_data,
+    read_model,
+    say,
+    seed_option,
+    worker,
+)
+
+if TYPE_CHECKING:
+    from needle_rig.workbench.diagnose import Diagnosis
+
+
+@click.command("diagnose")
+@data_argument
+@model_option
+@effects_option
+@click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True)
+@seed_option
+@jobs_option
+@cluster_option
+@json_option
+def command(
+    data: tuple[Path, ...],
+    model_path: Path | None,
+    directories: tuple[str, ...],
+    max_effects: int,
+    seed: int,
+    jobs: int | None,
+    cluster: str | None,
+    as_json: bool,
+) -> None:
+    """Say which effect is missing from the model: its size, its rivals, and what the data cannot tell.
+
+    \b
+    needle-rig diagnose data/mine
+    needle-rig diagnose data/mine --model fitted.yaml --effects my_effects --json
+
+    DATA is a dataset folder or a run file, or several. Every verdict (effect, none, unknown) exits with 0.
+    """
+    one_thread_each()
+    from needle_rig.workbench.diagnose import diagnose
+
+    found = diagnose(
+        read_data(data),
+        library(directories),
+        read_model(model_path, directories),
+        max_effects=max_effects,
+        seed=seed,
+        work=worker(jobs, cluster),
+        say=say,
+    )
+    click.echo(json.dumps(found.as_json(), ensure_ascii=False) if as_json else "", nl=as_json)
+    if not as_json:
+        _show(found)
+
+
+def _show(found: Diagnosis) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, soft_wrap=False)
+    console.print(f"[bold]{found.dataset}[/bold] against the model {found.model}: {_verdict(found)}")
+    console.print(
+        f"Error on commands left out: {found.held_out_error_before:.2f} → {found.held_out_error_after:.2f}"
+        f" (noise is {found.noise_floor:.2f})"
+    )
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in ("effect", "held out", "removed", "value (95 %)", "for and against"):
+        table.add_column(heading, overflow="fold")
+    for row in found.ranking[: max(6, len(found.effects))]:
+        values = "\n".join(
+            f"{v.name} {v.value:.3g} ({v.low:.3g} … {v.high:.3g}) {v.unit}" for v in row.values
+        )
+        error = "—" if row.held_out_error is None else f"{row.held_out_error:.2f}"
+        words = row.in_favour + (f"; against: {row.against}" if row.against else "")
+        table.add_row(row.effect, error, f"{100 * row.error_removed:.0f} %", values, words)
+    console.print(table)
+    for kind in ("present", "negligible", "cannot_tell", "absent"):
+        names = [d for d in found.decisions.values() if d.decision == kind]
+        if names:
+            said = ", ".join(
+                f"{d.effect} (< {d.limit:.2g} {d.unit})"
+                if d.limit is not None and kind != "present"
+                else d.effect
+                for d in names
+            )
+            console.print(f"[bold]{kind.replace('_', ' ')}[/bold]: {said}")
+    for pattern in found.left_over.patterns:
+        console.print(f"left over: {pattern.sentence()}")
+    if found.next_experiment:
+        console.print(f"next: {found.next_experiment['sentence']}")
+    for note in found.notes:
+        console.print(f"note: {note}")
+
+
+def _verdict(found: Diagnosis) -> str:
+    if found.verdict == "none":
+        return "nothing is missing beyond the noise and the scatter of the trials."
+    if found.verdict == "unknown":
+        return "something is missing that no effect of the library explains."
+    ties = {r for row in found.ranking[: len(found.effects)] for r in row.indistinguishable_from}
+    named = " and ".join(found.effects)
+    return f"{named} missing" + (f"; cannot be told apart from {', '.join(sorted(ties))}." if ties else ".")

@@ -1,0 +1,109 @@
+"""`needle-rig effects`: the library of effects, built-in and users' own."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from needle_rig.physics.effect import Effect, ParameterInfo
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option(
+    "--effects",
+    "directories",
+    multiple=True,
+    type=click.Path(),
+    metavar="DIR",
+    help="A further folder with effects of your own (config/effects is always searched).",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
+def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> None:
+    """List the effects, or show one: its law, source, parameters, units and ranges.
+
+    Your own files are checked while they are listed; a broken one is named with its line.
+    """
+    from needle_rig.model import effect_directories
+    from needle_rig.physics.compiled import compiled_torque
+    from needle_rig.physics.effect_text import effect_called
+    from needle_rig.physics.library import built_in_effects, find_effects
+
+    library = find_effects(effect_directories(directories))
+    for key, effect in library.items():
+        if key not in built_in_effects() and effect.has("torque"):
+            compiled_torque(effect)
+    if name:
+        library = {name: effect_called(name, library)}
+    if as_json:
+        found = [_described(effect, own=key not in built_in_effects()) for key, effect in library.items()]
+        click.echo(json.dumps(found[0] if name else {"effects": found}, indent=2, ensure_ascii=False))
+        return
+    if name:
+        _show(library[name])
+        return
+    width = max(map(len, library))
+    for key, effect in library.items():
+        own = "" if key in built_in_effects() else " (your own)"
+        click.echo(f"{click.style(key.ljust(width), bold=True)}  {_text(effect).splitlines()[0]}{own}")
+    click.echo("\nneedle-rig effects NAME shows the law, its source and the parameters.")
+
+
+def _show(effect: type[Effect]) -> None:
+    click.echo(f"{click.style(effect.name(), bold=True)}: {_text(effect)}\n")
+    for field, info in effect.parameters().items():
+        each = "" if info.per == "one" else f", one for each {info.per} or one for all"
+        click.echo(f"  {field}: {info.unit}{each}")
+        if info.shapes:
+            click.echo(f"      gives form only; typical {info.typical:g}")
+        else:
+            click.echo(f"      off {info.off:g}, typical {info.typical:g}, matters from {info.smallest:g}")
+        low, high = info.literature
+        click.echo(f"      allowed {info.lower:g} to {info.upper:g}, literature {low:g} to {high:g}")
+    if effect.relatives:
+        click.echo(f"  looks like: {', '.join(effect.relatives)}")
+    if effect.redundant_with:
+        click.echo(f"  cannot be told apart from: {', '.join(effect.redundant_with)}")
+    for other, values in effect.limits.items():
+        at = ", ".join(f"{field} = {value:g}" for field, value in values.items())
+        click.echo(f"  becomes {other} at {at}")
+    click.echo(f"  hooks: {', '.join(_hooks(effect))}")
+    click.echo(f"  file: {inspect.getsourcefile(effect)}")
+
+
+def _described(effect: type[Effect], *, own: bool) -> dict[str, Any]:
+    return {
+        "name": effect.name(),
+        "text": _text(effect),
+        "parameters": [_parameter(field, info) for field, info in effect.parameters().items()],
+        "hooks": _hooks(effect),
+        "relatives": list(effect.relatives),
+        "redundant_with": list(effect.redundant_with),
+        "limits": effect.limits,
+        "resistive": effect.resistive,
+        "own": own,
+    }
+
+
+def _parameter(field: str, info: ParameterInfo) -> dict[str, Any]:
+    from dataclasses import asdict
+    from math import isfinite
+
+    # JSON has no infinity
+    return {"name": field} | {
+        key: value if not isinstance(value, float) or isfinite(value) else str(value)
+        for key, value in asdict(info).items()
+    }
+
+
+def _hooks(effect: type[Effect]) -> list[str]:
+    return [hook for hook in ("drive", "shape", "torque", "observe") if effect.has(hook)]
+
+
+def _text(effect: type[Effect]) -> str:
+    return inspect.getdoc(sys.modules[effect.__module__]) or ""

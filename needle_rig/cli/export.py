@@ -1,0 +1,71 @@
+"""`needle-rig export RUN`: a run in formats that other programs read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from needle_rig.cli._runs import config_option, directory_option, the_run
+
+
+@click.command()
+@click.argument("run")
+@click.option("--csv", "wanted", flag_value="csv", help="A folder with one CSV a source and run.yaml.")
+@click.option("--mcap", "wanted", flag_value="mcap", help="One MCAP file: JSON messages with schema.")
+@click.option(
+    "--png", "wanted", flag_value="png", help="The picture: angles, torque, shaft after each motion."
+)
+@click.option(
+    "--dataset", "wanted", flag_value="dataset", help="A folder that diagnose and identify read as a trial."
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Where to write.  [default: here, named as the run]"
+)
+@directory_option
+@config_option
+def command(
+    run: str, wanted: str | None, out: Path | None, directory: Path | None, config_path: Path | None
+) -> None:
+    """Export RUN (a path, a name from `needle-rig runs`, a part of one, or last); nothing is overwritten.
+
+    Angles come out in degrees, torques in N·mm, time_s from the first row of the run.
+    """
+    from needle_rig.config.places import show_path
+
+    if wanted is None:
+        raise click.UsageError("Say which format: --csv, --mcap, --png or --dataset.")
+    found = the_run(run, directory, config_path)
+    if not found.complete:
+        click.echo(
+            f"{show_path(found.path)}: has no end (still running, or cut off); exporting what is there",
+            err=True,
+        )
+    if wanted == "mcap":
+        from needle_rig.recording.export_mcap import export_mcap
+
+        written = export_mcap(found, out or Path(f"{found.name}.mcap"))
+    elif wanted == "csv":
+        from needle_rig.recording.export_csv import export_csv
+
+        written = out or Path(f"{found.name}_csv")
+        export_csv(found, written)
+    elif wanted == "png":
+        from needle_rig.workbench.run_figure import draw_run
+
+        written = draw_run(found, _new(out or Path(f"{found.name}.png")))
+    else:
+        from needle_rig.dataset import write_dataset
+        from needle_rig.workbench.run_dataset import runs_as_dataset
+
+        written = write_dataset(runs_as_dataset([found]), out or Path(f"{found.name}_dataset"))
+    click.echo(show_path(written))
+
+
+def _new(path: Path) -> Path:
+    from needle_rig.config.places import show_path
+    from needle_rig.errors import BadInput
+
+    if path.exists():
+        raise BadInput(f"{show_path(path)}: exists already; name another place with --out")
+    return path

@@ -1,0 +1,58 @@
+"""`needle-rig status`: what the running daemon says of itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+@click.command()
+@click.option(
+    "--socket", type=click.Path(path_type=Path), help="Socket of the daemon; default: the usual one."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the whole state as one JSON object.")
+def command(socket: Path | None, as_json: bool) -> None:
+    """Show where the running daemon stands: phase, sensors, drive, and how well its ticks keep time."""
+    from needle_rig.service.client import the_daemon
+
+    client = the_daemon(socket)
+    state = client.state()
+    click.echo(json.dumps(state) if as_json else _text(state, str(client.path)))
+
+
+def _text(state: dict[str, Any], path: str) -> str:
+    from needle_rig.cli._live import phase_line
+    from needle_rig.cli._output import number
+
+    rig, ticks, sensors = state["rig"], state["ticks"], state["sensors"]
+    needle = f", {rig['parameters']}" if rig["parameters"] else ""
+    lines = [f"rig:     {rig['name']}{needle}, on {path}", f"phase:   {phase_line(state).strip()}"]
+    if sensors:
+        halls = " ".join(f"{number(angle, 1)}°" for angle in sensors["hall_deg"])
+        ages = ", ".join(f"{name} {number(age, 1)} ms" for name, age in sensors["age_ms"].items())
+        faults = f" ({', '.join(sensors['drive_faults'])})" if sensors["drive_faults"] else ""
+        lines += [
+            f"base:    {number(sensors['base_deg'], 2)}°",
+            f"torque:  {number(sensors['torque_nmm'], 4)} N·mm",
+            f"hall:    {halls}",
+            f"ages:    {ages}",
+            f"drive:   {sensors['drive_state']}{faults}",
+        ]
+    if ticks:
+        lines.append(
+            f"ticks:   {ticks['count']} at {rig['tick_hz']:g} Hz, {ticks['missed']} missed; late by "
+            f"{number(ticks['late_p50_ms'], 2)} ms (half), {number(ticks['late_p99_ms'], 2)} ms (99 %), "
+            f"{number(ticks['late_max_ms'], 2)} ms at most"
+        )
+    if state["run"]:
+        lines.append(f"run:     {state['run']}")
+    if state["fault"]:
+        after = "; clear it with: needle-rig clear" if state["latched"] else ""
+        lines.append(f"fault:   {state['fault']}{after}")
+    if state["last"]:
+        lines.append(f"last:    {state['last']['text']}")
+    lines += [f"warning: {warning}" for warning in state["warnings"]]
+    return "\n".join(lines)

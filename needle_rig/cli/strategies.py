@@ -1,0 +1,181 @@
+"""needle-rig strategies: every way of aligning the needle, side by side on one simulated rig."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from needle_rig.cli._workbench import effects_option, jobs_option, json_option, one_thread_each, say, worker
+from needle_rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from needle_rig.model import SavedModel
+    from needle_rig.physics.needle_model import NeedleModel
+
+TARGETS = "15,-15,45,-45,90,-90,180,-180"
+
+
+@click.command("strategies")
+@click.option(
+    "--parameters", default="rig_elastic", show_default=True, help="Parameter set, or a model file."
+)
+@click.option(
+    "--effect", "effects", multiple=True, metavar="NAME[=VALUE]", help="Effect of the simulated rig."
+)
+@effects_option
+@click.option(
+    "--model",
+    "model_path",
+    help="Model file, or parameter set, that planned works with; default: identified from runs on this rig.",
+)
+@click.option(
+    "--diagnose", is_flag=True, help="Let diagnose find the effects of that model, instead of naming them."
+)
+@click.option("--targets", default=TARGETS, show_default=True, help="Angles in degrees, with commas.")
+@click.option("--strategy", "names", multiple=True, help="Only this one; may be repeated.")
+@click.option(
+    "--seeds", type=click.IntRange(1, 1000), default=3, show_default=True, help="Runs of each kind."
+)
+@click.option(
+    "--scatter-percent", type=float, default=5.0, show_default=True, help="Of friction, run to run."
+)
+@click.option("--png", "pictures", type=click.Path(path_type=Path), help="Folder for the picture.")
+@jobs_option
+@json_option
+def command(
+    parameters: str,
+    effects: tuple[str, ...],
+    directories: tuple[str, ...],
+    model_path: str | None,
+    diagnose: bool,
+    targets: str,
+    names: tuple[str, ...],
+    seeds: int,
+    scatter_percent: float,
+    pictures: Path | None,
+    jobs: int | None,
+    as_json: bool,
+) -> None:
+    """Run every strategy on the simulated rig, from a relaxed and from a wound shaft.
+
+    Friction differs from run to run, sensors are noisy, every strategy meets the same needles. Errors are of
+    the true shaft, from the first tissue to the tip. planned works with a model identified from
+    eight runs on the same rig.
+    """
+    one_thread_each()
+    from needle_rig.cli._workbench import library as find_library
+    from needle_rig.model import SavedModel, load_model, load_parameters, parameter_sets
+    from needle_rig.physics.effect_text import parse_effects
+    from needle_rig.workbench.simulate import Noise
+    from needle_rig.workbench.strategies_table import (
+        Bout,
+        all_strategies,
+        compare_strategies,
+        figure,
+        foretold,
+    )
+
+    library = find_library(directories)
+    plant = load_parameters(parameters, effects=directories)
+    if effects:
+        plant = plant.with_effects(*parse_effects(effects, library))
+    angles = _targets(targets)
+    strategies = tuple(n.replace("-", "_") for n in names) or all_strategies()
+    if not 0.0 <= scatter_percent <= 50.0:
+        raise BadInput(f"--scatter-percent {scatter_percent:g}: give 0 to 50")
+    noise = Noise(friction_scatter=scatter_percent / 100.0)
+    saved, told = None, ""
+    bout = Bout(plant, plant.torsional_rigidity_nm2, noise)
+    if "planned" in strategies or model_path is not None:
+        if model_path is None:
+            saved = _identified(plant, noise, library, diagnose, jobs)
+        elif model_path in parameter_sets():
+            saved = SavedModel(load_parameters(model_path, effects=directories), model_path)
+        else:
+            saved = load_model(model_path, effects=directories)
+        bout = Bout(plant, plant.torsional_rigidity_nm2, noise, saved)
+        told = foretold(bout)[2]
+        click.echo(told, err=True)
+    say(f"running {len(strategies)} strategies to {len(angles)} targets")
+    table = compare_strategies(bout, strategies, angles, seeds, work=worker(jobs, None))
+    file = None
+    if pictures is not None:
+        from needle_rig.workbench.report import png
+
+        pictures.mkdir(parents=True, exist_ok=True)
+        file = pictures / "strategies.png"
+        hidden = ", ".join(e.name() for e in plant.effects) or "rigid tissue"
+        file.write_bytes(
+            png(figure(table, f"{parameters} ({hidden}), {scatter_percent:g} % scatter of friction"))
+        )
+        click.echo(f"picture: {file}", err=True)
+    if as_json:
+        click.echo(json.dumps(_document(table, saved, told), ensure_ascii=False, allow_nan=False))
+        return
+    _show(
+        table.overall(),
+        f"{parameters}: medians (95 % quantiles) over {len(angles)} targets, {seeds} × 2 starts",
+    )
+
+
+def _targets(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise BadInput(f"--targets {text}: write degrees with commas, as in --targets 45,-90") from None
+
+
+def _identified(plant: NeedleModel, noise: Any, library: Any, diagnose: bool, jobs: int | None) -> SavedModel:
+    """A model from runs of the standard protocol with reed2008 on the plant."""
+    from needle_rig.simulation.protocol import load_protocol
+    from needle_rig.workbench.learn import fit_known, learn
+    from needle_rig.workbench.simulate import simulate_dataset
+
+    say("making eight runs with reed2008 and fitting a model to them")
+    dataset = simulate_dataset(plant, load_protocol("standard"), seed=1, noise=noise)
+    if diagnose:
+        return learn(dataset, library, work=worker(jobs, None), say=say).after
+    return fit_known(dataset, library, [e.name() for e in plant.effects if not e.is_off()])
+
+
+def _document(table: Any, saved: SavedModel | None, told: str) -> dict[str, Any]:
+    document: dict[str, Any] = {"rows": table.rows(), "overall": table.overall(), "foretold": told}
+    if saved is not None:
+        document["model"] = {
+            name: {
+                "value": value if abs(value) != float("inf") else "inf",
+                "uncertainty": saved.uncertainties.get(name),
+            }
+            for name, value in saved.model.values().items()
+            if abs(value) != float("inf")
+        }
+        document["model_error_over_floor"] = saved.error_over_floor
+    return document
+
+
+def _show(rows: list[dict[str, Any]], title: str) -> None:
+    """A table, the straightest shaft first; then what was refused and what gave way."""
+    click.echo(title)
+    heads = ("tip lag °", "worst °", "mean °", "torque N·mm", "rotations", "total °", "time s")
+    click.echo(f"  {'strategy':<17}" + "".join(f"{head:>15}" for head in heads))
+    for row in sorted(rows, key=lambda r: r["worst_deg"]["median"] if "worst_deg" in r else float("inf")):
+        if "worst_deg" not in row:
+            click.echo(f"  {row['strategy']:<17}" + f"{'refused':>15}")
+            continue
+        cells = [
+            f"{row[k]['median']:.{d}f} ({row[k]['q95']:.{d}f})"
+            for k, d in (("tip_lag_deg", 1), ("worst_deg", 1), ("mean_deg", 1), ("torque_nmm", 3))
+        ]
+        cells += [f"{row['rotations']:g}", f"{row['total_rotation_deg']:.0f}", f"{row['time_s']:.1f}"]
+        click.echo(f"  {row['strategy']:<17}" + "".join(f"{cell:>15}" for cell in cells))
+    for row in rows:
+        if "refused" in row:
+            click.echo(f"{row['strategy']}: {row['refused']}")
+        if "gave_way_to_reed2008" in row:
+            click.echo(
+                f"{row['strategy']}: its model did not hold in {row['gave_way_to_reed2008']} of {row['runs']}"
+                " runs, where it went on as reed2008"
+            )
