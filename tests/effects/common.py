@@ -1,0 +1,31 @@
+"""Trials and the library that the effects' tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.library import find_effects
+
+USERS = Path(__file__).parents[1] / "data" / "effects"
+LIBRARY = find_effects([USERS])
+"""The built-in effects and a user's: all are held to the same contract."""
+
+
+def path(*knots: tuple[float, float], rate_hz: float = 50.0) -> Trial:
+    """A trial through (time_s, base_deg)."""
+    times, angles = np.array(knots).T
+    time_s = np.arange(0, times[-1] + 1e-9, 1 / rate_hz)
+    base_rad = np.radians(np.interp(time_s, times, angles))
+    return Trial(time_s, base_rad, start_s=120.0, index=3, travel_before_rad=3 * 2 * np.pi)
+
+
+SHORT = path((0, 0), (0.2, 0), (1.2, 45), (1.7, 45), (2.3, 71), (2.8, 71), (3.8, 25), (4.3, 25))
+SETTLED_S = (4.4, 8.0, 12.1, 15.7, 19.0)
+SEQUENCE = path(
+    *[(0, 0), (0.5, 0), (1.5, 45), (4.5, 45), (5.1, 71), (8.1, 71)],
+    *[(9.2, 25.5), (12.2, 25.5), (12.8, 51.5), (15.8, 51.5), (16, 45), (19.1, 45)],
+)
+"""The 45° sequence: five motions, 3 s rests."""
