@@ -1,0 +1,45 @@
+"""One simulated rig behind real ports for all bench tests; every test gets it unharmed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from needle_rig.config.loader import load_rig_config
+from needle_rig.config.schema import RigConfig
+from needle_rig.simulation import bench as bench_module
+from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench_loop import LINKS
+
+
+@pytest.fixture
+def steady() -> Iterator[None]:
+    """Real-time priority where the system allows it, as the daemon has, for a tick inside the test."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(50))
+    except PermissionError:
+        yield
+        return
+    yield
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@pytest.fixture(scope="session")
+def running_bench() -> Iterator[Bench]:
+    bench = bench_module.start(load_rig_config())
+    yield bench
+    bench.close()
+
+
+@pytest.fixture
+def bench(running_bench: Bench) -> Bench:
+    for link in LINKS:
+        running_bench.harm(link, "restore")
+    return running_bench
+
+
+@pytest.fixture
+def config(bench: Bench) -> RigConfig:
+    return bench.configured(load_rig_config())

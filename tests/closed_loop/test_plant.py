@@ -1,0 +1,273 @@
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import math
+import time
+
+import numpy as np
+import pytest
+
+from needle_rig.control.brain import Brain
+from needle_rig.control.reports import Request
+from needle_rig.model import load_parameters
+from needle_rig.records import Command, DriveFault, DriveState
+from needle_rig.simulation.drive_guard import DriveGuard
+from needle_rig.simulation.motor import Motor, MotorSettings
+from needle_rig.simulation.plant import Plant
+from needle_rig.simulation.run import run_virtual
+from needle_rig.units import deg, nm, nmm, rad
+
+
+@pytest.fixture(scope="module")
+def elastic():
+    return load_parameters("rig_elastic")
+
+
+def awake(model, settings, **options):
+    plant = Plant(model, settings, **options)
+    plant.write(Command(clear=True))
+    plant.advance(0.005)
+    return plant
+
+
+def turned(plant, velocity_rad_s, seconds, tick_s=0.005):
+    for _ in range(round(seconds / tick_s)):
+        plant.write(Command(velocity_rad_s, enable=True))
+        plant.advance(tick_s)
+    return plant
+
+
+def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_not(config, elastic):
+    def rows(seed):
+        settings = config.simulation.model_copy(update={"seed": seed})
+        run = run_virtual(Brain(config), Plant(elastic, settings), Request(0.5, "none", settle_s=0.5))
+        return run.samples
+
+    assert rows(3) == rows(3)
+    assert rows(3) != rows(4)
+
+
+def test_the_tick_does_not_change_what_the_needle_does(config, elastic):
+    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+    ends = []
+    for tick_s in (0.002, 0.005, 0.010):
+        run = run_virtual(
+            Brain(config), Plant(elastic, quiet), Request(rad(45.0), settle_s=0.2), tick_s=tick_s
+        )
+        ends.append(deg(run.outcome.tip_lag_rad))
+    assert ends == pytest.approx([ends[0]] * 3, abs=0.1)
+
+
+def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path(config, elastic):
+    from needle_rig.physics.effect import Trial
+
+    plant = awake(elastic, config.simulation)
+    times, angles = [0.0], [plant.motor.angle_rad]
+    for velocity in (0.8, -0.8, 0.4):
+        for _ in range(100):
+            plant.turn(velocity, 0.005)
+            times.append(times[-1] + 0.005)
+            angles.append(plant.motor.angle_rad)
+    whole = elastic.truth(Trial(np.array(times), np.array(angles)))
+    assert deg(plant.hall_rad) == pytest.approx(deg(whole.sensor_rad[-1]), abs=0.02)
+    assert nmm(plant.torque_nm) == pytest.approx(nmm(whole.torque_nm[-1]), abs=1e-4)
+    assert plant.shaft_rad()[-1] == pytest.approx(whole.tip_rad[-1], abs=rad(0.02))
+
+
+def test_sensors_are_quantised_and_as_noisy_as_stated(config, elastic):
+    settings = config.simulation
+    plant = Plant(elastic, settings)
+    torque, hall = [], []
+    for _ in range(2000):
+        plant.advance(0.001)
+        measurement = plant.read()
+        torque.append(nmm(measurement.torque_nm))
+        hall.append(deg(measurement.hall_rad[2]))
+        assert deg(measurement.base_angle_rad) % 0.01 == pytest.approx(0.0, abs=1e-9)
+    steps = np.array(hall) / settings.hall_step_deg
+    assert np.allclose(steps, np.rint(steps))
+    steps = np.array(torque) / settings.torque_step_nmm
+    assert np.allclose(steps, np.rint(steps))
+    assert np.std(torque) == pytest.approx(settings.torque_noise_nmm, rel=0.1)
+    assert np.std(hall) == pytest.approx(settings.hall_noise_deg, rel=0.1)
+    assert abs(np.mean(hall)) < 0.02
+
+
+def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(config, elastic):
+    from needle_rig.physics.effects.torque_bias import TorqueBias
+
+    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+    (field,) = TorqueBias.parameters()
+    biased = elastic.with_effects(TorqueBias(**{field: 0.02}))
+    plain, shifted = awake(elastic, quiet), awake(biased, quiet)
+    turned(plain, 0.5, 1.0)
+    turned(shifted, 0.5, 1.0)
+    assert shifted.torque_nm == plain.torque_nm
+    difference = nmm(shifted.read().torque_nm - plain.read().torque_nm)
+    assert difference == pytest.approx(0.02, abs=2e-4)
+
+
+def test_effects_at_the_base_remember_from_tick_to_tick(config, elastic):
+    from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
+
+    (field,) = ChuckBacklash.parameters()
+    loose = elastic.with_effects(ChuckBacklash(**{field: 6.0}))
+    plant = awake(loose, config.simulation)
+    turned(turned(plant, 0.5, 2.0), 0.0, 0.2)
+    wound = plant.hall_rad.copy()
+    before = deg(plant.motor.angle_rad)
+    while deg(plant.motor.angle_rad) > before - 4.0:
+        turned(plant, -0.5, 0.05)
+    # the play is not used up: the needle has not noticed
+    assert plant.hall_rad == pytest.approx(wound, abs=1e-6)
+    turned(plant, -0.5, 1.0)
+    assert plant.hall_rad[0] < wound[0] - rad(1.0)
+
+
+def test_raw_readings_come_with_counters_and_times(config, elastic):
+    rows = []
+    plant = Plant(elastic, config.simulation, raw=lambda source, row: rows.append((source, row)))
+    for _ in range(3):
+        plant.advance(0.005)
+    torque = [row for source, row in rows if source == "torque"]
+    assert [row[2] for row in torque] == [0.0, 1.0, 2.0, 3.0]
+    assert [row[0] for row in torque] == pytest.approx([0.0, 0.005, 0.010, 0.015])
+    assert [len(row) for source, row in rows if source == "hall"] == [7] * 4
+    assert [len(row) for source, row in rows if source == "drive"] == [6] * 4
+
+
+def test_it_opens_and_closes_as_a_rig(config, elastic):
+    async def use():
+        plant = Plant(elastic, config.simulation)
+        await plant.open()
+        turned(plant, 0.5, 0.1)
+        await plant.close()
+        await plant.close()
+
+    asyncio.run(use())
+
+
+class TestDriveGuard:
+    def test_silent_until_cleared(self):
+        guard = DriveGuard()
+        guard.receive(Command(0.5, enable=True))
+        assert guard.step(0.001, 0.0, 0.0) == (0.0, False)
+        assert guard.state is DriveState.SILENT
+        guard.receive(Command(clear=True))
+        guard.step(0.001, 0.0, 0.0)
+        assert guard.state is DriveState.READY
+        guard.receive(Command(0.5, enable=True))
+        assert guard.step(0.001, 0.0, 0.0) == (0.5, True)
+        assert guard.state is DriveState.RUNNING
+
+    def running(self):
+        guard = DriveGuard()
+        guard.receive(Command(clear=True))
+        guard.step(0.001, 0.0, 0.0)
+        guard.receive(Command(0.5, enable=True))
+        guard.step(0.001, 0.0, 0.0)
+        return guard
+
+    def test_without_commands_it_stops_after_50_ms(self):
+        guard = self.running()
+        stopped_s = next(i * 0.001 for i in range(1, 1000) if guard.step(0.001, 0.0, 0.0)[0] == 0.0)
+        assert stopped_s == pytest.approx(0.050, abs=0.0015)
+        assert (guard.state, guard.faults) == (DriveState.FAULT, DriveFault.COMMAND_AGE)
+        guard.receive(Command())
+        guard.step(0.001, 0.0, 0.0)
+        guard.receive(Command(clear=True))
+        guard.step(0.001, 0.0, 0.0)
+        assert (guard.state, guard.faults) == (DriveState.READY, DriveFault.NONE)
+
+    @pytest.mark.parametrize(
+        ("angle", "torque", "velocity", "bit"),
+        [
+            (0.0, nm(2.1), 0.5, DriveFault.TORQUE_TRIP),
+            (rad(723.0), 0.0, 0.5, DriveFault.ANGLE),
+            (0.0, 0.0, rad(91.0), DriveFault.VELOCITY),
+        ],
+    )
+    def test_latching_faults_want_rest_before_a_clear(self, angle, torque, velocity, bit):
+        guard = self.running()
+        guard.receive(Command(velocity, enable=True))
+        assert guard.step(0.001, angle, torque) == (0.0, False)
+        assert (guard.state, guard.faults) == (DriveState.FAULT, bit)
+        guard.receive(Command())
+        guard.receive(Command(clear=True))
+        guard.step(0.001, 0.0, 0.0)
+        assert guard.state is DriveState.FAULT
+        for _ in range(110):
+            guard.receive(Command())
+            guard.step(0.001, 0.0, 0.0)
+        guard.receive(Command(clear=True))
+        guard.step(0.001, 0.0, 0.0)
+        assert guard.state is DriveState.READY
+
+    def test_a_stuck_clear_clears_once(self):
+        guard = self.running()
+        guard.step(0.001, 0.0, nm(3.0))
+        for _ in range(200):
+            guard.receive(Command(clear=True))
+            guard.step(0.001, 0.0, 0.0)
+        assert guard.state is DriveState.FAULT
+
+
+class TestMotor:
+    def test_gain_delay_and_lag(self):
+        motor = Motor(MotorSettings(gain=1.2, delay_s=0.010, time_constant_s=0.020))
+        motor.turn(1.0)
+        motor.advance(0.010, 0.0)
+        assert motor.angle_rad == 0.0
+        motor.advance(0.020, 0.0)
+        assert motor.velocity_rad_s == pytest.approx(1.2 * (1.0 - math.exp(-1.0)))
+        assert motor.angle_rad == pytest.approx(1.2 * (0.020 - 0.020 * (1.0 - math.exp(-1.0))))
+
+    def test_the_path_has_its_kinks(self):
+        motor = Motor(MotorSettings(delay_s=0.002))
+        motor.turn(1.0)
+        path = motor.advance(0.005, 0.0)
+        assert [time_s for time_s, _ in path] == pytest.approx([0.002, 0.005])
+        assert [angle for _, angle in path] == pytest.approx([0.0, 0.003])
+
+    def test_long_and_short_steps_agree(self):
+        ends = []
+        for steps in (1, 7):
+            motor = Motor(MotorSettings(1.1, 0.003, 0.015, 5.0, nm(0.1)))
+            motor.turn(0.7)
+            for _ in range(steps):
+                motor.advance(0.05 / steps, nm(0.2))
+            ends.append((motor.angle_rad, motor.velocity_rad_s))
+        assert ends[0] == pytest.approx(ends[1])
+
+    def test_droop_pushes_back_only_while_powered(self):
+        motor = Motor(MotorSettings(droop_rad_s_per_nm=100.0))
+        motor.turn(0.0)
+        motor.advance(1.0, 1e-3)
+        assert motor.angle_rad == pytest.approx(-0.1)
+        motor.turn(0.0, powered=False)
+        motor.advance(1.0, 1e-3)
+        assert motor.angle_rad == pytest.approx(-0.1)
+
+
+def test_a_whole_run_is_many_times_faster_than_the_rig(config, elastic):
+    brain, plant = Brain(config), Plant(elastic, config.simulation)
+    start = time.process_time()
+    run = run_virtual(brain, plant, Request(rad(45.0)))
+    spent = time.process_time() - start
+    assert run.time_s > 20.0
+    assert spent < run.time_s / 4.0
+
+
+def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config, elastic):
+    plant = turned(awake(elastic, config.simulation), 0.5, 0.5)
+    assert plant.read().drive_state is DriveState.RUNNING
+    for _ in range(60):
+        plant.advance(0.001)
+    at_stop = plant.motor.angle_rad
+    for _ in range(500):
+        plant.advance(0.001)
+    measurement = plant.read()
+    assert (measurement.drive_state, measurement.drive_faults) == (DriveState.FAULT, DriveFault.COMMAND_AGE)
+    assert deg(plant.motor.angle_rad - at_stop) < 0.5
+    assert dataclasses.replace(measurement, time_s=0.0) != measurement
