@@ -1,0 +1,39 @@
+"""Small datasets with a hidden effect, and small libraries, for the workbench's tests."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from needle_rig.dataset import Dataset
+from needle_rig.model import load_parameters
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.library import find_effects
+from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.workbench.simulate import Noise, simulate_dataset
+
+PROTOCOL = Protocol(
+    "short",
+    (
+        compensation(45.0),
+        compensation(45.0),
+        compensation(-45.0),
+        staircase((30.0, 60.0, 20.0, -20.0, 10.0), 30.0, 1.5),
+        compensation(45.0),
+    ),
+)
+FEW = ("tissue_elasticity", "chuck_backlash", "torque_bias", "hall_offset", "tip_friction")
+
+
+def few(*names: str) -> dict[str, type[Effect]]:
+    every = find_effects()
+    return {name: every[name] for name in names or FEW}
+
+
+@lru_cache
+def dataset(*effects: Effect, seed: int = 1, name: str = "hidden", noise: Noise | None = None) -> Dataset:
+    model = load_parameters("rig_rigid").with_effects(*effects)
+    return simulate_dataset(model, PROTOCOL, seed, noise, name=name)
+
+
+def effect(name: str, **values: float) -> Effect:
+    return find_effects()[name](**values)

@@ -1,0 +1,91 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from needle_rig.physics.library import find_effects
+from needle_rig.workbench.coordinates import coordinates, make_effects, positions_of
+from needle_rig.workbench.held_out import held_out
+from needle_rig.workbench.prepare import prepare
+from needle_rig.workbench.search import chance, held_gain, try_effect
+from tests.workbench.hidden import dataset, effect, few
+
+EVERY = find_effects()
+
+
+@given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
+def test_positions_and_values_are_inverse(name, strength):
+    axes = coordinates(EVERY, [name], dataset().layout)
+    positions = np.array(
+        [
+            0.0 if a.info.shapes else np.clip(strength if a.bounds[1] > 0 else -strength, *a.bounds)
+            for a in axes
+        ]
+    )
+    made = make_effects(EVERY, axes, positions)
+    assert positions_of(axes, made) == pytest.approx(positions, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(EVERY))
+def test_off_is_the_origin(name):
+    axes = coordinates(EVERY, [name], dataset().layout)
+    made = make_effects(EVERY, axes, np.zeros(len(axes)))[0]
+    assert made.is_off()
+    for axis in axes:
+        low, high = axis.bounds
+        assert low <= 0.0 <= high or axis.info.shapes
+        if not axis.info.shapes:
+            assert axis.position(axis.info.typical) == pytest.approx(1.0)
+            assert 0 < axis.smallest < 1.2
+
+
+def test_the_null_model_finds_friction_and_the_noise():
+    prepared = prepare(dataset(), None, few())
+    friction = np.exp(prepared.present.point.log_friction)
+    assert friction * 100 == pytest.approx(0.0996, rel=0.03)
+    assert abs(prepared.present.pull_rigidity) < 3
+    assert prepared.held.error == pytest.approx(1.0, abs=0.1)
+    assert 0.7 < prepared.present.chi2 / prepared.problem.size < 1.15
+
+
+def test_a_hidden_stiffness_is_found_within_its_error():
+    prepared = prepare(
+        dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
+    )
+    found = try_effect(prepared.problem, prepared.present, "tissue_elasticity")
+    axis, at, error = found.fit.axes[0], found.fit.point.positions[0], found.fit.position_error[0]
+    assert axis.value(at) == pytest.approx(0.45, rel=0.01)
+    assert abs(at - axis.position(0.45)) < 4 * error
+    assert chance(prepared.present, found.fit, 5) < 1e-6
+    assert held_gain(prepared.held, found.held) > 0
+
+
+def test_a_child_is_never_worse_than_its_parent():
+    prepared = prepare(dataset(), None, few())
+    for name in few():
+        found = try_effect(prepared.problem, prepared.present, name).fit
+        assert found.objective < prepared.present.objective + 1.0
+
+
+def test_held_out_prediction_needs_a_second_command():
+    data = dataset()
+    one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
+    prepared = prepare(one, None, few())
+    assert held_out(prepared.problem, prepared.present).error == float("inf")
+
+
+def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
+    one_sided = {
+        "tissue_elasticity",
+        "tissue_viscoelasticity",
+        "viscous_slip",
+        "chuck_backlash",
+        "tip_friction",
+    }
+    for name in one_sided:
+        strength = coordinates(EVERY, [name], dataset().layout)[0]
+        assert strength.one_sided
+        assert strength.bounds[1] > 10
+    assert not coordinates(EVERY, ["torque_bias"], dataset().layout)[0].one_sided
