@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from needle_rig.control.limits import (
+    DRIVE_SENTENCES,
+    Gated,
+    Limits,
+    drive_fault,
+    find_fault,
+    gate,
+    tick_fault,
+)
+from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
+
+LIMITS = Limits(
+    angle_rad=10.0,
+    velocity_rad_s=1.0,
+    acceleration_rad_s2=4.0,
+    torque_nm=2e-3,
+    torque_age_s=0.05,
+    hall_age_s=0.06,
+    drive_age_s=0.07,
+)
+GOOD = Measurement(
+    time_s=1.0,
+    base_angle_rad=0.5,
+    torque_nm=1e-4,
+    hall_rad=(0.1, 0.2),
+    drive_state=DriveState.RUNNING,
+    torque_age_s=0.001,
+    hall_age_s=0.001,
+    drive_age_s=0.001,
+)
+
+
+def having(**changes: object) -> Measurement:
+    return dataclasses.replace(GOOD, **changes)
+
+
+def test_a_healthy_rig_has_no_fault():
+    assert find_fault(GOOD, LIMITS) is None
+
+
+@pytest.mark.parametrize(("link", "limit_s"), [("torque", 0.05), ("hall", 0.06), ("drive", 0.07)])
+def test_a_value_at_the_age_limit_counts_and_one_beyond_it_is_a_temporary_fault(link, limit_s):
+    field = f"{link}_age_s"
+    assert find_fault(having(**{field: limit_s}), LIMITS) is None
+    fault = find_fault(having(**{field: limit_s + 0.0011}), LIMITS)
+    assert (fault.link, fault.latching) == (link, False)
+    assert fault.text == (
+        f"the {link} link is dead: its newest value is {limit_s * 1e3 + 1:.0f} ms old, limit"
+        f" {limit_s * 1e3:g} ms; check {WHERE[link]}"
+    )
+
+
+WHERE = {
+    "torque": "the CAN bus and the torque node",
+    "hall": "the serial cable and the hall node",
+    "drive": "the CAN bus and the drive node",
+}
+
+
+@pytest.mark.parametrize("link", ["torque", "hall", "drive"])
+@pytest.mark.parametrize("age", [math.inf, math.nan])
+def test_a_link_without_a_value_is_named(link, age):
+    fault = find_fault(having(**{f"{link}_age_s": age}), LIMITS)
+    assert (fault.link, fault.latching) == (link, False)
+    if math.isinf(age):
+        assert fault.text == f"the {link} link has given no value yet; check {WHERE[link]}"
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("link", "field", "wrap"),
+    [
+        ("torque", "torque_nm", lambda x: x),
+        ("hall", "hall_rad", lambda x: (0.1, x)),
+        ("drive", "base_angle_rad", lambda x: x),
+    ],
+)
+def test_a_value_that_is_no_number_is_a_temporary_fault_of_its_link(bad, link, field, wrap):
+    fault = find_fault(having(**{field: wrap(bad)}), LIMITS)
+    assert (fault.link, fault.latching) == (link, False)
+    assert f"the {link} link gives" in fault.text
+    assert "no number" in fault.text
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_torque_beyond_its_limit_trips_and_latches(sign):
+    assert find_fault(having(torque_nm=sign * LIMITS.torque_nm), LIMITS) is None
+    fault = find_fault(having(torque_nm=sign * LIMITS.torque_nm * 1.001), LIMITS)
+    assert (fault.link, fault.latching) == ("torque", True)
+    assert f"{sign * 2.002:.3f} N·mm, above the limit of 2 N·mm" in fault.text
+    assert fault.text.endswith("then: needle-rig clear")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_angle_beyond_its_limit_latches(sign):
+    assert find_fault(having(base_angle_rad=sign * 10.0), LIMITS) is None
+    fault = find_fault(having(base_angle_rad=sign * 10.01), LIMITS)
+    assert (fault.link, fault.latching) == ("drive", True)
+    assert f"the base stands at {sign * 573.5:.1f}°, outside ±572.958°" in fault.text
+
+
+@pytest.mark.parametrize("bit", list(DriveFault))
+def test_every_fault_bit_of_the_drive_has_its_sentence(bit):
+    if bit is DriveFault.NONE:
+        return
+    fault = drive_fault(DriveState.FAULT, bit)
+    temporary = bit in (DriveFault.COMMAND_AGE, DriveFault.FRAME, DriveFault.TORQUE_AGE)
+    assert fault.text == f"the drive stopped by itself: {DRIVE_SENTENCES[bit]}" + (
+        "" if temporary else ", then: needle-rig clear"
+    )
+    assert fault.link == "drive"
+    assert fault.latching is not temporary
+
+
+def test_a_temporary_and_a_latching_bit_together_latch_and_are_both_told():
+    fault = drive_fault(DriveState.FAULT, DriveFault.COMMAND_AGE | DriveFault.ENCODER)
+    assert fault.latching
+    assert DRIVE_SENTENCES[DriveFault.COMMAND_AGE] + "; " + DRIVE_SENTENCES[DriveFault.ENCODER] in fault.text
+
+
+def test_a_drive_in_fault_without_a_reason_latches():
+    fault = drive_fault(DriveState.FAULT, DriveFault.NONE)
+    assert fault.latching
+    assert "gives no reason" in fault.text
+
+
+@pytest.mark.parametrize("state", [DriveState.SILENT, DriveState.READY, DriveState.RUNNING])
+def test_a_drive_without_faults_is_none(state):
+    assert drive_fault(state, DriveFault.NONE) is None
+
+
+def test_find_fault_asks_the_drive():
+    fault = find_fault(having(drive_faults=DriveFault.ENCODER), LIMITS)
+    assert fault == drive_fault(DriveState.RUNNING, DriveFault.ENCODER)
+
+
+def test_dead_links_come_before_bad_values():
+    fault = find_fault(having(hall_age_s=1.0, torque_nm=math.nan), LIMITS)
+    assert fault.link == "hall"
+
+
+@pytest.mark.parametrize("dt_s", [0.0, -0.001, math.nan, math.inf])
+def test_a_tick_of_impossible_length_is_a_temporary_fault(dt_s):
+    fault = tick_fault(dt_s)
+    assert (fault.link, fault.latching) == ("control", False)
+    assert f"took {dt_s} s" in fault.text
+    assert gate(0.0, GOOD, 0.0, dt_s, LIMITS) == Gated(STOP, limited=False, fault=fault)
+
+
+def test_a_shortest_tick_is_allowed():
+    assert tick_fault(1e-9) is None
+
+
+def test_a_wish_within_all_limits_goes_out_unchanged():
+    assert gate(0.5, GOOD, 0.49, 0.005, LIMITS) == Gated(Command(0.5, enable=True), limited=False)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_wish_above_the_velocity_limit_is_limited_not_a_fault(sign):
+    gated = gate(sign * 1.5, GOOD, sign * 1.0, 0.005, LIMITS)
+    assert gated == Gated(Command(sign * 1.0, enable=True), limited=True)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_change_above_the_acceleration_limit_is_limited(sign):
+    gated = gate(sign * 0.5, GOOD, sign * 0.1, 0.01, LIMITS)
+    assert gated.command.velocity_rad_s == pytest.approx(sign * 0.14)
+    assert gated.limited
+    assert gate(sign * 0.14, GOOD, sign * 0.1, 0.01, LIMITS).limited is False
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_speed_towards_the_angle_limit_leaves_room_to_brake(sign):
+    near = having(base_angle_rad=sign * 9.98)
+    gated = gate(sign * 1.0, near, sign * 1.0, 10.0, LIMITS)
+    assert gated.command.velocity_rad_s == pytest.approx(sign * math.sqrt(2 * 4.0 * 0.02))
+    assert gated.limited
+    assert gate(-sign * 1.0, near, -sign * 1.0, 0.005, LIMITS).command.velocity_rad_s == -sign * 1.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_at_the_angle_limit_only_the_way_back_is_open(sign):
+    there = having(base_angle_rad=sign * 10.0)
+    assert gate(sign * 1.0, there, 0.0, 0.005, LIMITS).command == Command(0.0, enable=True)
+    assert gate(-sign * 0.02, there, 0.0, 0.005, LIMITS).command == Command(-sign * 0.02, enable=True)
+
+
+@pytest.mark.parametrize("wish", [math.nan, math.inf, -math.inf])
+def test_a_wish_that_is_no_number_stops_and_latches(wish):
+    gated = gate(wish, GOOD, 0.5, 0.005, LIMITS)
+    assert gated.command == STOP
+    assert (gated.fault.link, gated.fault.latching, gated.limited) == ("control", True, False)
+    assert "no number" in gated.fault.text
+
+
+def test_a_fault_stops_whatever_is_wished():
+    gated = gate(0.5, having(torque_nm=1.0), 0.5, 0.005, LIMITS)
+    assert gated.command == STOP
+    assert gated.fault == find_fault(having(torque_nm=1.0), LIMITS)
+
+
+FLOATS = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(FLOATS, FLOATS, FLOATS, st.floats(-2, 2), FLOATS, st.floats(0, 0.2), st.floats(0, 0.2))
+def test_nothing_that_comes_in_lets_a_command_beyond_its_limits_out(
+    wish, angle, torque, last, dt_s, hall_age, drive_age
+):
+    measurement = having(base_angle_rad=angle, torque_nm=torque, hall_age_s=hall_age, drive_age_s=drive_age)
+    last = min(max(last, -1.0), 1.0)
+    gated = gate(wish, measurement, last, dt_s, LIMITS)
+    command = gated.command
+    if gated.fault is not None:
+        assert command == STOP
+    else:
+        assert command.enable
+        assert abs(command.velocity_rad_s) <= LIMITS.velocity_rad_s
+        assert abs(command.velocity_rad_s - last) <= LIMITS.acceleration_rad_s2 * dt_s + 1e-12
+        assert abs(angle) <= LIMITS.angle_rad
+        assert hall_age <= LIMITS.hall_age_s
+        assert drive_age <= LIMITS.drive_age_s
+
+
+def test_a_long_dead_link_tells_its_age_to_the_millisecond():
+    assert "12345 ms old, limit 60 ms" in find_fault(having(hall_age_s=12.345), LIMITS).text
+
+
+@pytest.mark.parametrize("words", [LIMITS, Gated(STOP, False), tick_fault(0.0)])
+def test_nothing_that_was_decided_can_be_changed_afterwards(words):
+    name = dataclasses.fields(words)[0].name
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(words, name, None)

@@ -1,0 +1,121 @@
+import math
+
+import pytest
+
+from needle_rig.records import STOP, Command, DriveState, Measurement, Phase, Sample
+from needle_rig.service.clock import VirtualClock
+from needle_rig.service.loop import ControlLoop
+
+READING = Measurement(0.0, 0.1, 0.0, (0.0,))
+
+
+class Rig:
+    def __init__(self) -> None:
+        self.written: list[Command] = []
+
+    async def open(self) -> None: ...
+
+    async def close(self) -> None: ...
+
+    def read(self) -> Measurement:
+        return READING
+
+    def write(self, command: Command) -> None:
+        self.written.append(command)
+
+
+class Brain:
+    """Turns, and breaks at its tenth step when told to."""
+
+    def __init__(self, breaks: bool = False) -> None:
+        self.lengths_s: list[float] = []
+        self.breaks = breaks
+
+    def step(self, measurement: Measurement, dt_s: float) -> tuple[Command, Sample]:
+        self.lengths_s.append(dt_s)
+        if self.breaks and len(self.lengths_s) == 10:
+            raise ZeroDivisionError
+        return Command(velocity_rad_s=0.2, enable=True), sample(dt_s)
+
+
+class LateClock(VirtualClock):
+    """Skips two ticks once, and once the next tick is due before this one is done."""
+
+    late = (3, 5)
+    count = 0
+
+    async def tick(self, busy: bool) -> int:
+        self.count += 1
+        await super().tick(busy)
+        return 2 if self.count == self.late[0] else 0
+
+    def overrun(self) -> bool:
+        return self.count == self.late[1]
+
+
+def sample(dt_s: float) -> Sample:
+    ages = {"torque_age_s": 0.0, "hall_age_s": 0.0, "drive_age_s": 0.0}
+    drive = {"drive_state": DriveState.READY, "drive_faults": READING.drive_faults}
+    return Sample(
+        0.0, dt_s, Phase.MOVING, "rotate", 0.1, 0.0, (0.0,), math.nan, 0.2, True, False, **drive, **ages
+    )  # type: ignore[arg-type]
+
+
+async def test_a_broken_brain_leaves_the_drive_stopped() -> None:
+    rig, brain = Rig(), Brain(breaks=True)
+    loop = ControlLoop(rig, brain, VirtualClock(0.005, lambda dt_s: None), lambda s: None, lambda t: None)  # type: ignore[arg-type]
+    loop.busy = True
+    with pytest.raises(ZeroDivisionError):
+        await loop.run()
+    assert len(rig.written) == 10
+    assert rig.written[-1] == STOP
+
+
+async def test_ending_leaves_the_drive_stopped_and_ticks_have_their_measured_length() -> None:
+    rig, brain = Rig(), Brain()
+    met: list[float] = []
+
+    def on_sample(each: Sample) -> None:
+        if len(brain.lengths_s) == 20:
+            loop.end()
+
+    loop = ControlLoop(rig, brain, VirtualClock(0.005, lambda dt_s: None), on_sample, met.append)  # type: ignore[arg-type]
+    loop.busy = True
+    await loop.run()
+    assert rig.written[-1] == STOP
+    assert brain.lengths_s == pytest.approx([0.005] * 20)
+    assert len(met) == loop.timing().ticks == 20
+    assert loop.timing().missed == 0
+
+
+async def test_only_ticks_that_met_their_deadline_feed_the_watchdog() -> None:
+    rig, brain = Rig(), Brain()
+    met: list[float] = []
+    loop = ControlLoop(
+        rig,
+        brain,  # type: ignore[arg-type]
+        LateClock(0.005, lambda dt_s: None),
+        lambda s: loop.end() if len(brain.lengths_s) == 10 else None,
+        met.append,
+    )
+    loop.busy = True
+    await loop.run()
+    assert loop.timing().missed == 3
+    assert len(met) == 9
+
+
+async def test_while_time_stands_still_nothing_is_decided() -> None:
+    rig, brain = Rig(), Brain()
+    ticks = 0
+
+    class Counting(VirtualClock):
+        async def tick(self, busy: bool) -> int:
+            nonlocal ticks
+            ticks += 1
+            if ticks == 5:
+                loop.end()
+            return await super().tick(busy)
+
+    loop = ControlLoop(rig, brain, Counting(0.001, lambda dt_s: None), lambda s: None, lambda t: None)  # type: ignore[arg-type]
+    await loop.run()
+    assert len(brain.lengths_s) == 1

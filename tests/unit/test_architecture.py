@@ -1,0 +1,97 @@
+"""The rooms keep their distance, and the contracts that say so can be broken."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LINT = "from importlinter.cli import lint_imports_command as lint; lint(['--no-cache'])"
+
+
+def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", LINT], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+def broken(output: str) -> set[str]:
+    return set(re.findall(r"^(.+) BROKEN$", output, re.MULTILINE))
+
+
+def test_every_room_imports_only_what_is_below_it():
+    done = lint(ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.fixture
+def house(tmp_path):
+    shutil.copytree(
+        ROOT / "needle_rig", tmp_path / "needle_rig", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    return tmp_path
+
+
+def test_every_contract_notices_a_breach(house):
+    for file, breach in {
+        "needle_rig/control/pid.py": "import time",
+        "needle_rig/physics/rod.py": "import needle_rig.recording",
+        "needle_rig/physics/effects/first.py": "import needle_rig.physics.effects.second",
+        "needle_rig/physics/effects/second.py": "",
+        "needle_rig/workbench/extra.py": "import can, simple_pid, yaml, h5py",
+    }.items():
+        path = house / file
+        path.write_text((path.read_text() if path.exists() else '"""New."""\n') + f"\n{breach}\n")
+    done = lint(house)
+    contracts = set(re.findall(r'^name = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
+    contracts.discard("needle-rig")
+    assert len(contracts) >= 7
+    assert broken(done.stdout) == contracts, done.stdout
+
+
+def test_a_new_room_must_be_given_its_place(house):
+    (house / "needle_rig" / "attic.py").write_text('"""A room nobody placed."""\n')
+    done = lint(house)
+    assert done.returncode != 0
+    assert "attic" in done.stdout + done.stderr
+
+
+LEAVES_A_TASK = """
+import asyncio
+
+def test_it():
+    async def forgetful():
+        asyncio.get_running_loop().create_task(asyncio.Event().wait(), name="forgotten")
+        await asyncio.sleep(0)
+
+    asyncio.run(forgetful())
+
+def test_tidy():
+    async def tidy():
+        await asyncio.get_running_loop().create_task(asyncio.sleep(0))
+
+    asyncio.run(tidy())
+"""
+
+
+def test_a_task_left_behind_fails_its_test(tmp_path):
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
+    (tmp_path / "test_it.py").write_text(LEAVES_A_TASK)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "asyncio tasks left behind" in done.stdout
+    assert "forgotten" in done.stdout
+    assert "2 passed, 1 error" in done.stdout

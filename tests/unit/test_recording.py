@@ -1,0 +1,210 @@
+"""Run files: what is written is read back, also while it is written and after a kill."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from needle_rig.config.loader import load_rig_config
+from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.recording import RunFile, RunWriter, find_run, list_runs, new_run, run_attributes, run_tables
+from needle_rig.recording.writer import _event_rows
+
+TABLES = run_tables(sensors=4)
+ATTRIBUTES = {"strategy": "reed2008", "target_deg": 45.0, "parameters": "rig_elastic"}
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    config = load_rig_config()
+    attributes = run_attributes(
+        config, strategy="reed2008", target_deg=45, parameters="rig_elastic", shaft_position_m=np.arange(3.0)
+    )
+    with RunWriter(tmp_path / "a.h5", attributes, TABLES) as writer:
+        writer.append("torque", [(0.001, 0.5, 7, 1e-4), (0.002, 0.501, 8, 2e-4)])
+        writer.append("hall", [(0.001, 0.5, 7, 0.1, 0.2, 0.3, 0.4)])
+        writer.append("hall", [])
+        writer.append("hall", np.zeros(2, TABLES["hall"]))
+        writer.event(0.003, "phase", "moving: Grüße")
+        writer.close({"status": "aligned", "lag_deg": 26.0}, time_s=0.004)
+        writer.close()
+    run = RunFile(tmp_path / "a.h5")
+    assert run.complete
+    assert run.result == {"status": "aligned", "lag_deg": 26.0}
+    assert run.config == config
+    assert run.attributes["target_deg"] == 45.0
+    assert run.attributes["shaft_position_m"].tolist() == [0, 1, 2]
+    assert run.table("torque")["counter"].tolist() == [7, 8]
+    assert run.table("hall")["angle_rad"][0].tolist() == [0.1, 0.2, 0.3, 0.4]
+    assert len(run.table("hall")) == 3
+    assert [(e.kind, e.text) for e in run.events] == [("phase", "moving: Grüße"), ("end", "")]
+    assert run.span_s == (0.0, 0.002)
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=2000))
+def test_a_long_event_keeps_its_text(text):
+    rows = _event_rows(1.0, "note", text)
+    assert b"".join(rows["text"]).decode() == text
+    assert all(row.decode() is not None for row in rows["text"])
+
+
+def test_a_run_is_readable_while_it_is_written(tmp_path):
+    with new_run(tmp_path, ATTRIBUTES, TABLES) as writer:
+        run = RunFile(writer.path)
+        assert not run.complete
+        assert len(run.table("torque")) == 0
+        writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
+        writer.flush()
+        assert len(run.table("torque")) == 1
+        assert list_runs(tmp_path)[0].status == "running"
+    assert run.complete
+
+
+def test_rows_reach_the_disk_without_being_asked(tmp_path):
+    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES, flush_interval_s=0.0) as writer:
+        writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
+        assert len(RunFile(writer.path).table("torque")) == 1
+
+
+def test_a_run_is_never_written_over(tmp_path):
+    writers = [new_run(tmp_path, ATTRIBUTES, TABLES) for _ in range(3)]
+    for writer in writers:
+        writer.close()
+    assert len({writer.path for writer in writers}) == 3
+    assert all(writer.path.name.endswith(".h5") and "reed2008" in writer.path.name for writer in writers)
+    with pytest.raises(BadInput, match="exists already; a run is never written over"):
+        RunWriter(writers[0].path, ATTRIBUTES, TABLES)
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="cannot be created: Not a directory"):
+        new_run(tmp_path / "file" / "runs", ATTRIBUTES, TABLES)
+
+
+def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch):
+    writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(h5py.Dataset, "resize", full)
+    writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
+    with pytest.raises(NeedleRigError, match=r"cannot be written: .*No space left"):
+        writer.flush()
+    monkeypatch.undo()
+    writer.close()
+    assert RunFile(tmp_path / "a.h5").complete
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(b"", "is empty: it was cut off before it began"), (b"hello" * 100, "is not a readable run")],
+)
+def test_a_file_that_is_no_run(tmp_path, content, says):
+    path = tmp_path / "x.h5"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=says):
+        RunFile(path)
+    assert list_runs(tmp_path)[0].status == "unreadable"
+
+
+def test_foreign_hdf5_is_no_run(tmp_path):
+    h5py.File(tmp_path / "x.h5", "w").close()
+    with pytest.raises(BadInput, match="is HDF5 but no run"):
+        RunFile(tmp_path / "x.h5")
+
+
+def test_a_table_that_is_not_there(tmp_path):
+    new_run(tmp_path, ATTRIBUTES, TABLES).close()
+    with pytest.raises(BadInput, match="has no table ticcs; it has drive, hall, ticks, torque"):
+        find_run("last", tmp_path).table("ticcs")
+
+
+def test_which_run_is_meant(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInput, match="last: no run in runs; make one"):
+        find_run("last", "runs")
+    for name, when in (("2026-01-01_a", "2026-01-01T00:00:00"), ("2026-01-02_b", "2026-01-02T00:00:00")):
+        RunWriter(f"runs/{name}.h5", {**ATTRIBUTES, "started_utc": when}, TABLES).close({"status": "aligned"})
+    assert [run.status for run in list_runs("runs")] == ["aligned", "aligned"]
+    assert find_run("last", "runs").name == "2026-01-02_b"
+    assert find_run("2026-01-01_a", "runs").name == "2026-01-01_a"
+    assert find_run("runs/2026-01-01_a.h5", "elsewhere").name == "2026-01-01_a"
+    assert find_run("_b", "runs").name == "2026-01-02_b"
+    with pytest.raises(BadInput, match="fits 2 runs in runs: 2026-01-01_a, 2026-01-02_b; say which"):
+        find_run("2026", "runs")
+    with pytest.raises(BadInput, match=r"no such run in runs; did you mean 2026-01-01_a\?"):
+        find_run("2026-01-01_c", "runs")
+    with pytest.raises(BadInput, match="there is no such run"):
+        RunFile("runs/none.h5")
+
+
+WRITER = """
+import sys, time
+import numpy as np
+from needle_rig.recording import RunWriter, run_tables
+tables = run_tables(sensors=4)
+with RunWriter(sys.argv[1], {"strategy": "reed2008", "target_deg": 45.0}, tables) as writer:
+    counts = {"torque": 0, "ticks": 0}
+    begin = time.monotonic()
+    print("begun", flush=True)
+    while True:
+        due = time.monotonic() - begin
+        for name, rate in (("torque", 1000), ("ticks", 200)):
+            rows = np.zeros(max(0, int(due * rate) - counts[name]), tables[name])
+            rows["time_s"] = begin + (counts[name] + np.arange(len(rows)) + 1) / rate
+            if name == "torque":
+                rows["counter"] = counts[name] + np.arange(len(rows))
+            counts[name] += len(rows)
+            writer.append(name, rows)
+        if len(rows) and counts["ticks"] % 50 < len(rows):
+            writer.event(begin + due, "phase", "moving")
+        time.sleep(0.002)
+"""
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_killed_writer_loses_at_most_half_a_second(tmp_path, seed):
+    path = tmp_path / "killed.h5"
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "begun\n"
+        threshold_s = random.Random(seed).uniform(0.05, 1.5)
+        end = time.monotonic() + threshold_s
+        threading.Event().wait(end - time.monotonic())
+        killed_s = time.monotonic()
+        os.kill(writer.pid, signal.SIGKILL)
+    finally:
+        writer.kill()
+        writer.communicate()
+    run = RunFile(path)
+    assert not run.complete
+    assert run.result is None
+    for name in ("torque", "ticks"):
+        rows = run.table(name)
+        last_s = rows["time_s"][-1] if len(rows) else killed_s - threshold_s
+        assert killed_s - last_s < 0.5
+        assert (np.diff(rows["time_s"]) > 0).all()
+    assert run.table("torque")["counter"].tolist() == list(range(len(run.table("torque"))))
+
+
+def test_what_is_said_late_is_joined_to_the_attributes(tmp_path):
+    writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
+    writer.set_attribute("note", "grün")
+    writer.set_attribute("result", {"status": "fault"})
+    writer.close()
+    assert RunFile(writer.path).attributes["note"] == "grün"
+    assert RunFile(writer.path).result == {"status": "fault"}

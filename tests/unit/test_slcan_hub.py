@@ -1,0 +1,96 @@
+"""The hub against python-can's own, unchanged slcan: what passes here works with any adapter."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterator
+
+import can
+import pytest
+from can.interfaces.slcan import slcanBus
+
+from needle_rig.simulation.slcan_hub import Frame, SlcanHub, SlcanPort
+
+
+@pytest.fixture
+def hub() -> Iterator[SlcanHub]:
+    hub = SlcanHub()
+    yield hub
+    for port in list(hub.ports):
+        hub.remove_port(port)
+
+
+def serve(hub: SlcanHub, port: SlcanPort) -> None:
+    """Pass on what came into `port`, which a terminal brings a moment after it was written."""
+    assert select.select([port], [], [], 5.0)[0]
+    hub.serve(port)
+    hub.flush()
+
+
+def bus_on(hub: SlcanHub, port: SlcanPort) -> slcanBus:
+    bus = slcanBus(port.name, bitrate=1_000_000, sleep_after_open=0, timeout=1.0)
+    while not port.is_open:
+        serve(hub, port)
+    return bus
+
+
+def received(bus: slcanBus) -> Frame | None:
+    for _ in range(20):  # answers to commands count as lines without a frame
+        message = bus.recv(0.5)
+        if message is not None:
+            return message.arbitration_id, bytes(message.data)
+    return None
+
+
+def test_frames_pass_between_two_programs_and_a_node(hub: SlcanHub) -> None:
+    heard: list[Frame] = []
+    hub.attach(heard.append)
+    ports = hub.add_port(), hub.add_port()
+    buses = [bus_on(hub, port) for port in ports]
+    buses[0].send(can.Message(arbitration_id=0x110, data=b"\x01\xff\x0d", is_extended_id=False))
+    serve(hub, ports[0])
+    assert received(buses[1]) == (0x110, b"\x01\xff\x0d")
+    assert heard == [(0x110, b"\x01\xff\x0d")]
+    hub.send((0x101, b"12345678"), sender=heard.append)
+    hub.flush()
+    assert [received(bus) for bus in buses] == [(0x101, b"12345678")] * 2
+    assert len(heard) == 1
+    for bus in buses:
+        bus.shutdown()
+
+
+def test_a_closed_channel_hears_and_says_nothing(hub: SlcanHub) -> None:
+    port = hub.add_port()
+    bus = bus_on(hub, port)
+    bus.close()
+    bus.send(can.Message(arbitration_id=1, data=b"", is_extended_id=False))
+    while port.is_open:
+        serve(hub, port)
+    assert port.receive() == []
+    hub.send((1, b""))
+    hub.flush()
+    assert bus.recv(0) is None
+    bus.shutdown()
+
+
+def test_the_version_is_told(hub: SlcanHub) -> None:
+    port = hub.add_port()
+    descriptor = os.open(port.name, os.O_RDWR | os.O_NOCTTY)
+    os.write(descriptor, b"V\rnonsense\r")
+    answer = b""
+    while not answer.endswith(b"\a"):
+        serve(hub, port)
+        answer += os.read(descriptor, 64)
+    assert answer == b"V0101\r\a"
+    os.close(descriptor)
+
+
+def test_a_program_that_does_not_read_costs_frames_and_no_time(hub: SlcanHub) -> None:
+    port = hub.add_port()
+    bus = bus_on(hub, port)
+    for _ in range(20_000):
+        hub.send((0x101, b"12345678"))
+        hub.flush()
+    assert port.lost > 0
+    bus.shutdown()
