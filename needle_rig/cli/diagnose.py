@@ -83,25 +83,22 @@ def _show(found: Diagnosis) -> None:
         f" (noise is {found.noise_floor:.2f})"
     )
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("effect", "held out", "removed", "value (95 %)", "for and against"):
-        table.add_column(heading, overflow="fold")
+    for heading in ("effect", "held out", "removed"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("for and against")
     for row in found.ranking[: max(6, len(found.effects))]:
-        values = "\n".join(
-            f"{v.name} {v.value:.3g} ({v.low:.3g} … {v.high:.3g}) {v.unit}" for v in row.values
-        )
         error = "—" if row.held_out_error is None else f"{row.held_out_error:.2f}"
         words = row.in_favour + (f"; against: {row.against}" if row.against else "")
-        table.add_row(row.effect, error, f"{100 * row.error_removed:.0f} %", values, words)
+        table.add_row(row.effect, error, f"{100 * row.error_removed:.0f} %", words)
     console.print(table)
+    for row in found.ranking[: len(found.effects)]:
+        for v in row.values:
+            unit = "" if v.unit == "1" else f" {v.unit}"
+            console.print(f"{row.effect}.{v.name} = {v.value:.4g} (95 %: {v.low:.4g} … {v.high:.4g}){unit}")
     for kind in ("present", "negligible", "cannot_tell", "absent"):
         names = [d for d in found.decisions.values() if d.decision == kind]
         if names:
-            said = ", ".join(
-                f"{d.effect} (< {d.limit:.2g} {d.unit})"
-                if d.limit is not None and kind != "present"
-                else d.effect
-                for d in names
-            )
+            said = ", ".join(d.effect if kind == "present" else d.sentence() for d in names)
             console.print(f"[bold]{kind.replace('_', ' ')}[/bold]: {said}")
     for pattern in found.left_over.patterns:
         console.print(f"left over: {pattern.sentence()}")

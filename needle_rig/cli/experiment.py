@@ -19,6 +19,8 @@ from needle_rig.cli._workbench import (
     say,
 )
 
+TOLD_APART_SIGMA = 2.0
+
 
 @click.command("experiment")
 @data_argument
@@ -112,3 +114,8 @@ def command(
         return
     click.echo(sentence)
     click.echo(f"{REPLICATES} such trials on top of these data: {power:.1f}σ between the two. Wrote {path}.")
+    if power < TOLD_APART_SIGMA:
+        click.echo(
+            f"At the values fitted here {first[1]} and {second[1]} foretell the same needle; what one trial"
+            " separates, fitting both again takes back."
+        )

@@ -90,9 +90,9 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
         "name": model.name,
         "starts_from": saved.starts_from,
         "layout": {
-            "needle_length_mm": mm(layout.needle_length_m),
-            "tissue_sections_mm": [[mm(a), mm(b)] for a, b in layout.tissue_sections_m],
-            "sensor_positions_mm": [mm(x) for x in layout.sensor_positions_m],
+            "needle_length_mm": _tidy(layout.needle_length_m),
+            "tissue_sections_mm": [[_tidy(a), _tidy(b)] for a, b in layout.tissue_sections_m],
+            "sensor_positions_mm": [_tidy(x) for x in layout.sensor_positions_m],
         },
         "base": {name: fitted(name) for name in BASE_PARAMETERS},
         "effects": effects,
@@ -102,6 +102,11 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
     temporary = target.with_name(f".{target.name}.new")
     temporary.write_text(write_yaml(data), encoding="utf-8")
     temporary.replace(target)
+
+
+def _tidy(length_m: float) -> float:
+    """Millimetres without the last bits of the conversion: 175.0, not 174.99999999999997."""
+    return round(mm(length_m), 9)
 
 
 def saved_model(data: dict[str, Any], places: Places, effects: Iterable[str | Path]) -> SavedModel:

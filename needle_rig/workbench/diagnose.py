@@ -63,6 +63,15 @@ class Decision:
     parameter: str
     unit: str
     matters_from: float
+    downwards: bool = False
+    """Whether the effect grows as its parameter falls, as a compliance does given as a stiffness."""
+
+    def sentence(self) -> str:
+        """The effect with the limit of its size, in words."""
+        if self.limit is None:
+            return self.effect
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.effect} ({'>' if self.downwards else '<'} {self.limit:.2g}{unit})"
 
     def as_json(self) -> dict[str, Any]:
         """As it stands in the JSON answer."""
@@ -418,7 +427,8 @@ def _made(name: str, axis: Coordinate, limit: float, decision: str, at: float) -
     if axis.info.scale == "linear":
         value = abs(value - axis.info.off)
         return Decision(name, decision, value, axis.field, axis.info.unit, _smallest_size(axis))
-    return Decision(name, decision, value, axis.field, axis.info.unit, axis.info.smallest)
+    downwards = axis.info.off > axis.info.typical
+    return Decision(name, decision, value, axis.field, axis.info.unit, axis.info.smallest, downwards)
 
 
 def _smallest_size(axis: Coordinate) -> float:

@@ -115,7 +115,7 @@ def ladder_figure(saved: SavedModel) -> Figure:
         errors = [s.channels.get(name, ChannelErrors()) for s in steps]
         draw(
             axis,
-            name,
+            name.replace("_deg", " / °").replace("_nmm", " / N·mm"),
             [e.training_after for e in errors],
             [e.held_out_after for e in errors],
             [e.floor for e in errors],
