@@ -38,7 +38,7 @@ MOVE_TOLERANCE_RAD = 1e-11
 MOST_BLOCK_FLIPS = 60
 MOST_NEWTON = 20
 SOFTENED_RAD = 1e-8
-SMALL_LOAD = 1e-3
+SMALL_LOAD = 1e-9
 """Part of a node's limits below which a shed load is not followed further."""
 
 _jit = njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
@@ -200,7 +200,7 @@ def reach(work, i):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def correct(angle, slip, work, counts):  # type: ignore[no-untyped-def]
+def correct(angle, before, slip, work, counts):  # type: ignore[no-untyped-def]
     """Flip the contradicting nodes.
 
     In rigid tissue a stuck node feels only its neighbours, so plain flipping would move a slip front by one
@@ -228,7 +228,7 @@ def correct(angle, slip, work, counts):  # type: ignore[no-untyped-def]
             load = 0.0
             continue
         own = torque[i]
-        if nxt[i] == 0.0 or not pulled_from_left(work, angle, i, nxt[i]):
+        if nxt[i] == 0.0 or not pulled_from_left(work, angle, before, i, nxt[i]):
             own = min(up[i], max(-down[i], own))
         load += own
         load -= min(up[i], max(-down[i], load))
@@ -248,7 +248,7 @@ def correct(angle, slip, work, counts):  # type: ignore[no-untyped-def]
             continue
         total = torque[i] + extra
         own = torque[i]
-        if nxt[i] == 0.0 or pulled_from_left(work, angle, i, nxt[i]):
+        if nxt[i] == 0.0 or pulled_from_left(work, angle, before, i, nxt[i]):
             own = min(up[i], max(-down[i], own))
         load += own
         load -= min(up[i], max(-down[i], load))
@@ -304,10 +304,11 @@ def retreat(slip, work, counts):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def pulled_from_left(work, angle, i, sign):  # type: ignore[no-untyped-def]
-    """Whether the torque that node i cannot hold comes from the base's side."""
-    left = work[LEFT, i] * (angle[i - 1] - angle[i])
-    right = work[RIGHT, i] * (angle[i + 1] - angle[i]) if i < angle.size - 1 else 0.0
+def pulled_from_left(work, angle, before, i, sign):  # type: ignore[no-untyped-def]
+    """Whether the torque that node i cannot hold came from the base's side since the step began."""
+    own = angle[i] - before[i]
+    left = work[LEFT, i] * (angle[i - 1] - before[i - 1] - own)
+    right = work[RIGHT, i] * (angle[i + 1] - before[i + 1] - own) if i < angle.size - 1 else 0.0
     return sign * left > sign * right
 
 
@@ -587,7 +588,7 @@ def settle(  # type: ignore[no-untyped-def]
         if stalled > 2 and not to_the_end:
             return False
         if stalled < 6:
-            correct(angle, slip, work, counts)
+            correct(angle, old[ANGLE], slip, work, counts)
         else:
             # Murty: one flip at a time, always the last in order; finite for every P-matrix
             for i in range(n - 1, 0, -1):
