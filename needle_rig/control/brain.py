@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.compensation import ACTIVE, Event, Sequence, Think, after, think_at_once
-from needle_rig.control.limits import Fault, Limits, find_fault, gate, tick_fault
+from needle_rig.control.limits import Fault, Limits, find_fault, gate, heard_age_s, tick_fault
 from needle_rig.control.pid import PositionLoop
 from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion, Status
 from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
@@ -24,6 +25,8 @@ CLEAR_S = 1.0
 """How long a clear is repeated to the drive before its faults count again."""
 CLEAR_EVERY = 4
 """Ticks from one clear to the next: the drive takes only one that follows a command without."""
+LISTENING_PERIODS = 2.0
+"""Of a longer tick only so much counts as time in which the links were listened to."""
 
 
 class Brain:
@@ -49,6 +52,8 @@ class Brain:
         self._layout = layout_of(config)
         self._torsional_rigidity_nm2 = torsional_rigidity_nm2(config)
         self._limits = limits_of(config)
+        self._listening_s = LISTENING_PERIODS / config.tick_hz
+        self._heard_age_s: tuple[float, ...] = (math.inf, math.inf, math.inf)
         self._loop = PositionLoop(
             config.pid.kp_per_s, config.pid.ki_per_s2, config.pid.kd, self._limits.acceleration_rad_s2
         )
@@ -114,12 +119,13 @@ class Brain:
         """One tick, `dt_s` after the last: what the drive is told, and the row for the record."""
         self._measurement = measurement
         self._tick += 1
-        fault = self._look(measurement, dt_s)
+        judged = self._as_heard(measurement, dt_s)
+        fault = self._look(judged, dt_s)
         if fault is not None:
             self._fail(fault)
         elif self._phase is Phase.FAULT and self._fault is not None and not self._fault.latching:
             self._phase, self._fault = after(self._phase, Event.CLEAR), None
-        command = self._act(measurement, dt_s)
+        command = self._act(judged, dt_s)
         self._velocity_rad_s = command.velocity_rad_s
         return command, self._sample(measurement, dt_s, command)
 
@@ -205,6 +211,17 @@ class Brain:
             lag_left_rad=lag_left,
             extra_before_deg=extra_before_deg,
         )
+
+    def _as_heard(self, measurement: Measurement, dt_s: float) -> Measurement:
+        """`measurement` with the ages that may be held against its links; see `heard_age_s`."""
+        ages_s = (measurement.torque_age_s, measurement.hall_age_s, measurement.drive_age_s)
+        torque_s, hall_s, drive_s = self._heard_age_s = tuple(
+            heard_age_s(before_s, age_s, dt_s, self._listening_s)
+            for before_s, age_s in zip(self._heard_age_s, ages_s, strict=True)
+        )
+        if self._heard_age_s == ages_s:
+            return measurement
+        return replace(measurement, torque_age_s=torque_s, hall_age_s=hall_s, drive_age_s=drive_s)
 
     def _look(self, measurement: Measurement, dt_s: float) -> Fault | None:
         """What forbids motion now. While a clear goes out, the drive's own faults are not news."""

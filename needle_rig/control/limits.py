@@ -58,6 +58,16 @@ class Gated:
     fault: Fault | None = None
 
 
+def heard_age_s(before_s: float, age_s: float, dt_s: float, listening_s: float) -> float:
+    """What of `age_s` is evidence of a dead link: time in which this host listened to it.
+
+    `before_s` is the result of the tick before (infinite at the first), `dt_s` the time since then, of which
+    at most `listening_s` counts: a host that stood still longer heard nothing because of itself. A host that
+    keeps time gets the age itself, never more; an infinite age (no value yet) is one at once.
+    """
+    return min(age_s, before_s + min(dt_s, listening_s)) if age_s < math.inf else age_s
+
+
 def find_fault(measurement: Measurement, limits: Limits) -> Fault | None:
     """The first thing in `measurement` that forbids motion, or None: dead links before bad values."""
     for link, age_s, limit_s, complaint in (

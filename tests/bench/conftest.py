@@ -42,4 +42,6 @@ def bench(running_bench: Bench) -> Bench:
 
 @pytest.fixture
 def config(bench: Bench) -> RigConfig:
-    return bench.configured(load_rig_config())
+    """The bench with the age limits of a real rig."""
+    limits = {f"links.{link}_age_limit_ms": 50 for link in ("torque", "hall", "drive")}
+    return bench.configured(load_rig_config(None, limits))

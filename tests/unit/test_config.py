@@ -61,7 +61,7 @@ def test_the_shipped_rig_is_valid_and_survives_being_written_out():
         ("torque_limit_nmm: 2.0", "torque_limit_nmm: true", "true", "true stands where a number is expected"),
         ("torque_limit_nmm: 2.0", "torque_limit_nmm: [2]", "[2]", "a list stands where a number is expected"),
         ("torque_limit_nmm: 2.0", "torque_limit_nmm: '2.0'", "'2.0'", "is text, not a number; write 2"),
-        ("torque_age_limit_ms: 50", "torque_age_limit_ms: 0.05", "0.05", "5 ms; did you mean 50 (0.05 s)?"),
+        ("torque_age_limit_ms: 250", "torque_age_limit_ms: 0.05", "0.05", "5 ms; did you mean 50 (0.05 s)?"),
         ("seed: 1", "seed: 1.5", "1.5", "1.5 is not a whole number"),
         ("seed: 1", "seed: 1\n  seed: 2", "seed: 2", "seed is given twice, first at rig.yaml:"),
         ("kind: simulated", "kind: simulatd", "simulatd", "is not one of 'simulated' or 'hardware'"),
@@ -118,7 +118,7 @@ def test_a_simulated_rig_needs_its_simulation_section():
 
 def test_an_age_limit_shorter_than_two_readings_can_never_be_kept():
     slow = TEXT.replace("sensor_rate_hz: 1000", "sensor_rate_hz: 50").replace(
-        "hall_age_limit_ms: 50", "hall_age_limit_ms: 30"
+        "hall_age_limit_ms: 250", "hall_age_limit_ms: 30"
     )
     lines = complaint(slow).splitlines()
     assert lines == [

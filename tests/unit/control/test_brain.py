@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from needle_rig.config.loader import load_rig_config
 from needle_rig.control.brain import Brain, layout_of, limits_of, torsional_rigidity_nm2
 from needle_rig.control.compensation import ACTIVE
-from needle_rig.control.limits import find_fault
+from needle_rig.control.limits import find_fault, heard_age_s
 from needle_rig.control.reports import Request
 from needle_rig.control.strategy import Strategy
 from needle_rig.errors import BadInput, RigFault
@@ -20,7 +20,10 @@ from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement, Phase
 from needle_rig.units import rad
 
-CONFIG = load_rig_config(None)
+AGE_LIMIT_S = 0.05
+CONFIG = load_rig_config(
+    None, {f"links.{link}_age_limit_ms": AGE_LIMIT_S * 1e3 for link in ("torque", "hall", "drive")}
+)
 TICK_S = 0.005
 
 
@@ -185,8 +188,11 @@ def test_a_stopped_brain_can_start_again():
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
 def test_a_link_that_dies_stops_the_drive_in_the_tick_that_sees_it_and_is_named(link):
     rig = moving()
-    rig.having(**{f"{link}_age_s": 0.051})
-    sample = rig.tick()
+    for age_s in (0.001 + k * TICK_S for k in range(1, 11)):
+        assert rig.command.enable
+        rig.having(**{f"{link}_age_s": age_s})
+        sample = rig.tick()
+    assert age_s == pytest.approx(AGE_LIMIT_S, abs=0.001 + 1e-9)
     assert rig.command == STOP
     assert (sample.phase, sample.enable, sample.velocity_rad_s) == (Phase.FAULT, False, 0.0)
     state = rig.brain.state
@@ -202,6 +208,32 @@ def test_a_link_that_dies_stops_the_drive_in_the_tick_that_sees_it_and_is_named(
     state = rig.brain.state
     assert (state.phase, state.fault, state.outcome.status) == (Phase.IDLE, None, "fault")
     assert rig.command == STOP
+
+
+@pytest.mark.parametrize("link", ["torque", "hall", "drive"])
+def test_a_host_that_stood_still_blames_no_link(link):
+    rig = moving()
+    for away_s in (0.08, 0.2, 3.0):
+        rig.having(**{f"{link}_age_s": away_s})
+        sample = rig.tick(away_s)
+        assert (rig.command.enable, getattr(sample, f"{link}_age_s")) == (True, away_s)
+        rig.having(**{f"{link}_age_s": 0.001})
+        rig.tick()
+        assert rig.command.enable
+
+
+@pytest.mark.parametrize("link", ["torque", "hall", "drive"])
+def test_a_link_that_died_while_the_host_stood_still_is_found_within_the_limit_of_listening(link):
+    rig = moving()
+    age_s, listened_s = 0.2, 0.0
+    rig.having(**{f"{link}_age_s": age_s})
+    rig.tick(age_s)
+    while rig.command.enable:
+        rig.having(**{f"{link}_age_s": (age_s := age_s + TICK_S)})
+        rig.tick()
+        listened_s += TICK_S
+        assert listened_s <= AGE_LIMIT_S
+    assert f"the {link} link is dead" in rig.brain.state.outcome.text
 
 
 def test_too_much_torque_latches_until_a_person_clears_it():
@@ -234,7 +266,7 @@ def test_a_latching_fault_is_not_hidden_by_a_passing_one():
     rig = moving()
     rig.having(torque_nm=2.1e-3)
     rig.tick()
-    rig.having(torque_nm=0.0, hall_age_s=1.0)
+    rig.having(torque_nm=0.0, hall_age_s=math.inf)
     rig.tick()
     rig.having(hall_age_s=0.0)
     rig.tick()
@@ -363,6 +395,7 @@ ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e9])
 @given(st.data())
 def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data):
     rig = Rig()
+    heard_s = {"hall_age_s": math.inf, "drive_age_s": math.inf}
     for _ in range(data.draw(st.integers(1, 60))):
         match data.draw(st.sampled_from(["tick"] * 6 + ["start", "stop", "clear", "odd", "heal"])):
             case "start":
@@ -384,11 +417,16 @@ def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data)
                 rig.having(drive_state=DriveState.READY, drive_faults=DriveFault.NONE)
         before = rig.command.velocity_rad_s
         sample = rig.tick(data.draw(st.sampled_from([0.005, 0.005, 0.003, 0.05])))
+        for field, before_s in heard_s.items():
+            heard_s[field] = heard_age_s(
+                before_s, getattr(rig.measurement, field), sample.dt_s, 2 / CONFIG.tick_hz
+            )
         command = rig.command
         assert abs(command.velocity_rad_s) <= rad(60.0)
         if command.enable:
             assert sample.phase in ACTIVE
-            assert find_fault(rig.measurement, limits_of(CONFIG)) is None
+            judged = dataclasses.replace(rig.measurement, **heard_s)
+            assert find_fault(judged, limits_of(CONFIG)) is None
             assert abs(command.velocity_rad_s - before) <= rad(360.0) * sample.dt_s + 1e-9
         else:
             assert command.velocity_rad_s == 0.0

@@ -14,6 +14,7 @@ from needle_rig.control.limits import (
     drive_fault,
     find_fault,
     gate,
+    heard_age_s,
     tick_fault,
 )
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
@@ -64,6 +65,39 @@ WHERE = {
     "hall": "the serial cable and the hall node",
     "drive": "the CAN bus and the drive node",
 }
+
+
+def heard_ages(ages_and_ticks, listening_s=0.01):
+    heard_s, found = math.inf, []
+    for age_s, dt_s in ages_and_ticks:
+        heard_s = heard_age_s(heard_s, age_s, dt_s, listening_s)
+        found.append(heard_s)
+    return found
+
+
+def test_to_a_host_that_keeps_time_a_silent_link_is_as_old_as_its_value():
+    growing = [(0.001 + 0.005 * k, 0.005) for k in range(40)]
+    assert heard_ages(growing) == pytest.approx([age_s for age_s, _ in growing])
+
+
+def test_of_a_tick_that_came_late_only_its_share_is_held_against_the_link():
+    assert heard_ages([(0.001, 0.005), (0.201, 0.2), (0.206, 0.005)]) == pytest.approx([0.001, 0.011, 0.016])
+    assert heard_ages([(0.001, 0.005), (0.011, 0.01), (0.022, 0.011)]) == pytest.approx([0.001, 0.011, 0.021])
+
+
+def test_a_fresh_value_and_one_that_was_never_there_are_judged_at_once():
+    assert heard_ages([(0.04, 0.005), (0.002, 0.005)]) == [0.04, 0.002]
+    assert heard_ages([(math.inf, 0.005), (0.3, 0.005)]) == [math.inf, 0.3]
+    assert heard_ages([(0.002, 0.005), (math.inf, 0.005)]) == [0.002, math.inf]
+    assert math.isnan(heard_ages([(0.002, 0.005), (math.nan, 0.005)])[-1])
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.floats(1e-4, 1)), min_size=1))
+def test_what_is_held_against_a_link_is_never_more_than_its_age_nor_than_what_was_listened(ticks):
+    found = heard_ages(ticks)
+    assert all(heard_s <= age_s for heard_s, (age_s, _) in zip(found, ticks, strict=True))
+    for before_s, heard_s, (age_s, dt_s) in zip(found, found[1:], ticks[1:], strict=False):
+        assert heard_s == age_s or heard_s == pytest.approx(before_s + min(dt_s, 0.01))
 
 
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
