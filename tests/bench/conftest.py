@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,13 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.simulation import bench as bench_module
 from needle_rig.simulation.bench import Bench
 from needle_rig.simulation.bench_loop import LINKS
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Everything here runs in real time."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.real_time)
 
 
 @pytest.fixture

@@ -69,12 +69,9 @@ def test_the_stop_goes_out_in_time_and_the_message_names_the_link(
         async with turning(config) as (ticking, brain):
             failed_s = await asyncio.to_thread(bench.harm, link, fault)
             await ticking.until(lambda: brain.state.phase is Phase.FAULT)
-            stopped_s, enabled = ticking.enabled_s[-1]
-            assert not enabled
+            assert not ticking.command.enable
             on_bus_s = (await stop_seen(bench))["time_s"]
-            late_s = on_bus_s - failed_s - age_limit_s
-            # What the machine took from the loop is not the code's.
-            assert late_s <= max(REACTION_S, ticking.longest_gap_s(failed_s, stopped_s) + 0.02)
+            assert on_bus_s - failed_s - age_limit_s <= REACTION_S
             outcome = brain.state.outcome
             assert outcome is not None
             assert outcome.status == "fault"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from itertools import pairwise
 
 from needle_rig.control.brain import Brain
 from needle_rig.records import STOP, Command, Measurement
@@ -19,8 +18,6 @@ class Ticking:
         self.rig, self.brain, self._tick_s = rig, brain, tick_s
         self.measurement: Measurement = rig.read()
         self.command: Command = STOP
-        self.enabled_s: list[tuple[float, bool]] = []
-        """When the command began and ceased to be enabled."""
         self.tick_s: list[float] = []
         self._waiting: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
         self._loop = asyncio.get_running_loop()
@@ -42,21 +39,13 @@ class Ticking:
     def end(self) -> None:
         self._handle.cancel()
 
-    def longest_gap_s(self, start_s: float, end_s: float) -> float:
-        """The longest time without a tick in this span: what the machine took from the loop."""
-        inside = [start_s, *(t for t in self.tick_s if start_s < t < end_s), end_s]
-        return max(after - before for before, after in pairwise(inside))
-
     def _tick(self) -> None:
         now_s = time.monotonic()
         dt_s = now_s - self.tick_s[-1] if self.tick_s else self._tick_s
         self.tick_s.append(now_s)
         self.measurement = self.rig.read()
-        before = self.command.enable
         self.command, _ = self.brain.step(self.measurement, dt_s)
         self.rig.write(self.command)
-        if self.command.enable != before:
-            self.enabled_s.append((time.monotonic(), self.command.enable))
         for condition, future in self._waiting:
             if not future.done() and condition():
                 future.set_result(None)

@@ -87,6 +87,7 @@ def test_a_miss_is_explained_and_can_be_required_not_to_be(shell: Shell) -> None
     assert sum("settling" in line for line in lines) == 5
 
 
+@pytest.mark.real_time
 def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell) -> None:
     fast = shell.compensate("--fast", "--settle", "1.5")
     real = shell.compensate("--settle", "1.5")
@@ -140,7 +141,7 @@ def test_ctrl_c_stops_the_drive_and_closes_the_run(shell: Shell) -> None:
     assert last["velocity_rad_s"] == 0.0
 
 
-@pytest.mark.parametrize("place", ["virtual", "real"])
+@pytest.mark.parametrize("place", ["virtual", pytest.param("real", marks=pytest.mark.real_time)])
 def test_a_killed_client_leaves_nothing_behind(shell: Shell, place: str) -> None:
     fast = ["--fast"] if place == "virtual" else []
     arguments = ["compensate", "--target", "45", *fast, "--settle", "600", "--no-picture"]

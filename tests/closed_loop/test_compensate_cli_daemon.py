@@ -126,6 +126,7 @@ def test_a_bad_request_is_one_sentence(shell: Shell, daemon: subprocess.Popen[st
     assert not list(shell.folder.glob("runs/*"))
 
 
+@pytest.mark.real_time
 def test_systemd_is_told(shell: Shell) -> None:
     told = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     told.bind(str(shell.folder / "notify"))

@@ -175,6 +175,7 @@ with RunWriter(sys.argv[1], {"strategy": "reed2008", "target_deg": 45.0}, tables
 """
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("seed", range(5))
 def test_a_killed_writer_loses_at_most_half_a_second(tmp_path, seed):
     path = tmp_path / "killed.h5"

@@ -8,6 +8,7 @@ from needle_rig.service.clock import TimerClock, VirtualClock
 PERIOD_S = 0.004
 
 
+@pytest.mark.real_time
 async def test_ticks_keep_to_absolute_deadlines() -> None:
     clock = TimerClock(PERIOD_S)
     try:
@@ -24,6 +25,7 @@ async def test_ticks_keep_to_absolute_deadlines() -> None:
         clock.close()
 
 
+@pytest.mark.real_time
 async def test_skipped_ticks_are_counted_and_not_made_up_for() -> None:
     clock = TimerClock(PERIOD_S)
     try:

@@ -1,0 +1,64 @@
+"""A witness of the machine's own pauses: a process on each core that notes how late it woke up.
+
+Run as a program with the number of a core it is such a process: it answers each line on standard input with
+the longest pause since the line before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import time
+
+WAKE_S = 0.005
+CORES_AT_MOST = 4
+
+
+class Stillness:
+    """Watches the cores of this machine until closed."""
+
+    def __init__(self) -> None:
+        self._watchers = [
+            subprocess.Popen(
+                [sys.executable, "-S", __file__, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            )
+            for core in sorted(os.sched_getaffinity(0))[:CORES_AT_MOST]
+        ]
+
+    def longest_s(self) -> float:
+        """The longest pause of any core since the last call."""
+        for watcher in self._watchers:
+            assert watcher.stdin is not None
+            watcher.stdin.write(b"\n")
+            watcher.stdin.flush()
+        return max(float(watcher.stdout.readline()) for watcher in self._watchers if watcher.stdout)
+
+    def close(self) -> None:
+        """End the watchers."""
+        for watcher in self._watchers:
+            watcher.communicate()
+
+
+def watch(core: int) -> None:
+    """Watch `core` until standard input ends."""
+    os.sched_setaffinity(0, {core})
+    with contextlib.suppress(PermissionError):  # ahead of ordinary programs, as the rig's own processes are
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    before_s, longest_s = time.monotonic(), 0.0
+    while True:
+        asked, _, _ = select.select([0], [], [], WAKE_S)
+        now_s = time.monotonic()
+        longest_s = max(longest_s, now_s - before_s - WAKE_S)
+        before_s = now_s
+        if asked:
+            if not os.read(0, 1):
+                return
+            os.write(1, b"%.6f\n" % longest_s)
+            longest_s = 0.0
+
+
+if __name__ == "__main__":
+    watch(int(sys.argv[1]))
