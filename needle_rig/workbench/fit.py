@@ -80,6 +80,8 @@ class _State:
         self.k, self.trials = len(axes), len(problem.trials)
         self.q = problem.nuisance[0].shape[1]
         self.p = 2 + self.k
+        self.own = self.p if problem.lumps_friction(axes) else 0
+        """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
         self.width = np.array([a.width for a in axes])
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
         low = [a.bounds[0] for a in axes]
@@ -138,17 +140,18 @@ class _State:
     def derivatives(
         self, x: Array, rows: list[Array], changed: Sequence[int] | None = None
     ) -> list[Array] | None:
-        """Whitened model derivatives (n, p) a trial, one-sided, away from the nearest bound."""
+        """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound."""
         columns = []
-        for j in range(self.p):
-            step = STEP * max(1.0, abs(x[j])) if j >= 2 else STEP
-            if x[j] + step > self.high[j]:
+        for j in range(max(self.p, self.own + 1)):
+            which = slice(j, j + 1) if j < self.p else slice(self.p, self.p + self.trials)
+            step = STEP * max(1.0, abs(x[j])) if 2 <= j < self.p else STEP
+            if np.any(x[which] + step > self.high[which]):
                 step = -step
             moved = x.copy()
-            moved[j] += step
+            moved[which] += step
             after = self.rows(moved)
             if after is None:
-                moved[j] -= 2 * step
+                moved[which] -= 2 * step
                 step = -step
                 after = self.rows(moved)
                 if after is None:
@@ -163,7 +166,8 @@ def _normal(state: _State, jacobians: list[Array], rows: list[Array]) -> tuple[A
     size = p + trials + q
     curvature, gradient = np.zeros((size, size)), np.zeros(size)
     for t in range(trials):
-        full = np.column_stack([jacobians[t], jacobians[t][:, 0], state.problem.nuisance[t]])
+        shared, own = jacobians[t][:, :p], jacobians[t][:, state.own]
+        full = np.column_stack([shared, own, state.problem.nuisance[t]])
         index = np.r_[np.arange(p), p + t, p + trials + np.arange(q)]
         curvature[np.ix_(index, index)] += full.T @ full
         gradient[index] += full.T @ rows[t]
@@ -300,8 +304,9 @@ def _updated(
     move = (after - x)[: state.p]
     updated = []
     for t, jacobian in enumerate(jacobians):
-        own = move.copy()
-        own[0] += after[state.p + t] - x[state.p + t]
+        own = np.zeros(jacobian.shape[1])
+        own[: state.p] = move
+        own[state.own] += after[state.p + t] - x[state.p + t]
         size = own @ own
         change = rows[t] - after_rows[t] - state.problem.nuisance[t] @ (after - x)[state.p + state.trials :]
         updated.append(jacobian + np.outer(change - jacobian @ own, own) / size if size > 1e-16 else jacobian)
@@ -324,7 +329,8 @@ def _finish(
     curvature[np.diag_indices_from(curvature)] += weights
     inverse = np.linalg.pinv(curvature, hermitian=True)
     own = x[p : p + trials]
-    seen = np.array([j[:, 0] @ j[:, 0] for j in jacobians])
+    jacobians = [np.column_stack([j[:, :p], j[:, state.own]]) for j in jacobians]
+    seen = np.array([j[:, p] @ j[:, p] for j in jacobians])
     room = noise.scatter_dof * noise.scatter**2
     log_det = np.log1p(seen * noise.scatter**2)
     share = np.log1p((own**2).sum() / room) * (noise.scatter_dof + trials)
@@ -344,7 +350,7 @@ def _finish(
         scatter=float(np.sqrt((room + (own**2).sum()) / (noise.scatter_dof + trials))),
         covariance=np.asarray(inverse[:p, :p], dtype=np.float64),
         residuals=tuple(rows),
-        jacobians=tuple(np.column_stack([j, j[:, 0]]) for j in jacobians),
+        jacobians=tuple(jacobians),
         rank=rank,
         converged=converged,
     )

@@ -10,12 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect, Reading
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import Solution, solve_batch
 from needle_rig.workbench.bins import BinnedTrial
 from needle_rig.workbench.coordinates import Coordinate, coordinates, make_effects
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.noise import Noise, Whitener, replicate_groups, whitener
 
 Array = npt.NDArray[np.float64]
@@ -83,13 +85,32 @@ class Problem:
 
     def model(self, axes: Sequence[Coordinate], point: Point, trial: int | None = None) -> NeedleModel:
         """The model at `point`, with the friction of `trial` or the common one."""
-        own = 0.0 if trial is None else float(point.trial_friction[trial])
+        effects = make_effects(self.library, axes, point.positions)
+        if trial is not None:
+            effects = (*effects, FrictionOfTrial(float(np.exp(point.trial_friction[trial]))))
         return dataclasses.replace(
             self.base,
             torsional_rigidity_nm2=float(np.exp(point.log_rigidity)),
-            friction_n=float(np.exp(point.log_friction + own)),
-            effects=make_effects(self.library, axes, point.positions),
+            friction_n=float(np.exp(point.log_friction)),
+            effects=effects,
         )
+
+    def lumps_friction(self, axes: Sequence[Coordinate]) -> bool:
+        """Whether some friction among these effects does not grow with that of the tissue."""
+        try:
+            effects = make_effects(self.library, axes, np.array([np.clip(1.0, *a.bounds) for a in axes]))
+            model = dataclasses.replace(self.base, friction_n=FRICTION_SCALE_N, effects=effects)
+            rods = [
+                m.rod(self.trials[0].trial)
+                for m in (
+                    dataclasses.replace(model, friction_n=2.0 * FRICTION_SCALE_N),
+                    model.with_effects(FrictionOfTrial(2.0)),
+                )
+            ]
+        except BadInput:
+            return True
+        one, other = (np.r_[r.slip_plus_nm, r.slip_minus_nm] for r in rods)
+        return not np.allclose(one, other, rtol=1e-9, atol=0.0)
 
     def readings(self, models: Sequence[NeedleModel], trials: Sequence[int]) -> list[Array]:
         """Bin means (C, K) that each model gives in each trial, solved side by side.

@@ -14,12 +14,12 @@ from needle_rig.control.reports import SettledMotion
 from needle_rig.control.strategy import Strategy, Task, make_strategy
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, denoised_base
 from needle_rig.errors import BadInput
-from needle_rig.physics.effect import Effect, Trial, parameter
+from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.physics.rod import Rod
 from needle_rig.simulation.base_drive import Motion, base_path, phases
 from needle_rig.simulation.protocol import Protocol
 from needle_rig.units import nm, rad
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 
 Array = npt.NDArray[np.float64]
 
@@ -49,23 +49,6 @@ class Noise:
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value >= 0):
                 raise BadInput(f"noise: {field.name} is {value:g}; give a number from 0 on")
-
-
-@dataclass(frozen=True)
-class FrictionOfTrial(Effect):
-    """Factor on every slip limit, in tissue and lumped: how one trial's friction differs from the series'."""
-
-    stage = 1000
-
-    factor: float = parameter(
-        off=1.0, lower=0.0, upper=10.0, typical=1.02, smallest=1.01, literature=(0.5, 2.0), unit="1"
-    )
-
-    def shape(self, rod: Rod, trial: Trial) -> Rod:
-        """Multiply both slip limits of all nodes."""
-        return dataclasses.replace(
-            rod, slip_plus_nm=rod.slip_plus_nm * self.factor, slip_minus_nm=rod.slip_minus_nm * self.factor
-        )
 
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -14,8 +14,9 @@ from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.settled_rig import SettledRun, run_settled
-from needle_rig.workbench.simulate import FrictionOfTrial, Noise
+from needle_rig.workbench.simulate import Noise
 from needle_rig.workbench.work import Here, Work
 
 if TYPE_CHECKING:

@@ -17,8 +17,9 @@ from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
 from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.settled_rig import SettledRun, run_settled
-from needle_rig.workbench.simulate import NO_NOISE, FrictionOfTrial, Noise
+from needle_rig.workbench.simulate import NO_NOISE, Noise
 
 RIGIDITY_NM2 = 62.56e-6
 TRUST = Trust(

@@ -11,7 +11,7 @@ from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.units import per_length_n, rad
-from needle_rig.workbench.simulate import FrictionOfTrial
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 
 PRACTICE = Path(__file__).parents[1] / "data" / "practice"
 TORQUE_NOISE_NM, HALL_NOISE_RAD = 0.0008e-3, rad(0.25)

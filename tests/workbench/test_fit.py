@@ -10,6 +10,7 @@ from needle_rig.workbench.coordinates import coordinates, make_effects, position
 from needle_rig.workbench.held_out import held_out
 from needle_rig.workbench.prepare import prepare
 from needle_rig.workbench.search import chance, held_gain, try_effect
+from needle_rig.workbench.simulate import Noise
 from tests.workbench.hidden import dataset, effect, few
 
 EVERY = find_effects()
@@ -89,3 +90,46 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
         assert strength.one_sided
         assert strength.bounds[1] > 10
     assert not coordinates(EVERY, ["torque_bias"], dataset().layout)[0].one_sided
+
+
+@pytest.mark.parametrize("name", ["tip_friction", "guide_friction", "platform_friction"])
+def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
+    """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
+    quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
+    prepared = prepare(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
+    found = try_effect(prepared.problem, prepared.present, name).fit
+    factors = [
+        1.0 + 0.15 * np.random.default_rng([3, i + 1]).standard_normal()
+        for i in range(len(prepared.problem.trials))
+    ]
+    own = np.exp(found.point.trial_friction)
+    assert own / own.mean() == pytest.approx(np.array(factors) / np.mean(factors), rel=0.01)
+    assert found.chi2 < 1.1 * prepared.problem.size
+
+
+@pytest.mark.parametrize(
+    ("names", "lumped"),
+    [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
+)
+def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
+    problem = prepare(dataset(), None, few(*names) if names else few()).problem
+    assert problem.lumps_friction(problem.axes(names)) is lumped
+
+
+def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
+    data = dataset(effect("tip_friction", torque_nmm=0.03))
+    prepared = prepare(data, None, few("tip_friction"))
+    problem = prepared.problem
+    found = try_effect(problem, prepared.present, "tip_friction").fit
+    every = list(range(len(problem.trials)))
+    moved = dataclasses.replace(found.point, trial_friction=found.point.trial_friction + 0.01)
+    readings = [
+        problem.readings([problem.model(found.axes, p, t) for t in every], every)
+        for p in (found.point, moved)
+    ]
+    for t in every:
+        change = problem.whiteners[t](readings[1][t] - readings[0][t]) / 0.01
+        assert found.jacobians[t][:, -1] == pytest.approx(change, rel=1e-6, abs=1e-6)
+    shared = np.concatenate([j[:, 0] for j in found.jacobians])
+    own = np.concatenate([j[:, -1] for j in found.jacobians])
+    assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
