@@ -27,6 +27,9 @@ ENOUGH = 0.05
 """A fit ends when the next step would lower the objective by less than this,"""
 LOOSE = 2e-3
 """or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
+LEVEL = 1e6
+"""Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level.
+Without it the two trade places along a direction that the data do not see, and damped steps creep."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,9 @@ class _State:
         return Point(float(x[0]), float(x[1]), x[2 : self.p], x[self.p : self.p + self.trials])
 
     def vector(self, point: Point, nuisance: Array) -> Array:
-        x = np.r_[point.log_friction, point.log_rigidity, point.positions, point.trial_friction, nuisance]
+        own = point.trial_friction
+        common = point.log_friction + own.mean()
+        x = np.r_[common, point.log_rigidity, point.positions, own - own.mean(), nuisance]
         return np.asarray(np.clip(x, self.low, self.high), dtype=np.float64)
 
     def rows(self, x: Array) -> list[Array] | None:
@@ -117,8 +122,15 @@ class _State:
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.width) ** 2).sum()
             + (noise.scatter_dof + self.trials) * np.log1p((own**2).sum() / room)
+            + LEVEL * own.mean() ** 2
             + (x[self.p + self.trials :] ** 2).sum()
         )
+
+    def level(self) -> Array:
+        """Curvature (over all parameters) that holds the mean of the trials' own friction."""
+        mean = np.zeros(self.low.size)
+        mean[self.p : self.p + self.trials] = 1.0 / self.trials
+        return LEVEL * np.outer(mean, mean)
 
     def weights(self, x: Array) -> Array:
         """Diagonal of the prior's curvature; for the trials' friction that of a bound from above."""
@@ -193,6 +205,7 @@ def fit(
     if rows is None:
         return None
     value = _sum(rows) + state.prior(x)
+    level = state.level()
     damping, jacobians, converged, fresh = 1e-3, None, False, False
     for _ in range(iterations):
         if jacobians is None:
@@ -203,7 +216,8 @@ def fit(
         curvature, gradient = _normal(state, jacobians, rows)
         prior = state.weights(x)
         curvature[np.diag_indices_from(curvature)] += prior
-        gradient -= prior * state.pulls(x)
+        curvature += level
+        gradient -= prior * state.pulls(x) + level @ x
         improved = False
         for _ in range(7):
             step = _bounded_step(state, x, curvature, gradient, damping)

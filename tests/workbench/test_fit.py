@@ -103,6 +103,7 @@ def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
         for i in range(len(prepared.problem.trials))
     ]
     own = np.exp(found.point.trial_friction)
+    assert abs(np.log(own).mean()) < 0.005
     assert own / own.mean() == pytest.approx(np.array(factors) / np.mean(factors), rel=0.01)
     assert found.chi2 < 1.1 * prepared.problem.size
 
