@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
@@ -59,22 +60,38 @@ def held_out(problem: Problem, fit: Fit) -> HeldOut:
         for t in group:
             models.append(problem.model(fit.axes, point))
             order.append(t)
-    loss, residuals = np.full(trials, np.inf), [np.zeros((0, 0))] * trials
+    nothing = HeldOut(float("inf"), np.full(trials, np.inf), (np.zeros((0, 0)),) * trials)
     if not models:
-        return HeldOut(float("inf"), loss, tuple(residuals))
+        return nothing
     try:
         readings = problem.readings(models, order)
+        rows = _rows(problem, fit, readings, order)
+        # the model is not linear in a trial's own friction: simulated again at its first estimate
+        own = [_own(fit, t, r, 0.0)[0] for t, r in zip(order, rows, strict=True)]
+        again = [m.with_effects(FrictionOfTrial(float(np.exp(o)))) for m, o in zip(models, own, strict=True)]
+        nearer = _rows(problem, fit, problem.readings(again, order), order)
     except (SolverError, BadInput):
-        return HeldOut(float("inf"), loss, tuple(residuals))
-    total = 0.0
-    nuisance = fit.nuisance
-    for t, reading, row in zip(order, readings, problem.residuals(readings, order), strict=True):
-        own = fit.jacobians[t][:, p]
-        rows = row - problem.nuisance[t] @ nuisance
-        weight = 1.0 / (own @ own + fit.scatter**-2)
-        best = weight * (own @ rows)
-        chi2 = float(rows @ rows - best * (own @ rows))
-        loss[t] = chi2 + float(np.log1p((own @ own) * fit.scatter**2))
-        total += chi2
-        residuals[t] = problem.trials[t].mean - reading
-    return HeldOut(float(np.sqrt(total / problem.size)), loss, tuple(residuals))
+        return nothing
+    chi2, loss, residuals = np.zeros(trials), np.zeros(trials), list(nothing.residuals)
+    for k, t in enumerate(order):
+        chi2[t] = min(_own(fit, t, rows[k], 0.0)[1:], _own(fit, t, nearer[k], own[k])[1:])[1]
+        seen = fit.jacobians[t][:, p]
+        loss[t] = chi2[t] + float(np.log1p((seen @ seen) * fit.scatter**2))
+        residuals[t] = problem.trials[t].mean - readings[k]
+    return HeldOut(float(np.sqrt(chi2.sum() / problem.size)), loss, tuple(residuals))
+
+
+def _rows(problem: Problem, fit: Fit, readings: list[Array], order: list[int]) -> list[Array]:
+    """Whitened data minus prediction (n,) of each trial, the fit's nuisances taken out."""
+    rows = problem.residuals(readings, order)
+    return [r - problem.nuisance[t] @ fit.nuisance for t, r in zip(order, rows, strict=True)]
+
+
+def _own(fit: Fit, trial: int, rows: Array, at: float) -> tuple[float, float, float]:
+    """Of a trial whose residuals are `rows` (n,) at its own friction `at`: (best own friction, χ² with its
+    prior here, χ² at the best)."""
+    seen, tight = fit.jacobians[trial][:, -1], fit.scatter**-2
+    curvature = float(seen @ seen) + tight
+    step = (float(seen @ rows) - tight * at) / curvature
+    here = float(rows @ rows) + tight * at**2
+    return float(np.clip(at + step, -1.2, 1.2)), here, here - curvature * step**2

@@ -134,3 +134,12 @@ def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
     shared = np.concatenate([j[:, 0] for j in found.jacobians])
     own = np.concatenate([j[:, -1] for j in found.jacobians])
     assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
+
+
+def test_commands_left_out_are_foretold_at_their_own_friction():
+    """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
+    data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
+    prepared = prepare(data, None, few("tip_friction"))
+    found = try_effect(prepared.problem, prepared.present, "tip_friction")
+    assert np.abs(found.fit.point.trial_friction).max() > 0.1
+    assert found.held.error < 1.1
