@@ -341,7 +341,7 @@ def _finish(
     curvature, _ = _normal(state, jacobians, rows)
     weights = state.weights(x)
     curvature[np.diag_indices_from(curvature)] += weights
-    inverse = np.linalg.pinv(curvature, hermitian=True)
+    inverse = np.linalg.pinv(curvature + state.level(), hermitian=True)
     own = x[p : p + trials]
     jacobians = [np.column_stack([j[:, :p], j[:, state.own]]) for j in jacobians]
     seen = np.array([j[:, p] @ j[:, p] for j in jacobians])
@@ -352,6 +352,11 @@ def _finish(
     loss = np.array([r @ r for r in rows]) + log_det + share * part
     fixed = np.r_[np.zeros(p), weights[p:]]
     rank = _rank(curvature, fixed, p)
+    scatter = float(np.sqrt((room + (own**2).sum()) / (noise.scatter_dof + trials)))
+    # the trials' mean is a draw of their scatter: how far it carries the parameters that it can stand for
+    shared, common = np.vstack([j[:, :p] for j in jacobians]), np.concatenate([j[:, p] for j in jacobians])
+    carried = np.linalg.lstsq(shared, common, rcond=1e-9)[0]
+    covariance = inverse[:p, :p] + scatter**2 / trials * np.outer(carried, carried)
     return Fit(
         effects=effects,
         axes=state.axes,
@@ -361,8 +366,8 @@ def _finish(
         chi2=_sum(rows),
         trial_loss=loss,
         pull_rigidity=float((x[1] - state.stated) / problem.rigidity_prior),
-        scatter=float(np.sqrt((room + (own**2).sum()) / (noise.scatter_dof + trials))),
-        covariance=np.asarray(inverse[:p, :p], dtype=np.float64),
+        scatter=scatter,
+        covariance=np.asarray(covariance, dtype=np.float64),
         residuals=tuple(rows),
         jacobians=tuple(jacobians),
         rank=rank,

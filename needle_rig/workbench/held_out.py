@@ -65,16 +65,17 @@ def held_out(problem: Problem, fit: Fit) -> HeldOut:
         return nothing
     try:
         readings = problem.readings(models, order)
-        rows = _rows(problem, fit, readings, order)
+        common = _rows(problem, fit, readings, order)
         # the model is not linear in a trial's own friction: simulated again at its first estimate
-        own = [_own(fit, t, r, 0.0)[0] for t, r in zip(order, rows, strict=True)]
-        again = [m.with_effects(FrictionOfTrial(float(np.exp(o)))) for m, o in zip(models, own, strict=True)]
+        nearest = [_own(fit, t, r, 0.0)[0] for t, r in zip(order, common, strict=True)]
+        factors = [FrictionOfTrial(float(np.exp(o))) for o in nearest]
+        again = [m.with_effects(f) for m, f in zip(models, factors, strict=True)]
         nearer = _rows(problem, fit, problem.readings(again, order), order)
     except (SolverError, BadInput):
         return nothing
     chi2, loss, residuals = np.zeros(trials), np.zeros(trials), list(nothing.residuals)
     for k, t in enumerate(order):
-        chi2[t] = min(_own(fit, t, rows[k], 0.0)[1:], _own(fit, t, nearer[k], own[k])[1:])[1]
+        chi2[t] = min(_own(fit, t, common[k], 0.0)[1:], _own(fit, t, nearer[k], nearest[k])[1:])[1]
         seen = fit.jacobians[t][:, p]
         loss[t] = chi2[t] + float(np.log1p((seen @ seen) * fit.scatter**2))
         residuals[t] = problem.trials[t].mean - readings[k]

@@ -143,3 +143,13 @@ def test_commands_left_out_are_foretold_at_their_own_friction():
     found = try_effect(prepared.problem, prepared.present, "tip_friction")
     assert np.abs(found.fit.point.trial_friction).max() > 0.1
     assert found.held.error < 1.1
+
+
+def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
+    data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
+    prepared = prepare(data, None, few("tip_friction"))
+    found = try_effect(prepared.problem, prepared.present, "tip_friction").fit
+    mean = found.scatter / np.sqrt(len(prepared.problem.trials))
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(mean, rel=0.3)
+    assert found.position_error[0] / found.point.positions[0] == pytest.approx(mean, rel=0.3)
+    assert abs(found.axes[0].value(found.point.positions[0]) - 0.035) < 0.035 * 3 * mean
