@@ -53,16 +53,15 @@ def command(
     from needle_rig.workbench.compare import compare
 
     found = compare(read_data(data), library(directories), read_model(model_path, directories))
-    if png_folder is not None:
-        from needle_rig.workbench.report import write_pngs
+    if png_folder is not None or html_path is not None:
+        from needle_rig.workbench.report import pictures, write_html, write_pngs
 
-        for path in write_pngs(found, png_folder):
+        drawn = pictures(found)
+        for path in write_pngs(drawn, png_folder) if png_folder is not None else ():
             click.echo(f"wrote {path}", err=True)
-    if html_path is not None:
-        from needle_rig.workbench.report import write_html
-
-        write_html(found, html_path)
-        click.echo(f"wrote {html_path}", err=True)
+        if html_path is not None:
+            write_html(found, drawn, html_path)
+            click.echo(f"wrote {html_path}", err=True)
     if as_json:
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
     else:

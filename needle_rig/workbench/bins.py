@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 from scipy.sparse import csr_array
 
 from needle_rig.dataset import DatasetTrial
@@ -85,7 +84,9 @@ def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[
         return np.where(valid, values, 0.0), valid, outlier
     where = np.arange(values.size)
     filled = values if valid.all() else np.interp(where, where[valid], values[valid])
-    middle = median_filter(filled, 5, mode="mirror")
+    # five neighbours, the ends mirrored; scipy.ndimage would take longer to import than this to run
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(filled, 2, mode="reflect"), 5)
+    middle = np.partition(near, 2, axis=1)[:, 2]
     away = np.abs(filled - middle)
     spread = 1.4826 * np.median(away[away > 0]) if np.any(away > 0) else 0.0
     if spread > 0:

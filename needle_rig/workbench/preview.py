@@ -22,6 +22,10 @@ Array = npt.NDArray[np.float64]
 
 STRENGTHS = (0.1, 0.5, 1.5)
 MOST_FORMS = 6
+ALWAYS_IN_FULL = 10.0
+"""Previews that ask for no more than this try every form: chance alone may decide there."""
+OUT_OF_REACH = 0.05
+"""Share of what is asked below which the typical form's gain rules out that another form reaches it."""
 
 
 @dataclass(frozen=True)
@@ -106,9 +110,12 @@ def _patterns(axes: Sequence[Coordinate]) -> list[list[int]]:
     return ([single] if single else []) + each
 
 
-def preview(problem: Problem, parent: Fit, effect: str, project: Projector | None = None) -> Preview:
-    """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing."""
-    project = project or Projector(problem, parent)
+def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Preview:
+    """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing.
+
+    Forms other than the typical one are left out where that one stays far below `worth`.
+    """
+    project = Projector(problem, parent)
     own = problem.axes([effect])
     axes = (*parent.axes, *own)
     residual = project(np.concatenate(parent.residuals))
@@ -150,6 +157,8 @@ def preview(problem: Problem, parent: Fit, effect: str, project: Projector | Non
                         )
         if len(patterns) > 1 and signatures:
             starts += _joint(own, patterns, signatures, residual, form)
+        if worth > ALWAYS_IN_FULL and max((s.gain for s in starts), default=0.0) < OUT_OF_REACH * worth:
+            break
     starts.sort(key=lambda s: -s.gain)
     kept: list[Start] = []
     for start in starts:

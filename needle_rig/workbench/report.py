@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import html
 import io
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 SHOWN_TRIALS = 4
+SHOWN_SAMPLES = 2000
+"""Samples of a trace that are drawn, at most twice as many: more than a picture has dots across."""
 
 
 def traces(found: Comparison) -> Figure:
@@ -28,19 +32,32 @@ def traces(found: Comparison) -> Figure:
     problem, fit = found.prepared.problem, found.prepared.present
     shown = [group[0] for group in problem.groups][:SHOWN_TRIALS]
     names = ("torque", *found.prepared.dataset.sensor_names)
-    figure = Figure(figsize=(4.0 * len(shown), 1.7 * len(names) + 0.6), layout="constrained")
+    width, height = 4.0 * len(shown), 1.7 * len(names) + 0.6
+    figure = Figure(figsize=(width, height))
     axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
+    # margins in inches: a layout engine would draw everything once more to find them
+    figure.subplots_adjust(
+        left=0.9 / width,
+        right=1 - 0.1 / width,
+        bottom=0.5 / height,
+        top=1 - 0.3 / height,
+        wspace=0.2,
+        hspace=0.12,
+    )
     for column, t in enumerate(shown):
         given = found.prepared.dataset.trials[t]
         binned = problem.trials[t]
         reading = problem.model(fit.axes, fit.point, t).predict(binned.trial)
         model = np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
         data = np.vstack([given.torque_nm[None, :], given.hall_rad.T])
+        thin = max(1, given.trial.time_s.size // SHOWN_SAMPLES)
         for c, name in enumerate(names):
             factor, unit = scale_of(c)
             noise = factor * float(np.hypot(problem.noise.white[c], problem.noise.correlated[c]))
             axis = axes[c, column]
-            axis.plot(given.trial.time_s, factor * data[c], ".", ms=1.0, color="0.6", label="measured")
+            axis.plot(
+                given.trial.time_s[::thin], factor * data[c][::thin], ".", ms=1.5, color="0.5", label="measured"
+            )
             axis.plot(binned.trial.time_s, factor * model[c], color="tab:red", lw=1.0, label="model")
             axis.fill_between(
                 binned.trial.time_s,
@@ -65,6 +82,7 @@ def traces(found: Comparison) -> Figure:
                 axis.set_title(_title(given.command), fontsize=9)
         axes[-1, column].set_xlabel("time / s")
     axes[0, 0].legend(fontsize=7, loc="upper right")
+    figure.align_ylabels(axes[:, 0])
     return figure
 
 
@@ -150,18 +168,36 @@ def _text(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-def write_pngs(found: Comparison, folder: Path) -> list[Path]:
+@dataclass(frozen=True)
+class Picture:
+    """A drawn picture."""
+
+    name: str
+    title: str
+    png: bytes
+
+
+def pictures(found: Comparison) -> tuple[Picture, ...]:
+    """The three pictures of a comparison."""
+    return (
+        Picture("traces", "Measured and modelled", png(traces(found))),
+        Picture("residuals", "Where it fails: error over noise", png(residual_map(found))),
+        Picture("pulls", "Pulls", png(pulls(found))),
+    )
+
+
+def write_pngs(drawn: Sequence[Picture], folder: Path) -> list[Path]:
     """traces.png, residuals.png and pulls.png in `folder`, which is made when missing."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, draw in (("traces", traces), ("residuals", residual_map), ("pulls", pulls)):
-        path = folder / f"{name}.png"
-        path.write_bytes(png(draw(found)))
+    for picture in drawn:
+        path = folder / f"{picture.name}.png"
+        path.write_bytes(picture.png)
         written.append(path)
     return written
 
 
-def write_html(found: Comparison, path: Path) -> None:
+def write_html(found: Comparison, drawn: Sequence[Picture], path: Path) -> None:
     """One self-contained file: the numbers in words and tables, and the three pictures."""
     name = html.escape(found.prepared.dataset.name)
     rows = "".join(
@@ -171,12 +207,7 @@ def write_html(found: Comparison, path: Path) -> None:
     )
     worst = "".join(f"<li>{html.escape(p.words)} ({p.sigmas:.0f} × the noise)</li>" for p in found.worst)
     images = "".join(
-        f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{_text(png(draw(found)))}">'
-        for title, draw in (
-            ("Measured and modelled", traces),
-            ("Where it fails: error over noise", residual_map),
-            ("Pulls", pulls),
-        )
+        f'<h2>{p.title}</h2><img alt="{p.title}" src="data:image/png;base64,{_text(p.png)}">' for p in drawn
     )
     notes = "".join(
         f"<li>{html.escape(n)}</li>" for n in (*found.prepared.dataset.notes, *found.prepared.notes)

@@ -95,7 +95,7 @@ def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
     """Fit `effect` on top of `parent` from its best starts, unless its preview gains less than `worth`."""
-    ahead = preview(problem, parent, effect)
+    ahead = preview(problem, parent, effect, worth)
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     names = (*parent.effects, effect)
@@ -111,7 +111,11 @@ def try_effect(
     room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
     off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
     if starts and not off and (best is None or best.objective > parent.objective + room):
-        retry = fit_without_derivatives(problem, names, start_of(parent, starts[0]))
+        # from the parent's optimum with the effect off nothing can become worse
+        idle = Start(np.zeros(len(starts[0].positions)), 0.0)
+        retry = fit(problem, names, start_of(parent, idle), nuisance=parent.nuisance)
+        if ahead.gain > PROMISING and (retry is None or retry.objective > parent.objective - 0.5 * ahead.gain):
+            retry = fit_without_derivatives(problem, names, start_of(parent, starts[0])) or retry
         if retry is not None and (best is None or retry.objective < best.objective):
             best = retry
     return Candidate(effect, best, held_out(problem, best) if best is not None else None, ahead)

@@ -5,7 +5,7 @@ from click.testing import CliRunner
 from needle_rig.cli.compare import command
 from needle_rig.dataset import write_dataset
 from needle_rig.workbench.compare import compare
-from needle_rig.workbench.report import write_html, write_pngs
+from needle_rig.workbench.report import pictures, write_html, write_pngs
 from tests.workbench.hidden import dataset, effect, few
 
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
@@ -20,9 +20,10 @@ def test_the_worst_places_are_the_reversals_of_an_elastic_tissue(tmp_path):
     assert found.held_out_error > 10
     sigmas = [p.sigmas for p in found.worst]
     assert sigmas == sorted(sigmas, reverse=True)
-    for path in write_pngs(found, tmp_path / "figures"):
+    drawn = pictures(found)
+    for path in write_pngs(drawn, tmp_path / "figures"):
         assert path.read_bytes().startswith(b"\x89PNG")
-    write_html(found, tmp_path / "report.html")
+    write_html(found, drawn, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 3
     assert "http" not in page
