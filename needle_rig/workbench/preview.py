@@ -15,15 +15,16 @@ import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.workbench.coordinates import Coordinate
-from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.fit import Fit, excess
 from needle_rig.workbench.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
 
 STRENGTHS = (0.1, 0.5, 1.5)
 MOST_FORMS = 6
+BEST_FORMS = 2
 ALWAYS_IN_FULL = 10.0
-"""Previews that ask for no more than this try every form: chance alone may decide there."""
+"""Where no more than this is asked every form is tried: chance alone may decide there."""
 OUT_OF_REACH = 0.05
 """Share of what is asked below which the typical form's gain rules out that another form reaches it."""
 
@@ -113,18 +114,22 @@ def _patterns(axes: Sequence[Coordinate]) -> list[list[int]]:
 def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Preview:
     """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing.
 
-    Forms other than the typical one are left out where that one stays far below `worth`.
+    Every form is tried at the middle strength, the best two and the typical one at all; forms other than
+    the typical one are left out where that one stays far below `worth` and below what is to be explained.
     """
     project = Projector(problem, parent)
     own = problem.axes([effect])
     axes = (*parent.axes, *own)
     residual = project(np.concatenate(parent.residuals))
     patterns = _patterns(own)
+    asked = max(worth, excess(problem, parent.objective))
     starts: list[Start] = []
     error, estimate = float("inf"), 0.0
-    for form in forms(own):
+
+    def tried(form: Array, strengths: Sequence[float]) -> list[tuple[Array, Array]]:
+        nonlocal error, estimate
         signatures: list[tuple[Array, Array]] = []
-        for pattern, strength in itertools.product(patterns, STRENGTHS):
+        for pattern, strength in itertools.product(patterns, strengths):
             for sign in (1.0, -1.0) if not all(own[i].one_sided for i in pattern) else (1.0,):
                 positions = form.copy()
                 for i in pattern:
@@ -155,10 +160,21 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
                         estimate = (
                             abs(float(along / size * strength)) if along > 0 or len(patterns) > 1 else 0.0
                         )
+        return signatures
+
+    seen: list[tuple[float, int, Array, list[tuple[Array, Array]]]] = []
+    for place, form in enumerate(forms(own)):
+        begun = len(starts)
+        signatures = tried(form, STRENGTHS if place == 0 else STRENGTHS[1:2])
+        seen.append((max((s.gain for s in starts[begun:]), default=0.0), place, form, signatures))
+        if asked > ALWAYS_IN_FULL and seen[0][0] < OUT_OF_REACH * asked:
+            break
+    seen.sort(key=lambda s: (-s[0], s[1]))
+    for rank, (_, place, form, signatures) in enumerate(seen):
+        if rank < BEST_FORMS and place > 0:
+            signatures += tried(form, (STRENGTHS[0], *STRENGTHS[2:]))
         if len(patterns) > 1 and signatures:
             starts += _joint(own, patterns, signatures, residual, form)
-        if worth > ALWAYS_IN_FULL and max((s.gain for s in starts), default=0.0) < OUT_OF_REACH * worth:
-            break
     starts.sort(key=lambda s: -s.gain)
     kept: list[Start] = []
     for start in starts:

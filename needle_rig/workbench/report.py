@@ -56,7 +56,12 @@ def traces(found: Comparison) -> Figure:
             noise = factor * float(np.hypot(problem.noise.white[c], problem.noise.correlated[c]))
             axis = axes[c, column]
             axis.plot(
-                given.trial.time_s[::thin], factor * data[c][::thin], ".", ms=1.5, color="0.5", label="measured"
+                given.trial.time_s[::thin],
+                factor * data[c][::thin],
+                ".",
+                ms=1.5,
+                color="0.5",
+                label="measured",
             )
             axis.plot(binned.trial.time_s, factor * model[c], color="tab:red", lw=1.0, label="model")
             axis.fill_between(

@@ -114,7 +114,8 @@ def try_effect(
         # from the parent's optimum with the effect off nothing can become worse
         idle = Start(np.zeros(len(starts[0].positions)), 0.0)
         retry = fit(problem, names, start_of(parent, idle), nuisance=parent.nuisance)
-        if ahead.gain > PROMISING and (retry is None or retry.objective > parent.objective - 0.5 * ahead.gain):
+        hoped = parent.objective - 0.5 * ahead.gain
+        if ahead.gain > PROMISING and (retry is None or retry.objective > hoped):
             retry = fit_without_derivatives(problem, names, start_of(parent, starts[0])) or retry
         if retry is not None and (best is None or retry.objective < best.objective):
             best = retry
