@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.strategy import find_strategies
+from needle_rig.errors import RigFault
 from needle_rig.service.clock import Clock, TimerClock, VirtualClock
 from needle_rig.service.daemon import Daemon, Parts
 from needle_rig.service.notify import Notify
@@ -22,8 +25,11 @@ if TYPE_CHECKING:
     from needle_rig.records import Command, Measurement
     from needle_rig.rig import RawReadings, Rig
     from needle_rig.simulation.bench import Bench
+    from needle_rig.simulation.firmware_rig import FirmwareRig
     from needle_rig.simulation.plant import Plant
 
+_HELD_UP_S = 0.05
+_REMEMBERED_S = 1.0
 _BENCH_START_S = 300.0
 """The first start ever compiles the needle's equations."""
 
@@ -38,9 +44,9 @@ def build_daemon(
 ) -> Daemon:
     """The daemon of a rig file.
 
-    `virtual` puts the plant in the rig's place and lets time pass as fast as it can. `runs` stands in for
-    the configured folder. `model` is what planning strategies know of the needle, `trust` how well. Raises
-    BadInput.
+    `virtual` puts the plant, behind its nodes' firmware where the rig file asks for it, in the rig's place
+    and lets time pass as fast as it can. `runs` stands in for the configured folder. `model` is what planning
+    strategies know of the needle, `trust` how well. Raises BadInput.
     """
     period_s = 1.0 / config.tick_hz
     folder = Path(config.recording.directory) if runs is None else runs
@@ -67,15 +73,19 @@ def _virtual_parts(
     config: RigConfig, model: NeedleModel | None, trust: Trust | None, period_s: float
 ) -> Parts:
     from needle_rig.simulation.build import build_plant
+    from needle_rig.simulation.firmware_rig import FirmwareRig
 
-    plants: list[Plant] = []
+    rigs: list[Plant | FirmwareRig] = []
 
     def make_rig(raw: RawReadings) -> Rig:
-        plants.append(build_plant(config, raw))
-        return plants[-1]
+        if config.simulation is not None and config.simulation.nodes != "python":
+            rigs.append(FirmwareRig(config, build_plant(config), raw=raw))
+        else:
+            rigs.append(build_plant(config, raw))
+        return rigs[-1]
 
     def make_clock(rig: Rig) -> Clock:
-        return VirtualClock(period_s, plants[-1].advance)
+        return VirtualClock(period_s, rigs[-1].advance)
 
     return Parts(config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list)
 
@@ -95,6 +105,7 @@ class RigOnBench:
         self._config, self._raw = config, raw
         self._bench: Bench | None = None
         self._hardware: HardwareRig | None = None
+        self._held_up: tuple[float, float] | None = None
 
     async def open(self) -> None:
         """Start the bench and connect to it; BadInput or RigFault when either fails."""
@@ -106,9 +117,23 @@ class RigOnBench:
         await self._hardware.open()
 
     def read(self) -> Measurement:
-        """See `Rig.read`."""
+        """See `Rig.read`; old values of a bench that this machine kept waiting are told as that."""
         assert self._hardware is not None
-        return self._hardware.read()
+        now = self._hardware.read()
+        if max(now.torque_age_s, now.hall_age_s, now.drive_age_s) < _HELD_UP_S:
+            return now
+        assert self._bench is not None
+        with contextlib.suppress(RigFault):  # a bench that is gone shows in the ages
+            while (said := self._bench.heard(0.0)) is not None:
+                if said.get("event") == "late":
+                    self._held_up = (float(said["time_s"]), float(said["late_s"]))
+        if self._held_up is None or now.time_s - self._held_up[0] > _REMEMBERED_S:
+            return now
+        told = (
+            f"this machine held up the simulated rig for {self._held_up[1] * 1e3:.0f} ms;"
+            " leave it a core, or give --fast"
+        )
+        return replace(now, torque_complaint=told, hall_complaint=told)
 
     def write(self, command: Command) -> None:
         """See `Rig.write`."""

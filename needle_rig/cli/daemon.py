@@ -52,7 +52,7 @@ def command(
     try:
         with _place(socket, private) as path:
             options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
-            options["simulation.nodes"] = bench_nodes(rig, image, fast)
+            options["simulation.nodes"] = bench_nodes(rig, image)
             daemon = _build(config, options, model, fast, out, absolute=not private)
             _serve(daemon, path, group, private)
     except NeedleRigError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,13 @@ ADC_SR, ADC_SQR3, ADC_DR = 0x12000, 0x12034, 0x1204C
 SPI_SR, SPI_DR = 0x13008, 0x1300C
 GPIOB_IDR = 0x20410
 RCC_CR, RCC_CFGR = 0x23800, 0x23808
+RCC_READY, RCC_ON_PLL = 1 << 17 | 1 << 25, 2 << 2
 
 ADC_INPUTS = (2, 3, 4, 8, 10, 11, 12, 13)
-QUIET_POLLS = 2
-"""Turns of the main loop without a serial byte after which all that a tick had to say is out."""
-INSTRUCTIONS_AT_MOST = 2_000_000
+LOOKS_AT_MOST = 20_000
+"""Registers that a node may read in one poll: a loop that waits for what never comes is an error."""
+EARLY_LOOKS = 200
+"""Looks at the clock after which a node that does not tick is not due."""
 
 
 class ImageNode:
@@ -49,25 +52,59 @@ class ImageNode:
         self._uc.mmio_map(PERIPHERALS, PERIPHERALS_SIZE, self._read, None, self._write, None)
         self._load(elf)
         self._uc.mem_write(PAGE, pins.page[:PAGE_SIZE])
-        self._registers: dict[int, int] = {}
+        # What stands in a register for good: room for a byte and a frame, a conversion and a word done.
+        self._registers = {
+            USART_SR: 1 << 7,
+            CAN_TSR: 1 << 26,
+            ADC_SR: 2,
+            SPI_SR: 1,
+            RCC_CR: RCC_READY,
+            RCC_CFGR: RCC_ON_PLL,
+        }
+        self._live: dict[int, Callable[[], int]] = {
+            TIM2_CNT: self._time,
+            CAN_RF0R: self._frames,
+            CAN_RI0R: lambda: pins.can_in[0][0] << 21,
+            CAN_RDT0R: lambda: len(pins.can_in[0][1]),
+            CAN_RDL0R: lambda: int.from_bytes(pins.can_in[0][1][:4], "little"),
+            CAN_RDH0R: lambda: int.from_bytes(pins.can_in[0][1][4:8], "little"),
+            TIM5_CNT: lambda: pins.encoder_counts & 0xFFFFFFFF,
+            # PB1: load cell not ready, PB10: encoder error
+            GPIOB_IDR: lambda: (pins.load_cell is None) << 1 | (not pins.encoder_good) << 10,
+            SPI_DR: lambda: self._spi_words.pop(0),
+        }
+        self._acts: dict[int, Callable[[int], None]] = {
+            USART_DR: lambda value: pins.uart_out.append(value & 0xFF),
+            ADC_SQR3: self._convert,
+            SPI_DR: self._shift_load_cell,
+            CAN_TI0R: self._send,
+            CAN_RF0R: self._release,
+            CAN_MCR: lambda value: self._registers.__setitem__(CAN_MSR, value & 1),
+            TIM1_BDTR: self._switch_bridge,
+            IWDG_KR: self._feed,
+            RCC_CR: lambda value: self._registers.__setitem__(RCC_CR, value | RCC_READY),
+            RCC_CFGR: lambda value: self._registers.__setitem__(RCC_CFGR, value | RCC_ON_PLL),
+        }
         self._spi_words: list[int] = []
         self._ticked = False
-        self._polls = 0
-        vectors = self._uc.mem_read(FLASH, 8)
+        self._looks = self._early = 0
+        vectors = self._uc.mem_read(FLASH, 16)
         self._uc.reg_write(UC_ARM_REG_SP, int.from_bytes(vectors[:4], "little"))
-        self._at = int.from_bytes(vectors[4:], "little")
+        self._at = int.from_bytes(vectors[4:8], "little")
+        fault = int.from_bytes(vectors[12:], "little") & ~1
+        self._uc.hook_add(machine.UC_HOOK_CODE, self._on_fault, None, fault, fault)
 
     def poll(self) -> bool:
-        """Run until the node has ticked and put out all bytes; True when it ticked.
+        """Run until the node has ticked and put out all bytes; True when it ticked, False when it is not due.
 
         Raises NeedleRigError when the image faults or hangs.
         """
         from unicorn.arm_const import UC_ARM_REG_PC
         from unicorn.unicorn import UcError
 
-        self._ticked, self._polls = False, 0
+        self._ticked, self._looks, self._early = False, 0, 0
         try:
-            self._uc.emu_start(self._at | 1, 0, count=INSTRUCTIONS_AT_MOST)
+            self._uc.emu_start(self._at | 1, 0)
         except UcError as error:
             at = self._uc.reg_read(UC_ARM_REG_PC)
             raise NeedleRigError(
@@ -95,72 +132,56 @@ class ImageNode:
                     self._uc.mem_write(segment["p_paddr"], segment.data())
 
     def _read(self, _uc: Any, offset: int, _size: int, _data: Any) -> int:
-        pins, registers = self.pins, self._registers
-        match offset:
-            case 0x00024:  # TIM2_CNT
-                self._polls += self._ticked
-                if self._polls > QUIET_POLLS:
-                    self._uc.emu_stop()
-                return pins.time_us & 0xFFFFFFFF
-            case 0x11000:  # USART_SR: room for a byte
-                return 1 << 7
-            case 0x06408:  # CAN_TSR: mailbox 0 empty
-                return 1 << 26
-            case 0x0640C:
-                if self._ticked:
-                    # Held at its look at the bus, which it repeats when it goes on.
-                    self._uc.emu_stop()
-                return min(len(pins.can_in), 3)
-            case 0x065B0:
-                return pins.can_in[0][0] << 21
-            case 0x065B4:
-                return len(pins.can_in[0][1])
-            case 0x065B8:
-                return int.from_bytes(pins.can_in[0][1][:4], "little")
-            case 0x065BC:
-                return int.from_bytes(pins.can_in[0][1][4:8], "little")
-            case 0x00C24:
-                return pins.encoder_counts & 0xFFFFFFFF
-            case 0x20410:  # PB1: load cell not ready, PB10: encoder error
-                return (pins.load_cell is None) << 1 | (not pins.encoder_good) << 10
-            case 0x12000:
-                return 2
-            case 0x1204C:
-                return pins.adc[ADC_INPUTS.index(registers[ADC_SQR3])]
-            case 0x13008:
-                return 1
-            case 0x1300C:
-                return self._spi_words.pop(0)
-            case 0x23800:
-                return registers.get(RCC_CR, 0) | 1 << 17 | 1 << 25
-            case 0x23808:
-                return registers.get(RCC_CFGR, 0) | 2 << 2
-            case 0x06404:  # CAN_MSR: follows the request for initialisation
-                return registers.get(CAN_MCR, 0) & 1
-            case _:
-                return registers.get(offset, 0)
+        self._looks += 1
+        if self._looks > LOOKS_AT_MOST:
+            raise NeedleRigError(f"image: hangs at its register 0x{PERIPHERALS + offset:08X}")
+        live = self._live.get(offset)
+        return self._registers.get(offset, 0) if live is None else live()
 
     def _write(self, _uc: Any, offset: int, _size: int, value: int, _data: Any) -> None:
-        pins, registers = self.pins, self._registers
-        registers[offset] = value
-        match offset:
-            case 0x11004:
-                pins.uart_out.append(value & 0xFF)
-                self._polls = 0
-            case 0x06580 if value & 1:
-                low, high = registers[CAN_TDL0R], registers[CAN_TDH0R]
-                pins.can_out.append((value >> 21, low.to_bytes(4, "little") + high.to_bytes(4, "little")))
-            case 0x0640C if value & 1 << 5:
-                pins.can_in.popleft()
-            case 0x10044:  # TIM1_BDTR: the bridge switches after both compares were set
-                forward, backward = registers.get(TIM1_CCR1, 0), registers.get(TIM1_CCR2, 0)
-                pins.duty = (forward - backward) * 8 if value else 0
-            case 0x1300C:
-                self._shift_load_cell()
-            case 0x03000 if value == 0xAAAA:
-                self._ticked, self._polls = True, 0
+        self._registers[offset] = value
+        act = self._acts.get(offset)
+        if act is not None:
+            act(value)
 
-    def _shift_load_cell(self) -> None:
+    def _on_fault(self, *_: Any) -> None:
+        raise NeedleRigError("image: came to its fault handler")
+
+    # A node that has ticked is held at its next look at the clock or the bus, and repeats it when it goes on.
+
+    def _time(self) -> int:
+        self._early += 1
+        if self._ticked or self._early > EARLY_LOOKS + len(self.pins.can_in):
+            self._uc.emu_stop()
+        return self.pins.time_us & 0xFFFFFFFF
+
+    def _frames(self) -> int:
+        if self._ticked:
+            self._uc.emu_stop()
+        return min(len(self.pins.can_in), 3)
+
+    def _feed(self, key: int) -> None:
+        self._ticked = self._ticked or key == 0xAAAA
+
+    def _convert(self, channel: int) -> None:
+        self._registers[ADC_DR] = self.pins.adc[ADC_INPUTS.index(channel)]
+
+    def _send(self, mailbox: int) -> None:
+        if mailbox & 1:
+            low, high = self._registers[CAN_TDL0R], self._registers[CAN_TDH0R]
+            data = low.to_bytes(4, "little") + high.to_bytes(4, "little")
+            self.pins.can_out.append((mailbox >> 21, data))
+
+    def _release(self, value: int) -> None:
+        if value & 1 << 5:
+            self.pins.can_in.popleft()
+
+    def _switch_bridge(self, value: int) -> None:
+        # The bridge switches after both compares were set.
+        forward, backward = self._registers.get(TIM1_CCR1, 0), self._registers.get(TIM1_CCR2, 0)
+        self.pins.duty = (forward - backward) * 8 if value else 0
+
+    def _shift_load_cell(self, _word: int) -> None:
         if not self._spi_words and self.pins.load_cell is not None:
             word = (self.pins.load_cell & 0xFFFFFF) << 8
             self._spi_words = [word >> 16, word & 0xFFFF]

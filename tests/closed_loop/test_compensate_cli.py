@@ -102,6 +102,18 @@ def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell) -> No
     assert len(run.table("torque")) > 3 * len(ticks)
 
 
+@pytest.mark.parametrize("image", [[], ["--image"]])
+def test_the_firmware_in_virtual_time_gives_the_same_angles(shell: Shell, image: list[str]) -> None:
+    plant = shell.compensate("--fast", "--settle", "0.5")
+    nodes = shell.compensate("--fast", "--settle", "0.5", "--rig", "bench", *image)
+    for alone, behind in zip(plant["motions"], nodes["motions"], strict=True):
+        assert behind["base_deg"] == pytest.approx(alone["base_deg"], abs=0.5)
+        assert behind["hall_deg"] == pytest.approx(alone["hall_deg"], abs=0.5)
+    run = RunFile(shell.folder / nodes["run"])
+    # every reading that a node sent, five a tick
+    assert len(run.table("torque")) == pytest.approx(5 * len(run.table("ticks")), rel=0.01)
+
+
 def test_a_protocol_runs_each_trial_from_a_relaxed_needle(shell: Shell) -> None:
     (shell.folder / "two.yaml").write_text(
         """

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from needle_rig.config.files import find_config_file
+from needle_rig.errors import NeedleRigError
 from needle_rig.firmware.build import Image, build, sizes
-from needle_rig.firmware.emulator import ImageNode
+from needle_rig.firmware.emulator import ADC_SR, FLASH, ImageNode
 from needle_rig.firmware.host import HostNode, HostNodes
 from needle_rig.firmware.measure import CORE_HZ, measure
 from needle_rig.firmware.pins import Pins
@@ -59,6 +60,21 @@ def test_image_and_host_library_give_the_same_bytes(built: Path, nodes: HostNode
         assert bridge(pins[0]) == bridge(pins[1])
     if kind == "drive":
         assert abs(pins[0].encoder_counts) > 100
+
+
+def test_an_image_that_hangs_or_faults_is_told(built: Path) -> None:
+    node = ImageNode(built / "hall.elf", Pins(time_us=1000))
+    assert node.poll()
+    assert not node.poll(), "the clock stands still: nothing is due"
+    node._registers[ADC_SR] = 0
+    node.pins.time_us += 1000
+    with pytest.raises(NeedleRigError, match="hangs at its register 0x40012000"):
+        node.poll()
+    node = ImageNode(built / "hall.elf", Pins(time_us=1000))
+    vectors = bytes(node.emulator.mem_read(FLASH, 16))
+    node._at = int.from_bytes(vectors[12:], "little")
+    with pytest.raises(NeedleRigError, match="fault handler"):
+        node.poll()
 
 
 @pytest.mark.parametrize("kind", NODES)

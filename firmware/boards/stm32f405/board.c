@@ -213,11 +213,11 @@ const struct nr_board *board_start(void)
 void board_idle(const struct nr_board *board, bool ticked)
 {
     struct state *state = board->context;
-    if (state->uart_tail != state->uart_head && (USART1_SR & (1u << 7))) {
-        USART1_DR = state->uart[state->uart_tail % UART_ROOM];
-        state->uart_tail++;
-    }
     if (ticked) {
         IWDG_KR = 0xAAAAu;
+    }
+    while (state->uart_tail != state->uart_head && (USART1_SR & (1u << 7))) {
+        USART1_DR = state->uart[state->uart_tail % UART_ROOM];
+        state->uart_tail++;
     }
 }
