@@ -87,7 +87,7 @@ class ImageNode:
         }
         self._spi_words: list[int] = []
         self._ticked = False
-        self._looks = self._early = 0
+        self._looks = self._early = self._hangs_at = 0
         vectors = self._uc.mem_read(FLASH, 16)
         self._uc.reg_write(UC_ARM_REG_SP, int.from_bytes(vectors[:4], "little"))
         self._at = int.from_bytes(vectors[4:8], "little")
@@ -110,6 +110,8 @@ class ImageNode:
             raise NeedleRigError(
                 f"image at 0x{at:08x}: {error}; rebuild it: needle-rig firmware build"
             ) from error
+        if self._hangs_at:
+            raise NeedleRigError(f"image: hangs at its register 0x{self._hangs_at:08X}")
         self._at = self._uc.reg_read(UC_ARM_REG_PC)
         return self._ticked
 
@@ -134,7 +136,8 @@ class ImageNode:
     def _read(self, _uc: Any, offset: int, _size: int, _data: Any) -> int:
         self._looks += 1
         if self._looks > LOOKS_AT_MOST:
-            raise NeedleRigError(f"image: hangs at its register 0x{PERIPHERALS + offset:08X}")
+            self._uc.emu_stop()
+            self._hangs_at = PERIPHERALS + offset
         live = self._live.get(offset)
         return self._registers.get(offset, 0) if live is None else live()
 
