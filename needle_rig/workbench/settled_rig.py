@@ -78,14 +78,16 @@ def run_settled(
     noise: Noise,
     *,
     wound_rad: float = 0.0,
+    zeroed: bool = False,
 ) -> SettledRun:
     """Run `strategy` on the needle `model`, which starts relaxed, or wound by a turn of `wound_rad`.
 
+    `zeroed`: torque and Hall angles are read from where they stood before the first motion.
     Raises what the strategy raises, and RigFault when it does not end.
     """
     strategy.check(task)
     rig = _Rig(model, task, random, noise, wound_rad)
-    history: History = (rig.settled(None),)
+    history: History = (rig.settled(None, zero=zeroed),)
     notes = []
     while (waypoint := strategy.next(task, history)) is not None:
         if len(history) > MOST_MOTIONS:
@@ -122,6 +124,7 @@ class _Rig:
         rod = model.rod(self.trial(np.empty(0), np.empty(0)))
         self.solution: Solution = model.truth(self._path, relaxed(rod, -wound_rad))
         self.time_s = WINDOW_S
+        self._zero: tuple[float, Array] = (0.0, np.zeros(len(model.layout.sensor_positions_m)))
 
     def trial(self, time_s: Array, base_rad: Array) -> Trial:
         return Trial(time_s, base_rad)
@@ -154,8 +157,8 @@ class _Rig:
         self._moved_s, self.time_s = self.time_s, self.time_s + float(times[-1])
         self.base_rad = waypoint.angle_rad
 
-    def settled(self, waypoint: Waypoint | None) -> SettledMotion:
-        """What the sensors show of the last motion, on average over its window."""
+    def settled(self, waypoint: Waypoint | None, *, zero: bool = False) -> SettledMotion:
+        """What the sensors show of the last motion, on average over its window; `zero` zeroes them there."""
         reading = self._model.observed(self._path, self.solution)
         self._index += 1
         share = 1.0 / math.sqrt(WINDOW_S * RATE_HZ)
@@ -163,6 +166,9 @@ class _Rig:
         torque += nm(self._noise.torque_nmm) * share * float(self._random.standard_normal())
         hall = reading.hall_rad[-2]
         hall = hall + rad(self._noise.hall_deg) * share * self._random.standard_normal(hall.shape)
+        if zero:
+            self._zero = (torque, hall)
+        torque, hall = torque - self._zero[0], hall - self._zero[1]
         base = self.base_rad
         return SettledMotion(
             index=self._index,
