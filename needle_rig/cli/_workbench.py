@@ -13,6 +13,7 @@ import click
 
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
+    from needle_rig.dataset.settled import SettledData
     from needle_rig.physics.effect import Effect
     from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.workbench.work import Work
@@ -47,10 +48,30 @@ def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
 
 
 def read_data(paths: tuple[Path, ...]) -> Dataset:
-    """One dataset from folders and run files."""
-    from needle_rig.dataset import read_dataset
+    """One dataset from folders, run files and names of datasets in config/datasets."""
+    from needle_rig.workbench.measurements import read_measurements
 
-    return read_dataset(list(paths) if len(paths) > 1 else paths[0])
+    return read_measurements(_found(paths))
+
+
+def read_settled_values(paths: tuple[Path, ...]) -> SettledData | None:
+    """The settled values that DATA names; None where it names traces. Raises BadInput for both at once."""
+    from needle_rig.dataset.settled import is_settled, read_settled
+    from needle_rig.errors import BadInput
+
+    found = _found(paths)
+    settled = [path for path in found if is_settled(path)]
+    if settled and len(found) > 1:
+        raise BadInput(f"{settled[0]} holds settled values; give it alone")
+    return read_settled(settled[0]) if settled else None
+
+
+def _found(paths: tuple[Path, ...]) -> list[Path]:
+    """The paths, those that do not exist looked for by name in config/datasets."""
+    from needle_rig.dataset.settled import shipped_datasets
+
+    known = {} if all(path.exists() for path in paths) else shipped_datasets()
+    return [path if path.exists() else known.get(str(path), path) for path in paths]
 
 
 def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:

@@ -18,10 +18,13 @@ from needle_rig.cli._workbench import (
     one_thread_each,
     read_data,
     read_model,
+    read_settled_values,
 )
+from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
     from needle_rig.workbench.compare import Comparison
+    from needle_rig.workbench.settled_compare import SettledComparison
 
 
 @click.command("compare")
@@ -47,12 +50,27 @@ def command(
     needle-rig compare data/mine
     needle-rig compare data/mine --model fitted.yaml --html report.html
 
-    DATA is a dataset folder or a run file, or several. Without --model: rigid tissue with uniform friction.
+    DATA is a dataset folder or a run file, or several; or a folder of settled values as published
+    (settled.yaml; reed2008 is shipped), which have no pictures. Without --model: rigid tissue with uniform
+    friction.
     """
     one_thread_each()
     from needle_rig.workbench.compare import compare
+    from needle_rig.workbench.settled_compare import compare_settled
 
-    found = compare(read_data(data), library(directories), read_model(model_path, directories))
+    effects, model = library(directories), read_model(model_path, directories)
+    if (settled := read_settled_values(data)) is not None:
+        if html_path is not None or png_folder is not None:
+            raise BadInput(
+                f"{settled.name} has settled values only, no traces to draw; leave out --html and --png"
+            )
+        values = compare_settled(settled, effects, model)
+        if as_json:
+            click.echo(json.dumps(values.as_json(), ensure_ascii=False))
+        else:
+            _show_settled(values)
+        return
+    found = compare(read_data(data), effects, model)
     if png_folder is not None or html_path is not None:
         from needle_rig.workbench.report import pictures, write_html, write_pngs
 
@@ -95,3 +113,28 @@ def _show(found: Comparison) -> None:
         console.print(f"fitted: {name} = {value['value']:g} {value.get('unit', '')}{pull}")
     for note in (*found.prepared.dataset.notes, *found.prepared.notes):
         console.print(f"note: {note}")
+
+
+def _show_settled(found: SettledComparison) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    console.print(
+        f"[bold]{found.dataset}[/bold] against the model {found.model}: error on values left out"
+        f" {found.held_out_error:.2f} × the scatter, reduced χ² {found.reduced_chi2:.2f}"
+    )
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in ("value", "measured", "model", "apart"):
+        table.add_column(heading)
+    for row in found.rows:
+        error = row.measured.standard_error
+        apart = "not weighed" if row.sigmas is None else f"{row.sigmas:.1f}σ"
+        scatter = "" if error is None else f" ± {error:g}"
+        table.add_row(
+            row.words, f"{row.measured.value:g}{scatter} {row.measured.of.unit}", f"{row.model:.3g}", apart
+        )
+    console.print(table)
+    for name, value in found.free_parameters.items():
+        pull = f" ({value['pull_sigma']:+.1f}σ from what is stated)" if "pull_sigma" in value else ""
+        console.print(f"fitted: {name} = {value['value']:g} {value['unit']}{pull}")

@@ -19,13 +19,14 @@ from needle_rig.cli._workbench import (
     one_thread_each,
     read_data,
     read_model,
+    read_settled_values,
     say,
     seed_option,
     worker,
 )
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.diagnose import Diagnosis
+    from needle_rig.workbench.diagnose import Answer
 
 
 @click.command("diagnose")
@@ -53,26 +54,34 @@ def command(
     needle-rig diagnose data/mine
     needle-rig diagnose data/mine --model fitted.yaml --effects my_effects --json
 
-    DATA is a dataset folder or a run file, or several. Every verdict (effect, none, unknown) exits with 0.
+    DATA is a dataset folder or a run file, or several; or a folder of settled values as published
+    (settled.yaml; reed2008 is shipped), where one effect at a time is tried. Every verdict (effect, none,
+    unknown) exits with 0.
     """
     one_thread_each()
     from needle_rig.workbench.diagnose import diagnose
+    from needle_rig.workbench.settled import diagnose_settled
 
-    found = diagnose(
-        read_data(data),
-        library(directories),
-        read_model(model_path, directories),
-        max_effects=max_effects,
-        seed=seed,
-        work=worker(jobs, cluster),
-        say=say,
-    )
+    effects, model = library(directories), read_model(model_path, directories)
+    found: Answer
+    if (settled := read_settled_values(data)) is not None:
+        found = diagnose_settled(settled, effects, model, say=say)
+    else:
+        found = diagnose(
+            read_data(data),
+            effects,
+            model,
+            max_effects=max_effects,
+            seed=seed,
+            work=worker(jobs, cluster),
+            say=say,
+        )
     click.echo(json.dumps(found.as_json(), ensure_ascii=False) if as_json else "", nl=as_json)
     if not as_json:
         _show(found)
 
 
-def _show(found: Diagnosis) -> None:
+def _show(found: Answer) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -108,7 +117,7 @@ def _show(found: Diagnosis) -> None:
         console.print(f"note: {note}")
 
 
-def _verdict(found: Diagnosis) -> str:
+def _verdict(found: Answer) -> str:
     if found.verdict == "none":
         return "nothing is missing beyond the noise and the scatter of the trials."
     if found.verdict == "unknown":

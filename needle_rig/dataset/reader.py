@@ -91,6 +91,8 @@ def _read_one(path: Path) -> Dataset:
     if not (path / "dataset.yaml").is_file():
         inside = sorted(p.parent.name for p in path.glob("*/dataset.yaml"))
         hint = f"; did you mean {', '.join(inside[:6])} in it?" if inside else ""
+        if (path / "settled.yaml").is_file():
+            hint = ", only settled values (settled.yaml): needle-rig compare and diagnose read those"
         raise BadInput(f"{show_path(path)}: has no dataset.yaml{hint}")
     description, places = read_description(path)
     layout = layout_of(description.rig, places)

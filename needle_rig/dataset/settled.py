@@ -13,7 +13,8 @@ sequences:
       - {motion: final, tip_lag_deg: 12, hall_deg: [37.1, null, null, 33]}
 
 Any number may be missing. One whose quantity has no standard error is shown beside the model and not weighed.
-`hall_deg` stands for each sensor's angle, `tip_lag_deg` for base minus last sensor.
+`hall_deg` stands for each sensor's angle, `tip_lag_deg` for base minus last sensor. Where a motion has
+`base_deg`, the recorded base angle, the model is driven there; elsewhere to where the strategy takes it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ FILE = "settled.yaml"
 
 Angle = Annotated[float, Field(ge=-3600, le=3600)]
 Torque = Annotated[float, Field(ge=-50, le=50)]
-Quantity = Literal["base_deg", "torque_nmm", "hall_deg", "tip_lag_deg", "hall_mean_deg", "hall_range_deg"]
+Quantity = Literal["torque_nmm", "hall_deg", "tip_lag_deg", "hall_mean_deg", "hall_range_deg"]
 
 
 class _Motion(Section):
@@ -55,11 +56,11 @@ class _Motion(Section):
 
 class _Sequence(Section):
     strategy: str
-    options: dict[str, float] = {}
+    options: dict[str, float] = Field(default_factory=dict)
     target_deg: Angle
     speed_deg_s: Annotated[float, Field(gt=0, le=360)] = 45.0
     settle_s: Annotated[float, Field(ge=0, le=3600)] = 3.0
-    standard_errors: dict[Quantity, Annotated[float, Field(gt=0, le=3600)]] = {}
+    standard_errors: dict[Quantity, Annotated[float, Field(gt=0, le=3600)]] = Field(default_factory=dict)
     settled: tuple[_Motion, ...]
 
 
@@ -106,6 +107,8 @@ class SettledSequence:
     speed_deg_s: float
     settle_s: float
     standard_errors: Mapping[str, float]
+    base_deg: Mapping[str, float]
+    """Recorded base angles by motion."""
     place: str
     """File and line, for errors."""
 
@@ -137,10 +140,10 @@ class SettledData:
 
     def words(self, of: Seen) -> str:
         """What a number is of, in words."""
-        names = {"base_deg": "base", "torque_nmm": "torque", "tip_lag_deg": "tip lag"}
+        names = {"torque_nmm": "torque", "tip_lag_deg": "tip lag"}
         names |= {"hall_mean_deg": "mean of the sensors", "hall_range_deg": "max − min of the sensors"}
         what = names[of.quantity] if of.sensor is None else self.sensor_names[of.sensor]
-        return f"{what} settled after {of.motion} of {self.sequences[of.sequence].title}"
+        return f"{self.sequences[of.sequence].title}, {of.motion}: {what}"
 
 
 def is_settled(path: str | os.PathLike[str]) -> bool:
@@ -179,14 +182,17 @@ def read_settled(path: str | os.PathLike[str]) -> SettledData:
                 part.target_deg,
                 part.speed_deg_s,
                 part.settle_s,
-                dict(part.standard_errors),
+                {str(k): v for k, v in part.standard_errors.items()},
+                {row.motion: row.base_deg for row in part.settled if row.base_deg is not None},
                 places.of(("sequences", s, "strategy")),
             )
         )
         for m, row in enumerate(part.settled):
             values += _values(row, s, part.standard_errors, sensors, places, ("sequences", s, "settled", m))
     if not any(v.standard_error is not None for v in values):
-        raise places.error(("sequences",), "no number has a standard error; add standard_errors to a sequence")
+        raise places.error(
+            ("sequences",), "no number has a standard error; add standard_errors to a sequence"
+        )
     twice = [v.of for i, v in enumerate(values) if v.of in [w.of for w in values[:i]]]
     if twice:
         raise places.error(
@@ -214,13 +220,14 @@ def _values(
     path: tuple[str | int, ...],
 ) -> list[SettledValue]:
     found = []
-    for quantity, value in row.model_dump(exclude={"motion", "hall_deg"}).items():
+    for quantity, value in row.model_dump(exclude={"motion", "base_deg", "hall_deg"}).items():
         if value is not None:
             of = Seen(sequence, row.motion, quantity)
             found.append(SettledValue(of, value, errors.get(quantity)))
     if row.hall_deg and len(row.hall_deg) != sensors:
         raise places.error(
-            (*path, "hall_deg"), f"{len(row.hall_deg)} angles for {sensors} sensors; write null for a missing one"
+            (*path, "hall_deg"),
+            f"{len(row.hall_deg)} angles for {sensors} sensors; write null for a missing one",
         )
     for k, value in enumerate(row.hall_deg):
         if value is not None:

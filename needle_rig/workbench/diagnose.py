@@ -112,8 +112,8 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
-    """The answer to `needle-rig diagnose`."""
+class Answer:
+    """What `needle-rig diagnose` says, whatever kind of data it was asked of."""
 
     dataset: str
     model: str
@@ -129,8 +129,6 @@ class Diagnosis:
     noise_floor: float
     next_experiment: dict[str, Any] | None
     notes: tuple[str, ...]
-    prepared: Prepared = field(repr=False)
-    search: Search = field(repr=False)
 
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""
@@ -152,6 +150,14 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
         }
+
+
+@dataclass(frozen=True)
+class Diagnosis(Answer):
+    """The answer on traces, with the fits behind it."""
+
+    prepared: Prepared = field(repr=False)
+    search: Search = field(repr=False)
 
 
 def _plain(value: float | None) -> float | str | None:
@@ -417,10 +423,11 @@ def _decision(name: str, axes: tuple[Coordinate, ...], found: Fit, fixed: str | 
     axis, at, error = max(sizes, key=lambda s: (abs(s[1]) + 1.645 * s[2]) / max(s[0].smallest, 1e-9))
     limit = abs(at) + 1.645 * error
     below = all(abs(x) + 1.645 * e < a.smallest for a, x, e in sizes)
-    return _made(name, axis, limit, fixed or ("absent" if below else "cannot_tell"), at)
+    return decision_at(name, axis, limit, fixed or ("absent" if below else "cannot_tell"), at)
 
 
-def _made(name: str, axis: Coordinate, limit: float, decision: str, at: float) -> Decision:
+def decision_at(name: str, axis: Coordinate, limit: float, decision: str, at: float) -> Decision:
+    """The decision on the effect whose size, `limit` at most, is measured along `axis`; it stands at `at`."""
     low, high = axis.bounds
     way = (1.0 if at > 0 else -1.0) if at else (1.0 if high > 0 else -1.0)
     value = axis.value(float(np.clip(way * limit, low, high)))
@@ -440,11 +447,13 @@ def _undetected(
 ) -> Decision:
     strength = next(a for a in axes if not a.info.shapes)
     if candidate is None:
-        return _made(name, strength, np.inf, "cannot_tell", 0.0)
+        return decision_at(name, strength, np.inf, "cannot_tell", 0.0)
     found = candidate.fit
     if found is None or not np.all(np.isfinite(found.position_error)):
         limit = candidate.preview.estimate + 1.645 * candidate.preview.error
-        return _made(name, strength, limit, "absent" if limit < strength.smallest else "cannot_tell", 0.0)
+        return decision_at(
+            name, strength, limit, "absent" if limit < strength.smallest else "cannot_tell", 0.0
+        )
     decided = _decision(name, axes, found, None)
     if chance(best, found, len(search.names)) < SIGNIFICANCE:
         fixed = "negligible" if is_trace(found, name) else "cannot_tell"

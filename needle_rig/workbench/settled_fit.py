@@ -1,8 +1,8 @@
-"""Fits to settled values: the strategy's own loop runs on the model, since its waypoints follow the torque that
-the model's sensor shows.
+"""Fits to settled values, with the strategy's own loop run on the model.
 
-Minimised are squared rows: values in units of their standard errors, the stated torsional rigidity, and each
-effect's parameters, whose plausible range (in the effect's file) is read as 95 % from off to its edge.
+The loop belongs to it: the strategy's waypoints follow the torque that the model's sensor shows. Minimised
+are squared rows: values in units of their standard errors, the stated torsional rigidity, and each effect's
+parameters, whose plausible range (in the effect's file) is read as 95 % from off to its edge.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.coordinates import Coordinate, coordinates, make_effects
-from needle_rig.workbench.settled_rig import run_settled
+from needle_rig.workbench.settled_rig import Recorded, run_settled
 from needle_rig.workbench.simulate import NO_NOISE
 
 Array = npt.NDArray[np.float64]
@@ -79,7 +79,7 @@ class SettledProblem:
                 strategy.check(task)
             except BadInput as error:
                 raise BadInput(f"{s.place}: {error}") from None
-            found.append((strategy, task))
+            found.append((Recorded(strategy, s.base_deg), task))
         return tuple(found)
 
     @cached_property
@@ -132,7 +132,6 @@ class SettledProblem:
         if of.sensor is not None:
             return float(hall[of.sensor])
         return {
-            "base_deg": deg(motion.base_angle_rad),
             "torque_nmm": nmm(motion.torque_nm),
             "tip_lag_deg": deg(motion.tip_lag_rad),
             "hall_mean_deg": float(hall.mean()),
@@ -189,7 +188,7 @@ class _Rows:
         data = (self.predicted(x) - self.problem.measured) / self.problem.errors
         sigma = max(self.problem.data.needle.rigidity_sigma, 1e-4)
         pulls = [pull(a, float(p)) for a, p in zip(self.axes, x[2:], strict=True)]
-        return np.r_[np.nan_to_num(data, nan=FAR), x[1] / sigma, pulls]
+        return np.concatenate([np.nan_to_num(data, nan=FAR), [x[1] / sigma], pulls])
 
     def jacobian(self, x: Array) -> Array:
         here, columns = self(x), []
@@ -201,15 +200,20 @@ class _Rows:
 
 
 def fit_settled(
-    problem: SettledProblem, names: Sequence[str], starts: Sequence[Array] | None = None
+    problem: SettledProblem,
+    names: Sequence[str],
+    starts: Sequence[Array] | None = None,
+    *,
+    within: SettledFit | None = None,
 ) -> SettledFit | None:
-    """The best fit of friction, rigidity and the named effects; None when it cannot be solved, or when the
-    last of the effects changes none of the values. Raises BadInput for a sequence that cannot be run.
+    """The best fit of friction, rigidity and the named effects, from `starts` or from a grid.
+
+    `within` is the fit of the model that the last of the effects is added to. None when nothing can be
+    solved, or when that effect changes none of the values. Raises BadInput for a sequence that cannot be run.
     """
     rows = _Rows(problem, names)
-    last = [a.effect == names[-1] for a in rows.axes] if names else []
     if starts is None:
-        starts = _starts(rows, np.array(last, dtype=bool))
+        starts = _starts(rows, within)
     best = None
     for start in starts:
         found = least_squares(
@@ -227,7 +231,7 @@ def fit_settled(
         return None
     n = len(problem.values)
     jacobian = rows.jacobian(best.x)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance: Array = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True).astype(np.float64)
     data = jacobian[:n]
     used = float(np.trace(data @ covariance @ data.T))
     return SettledFit(
@@ -243,17 +247,50 @@ def fit_settled(
     )
 
 
-def _starts(rows: _Rows, last: npt.NDArray[np.bool_]) -> list[Array]:
+def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
+    """Root mean square error on each motion's values, left out of the fit in turn, in standard errors."""
+    motions = [(v.of.sequence, v.of.motion) for v in problem.values]
+    squares = []
+    for motion in dict.fromkeys(motions):
+        out = np.array([m == motion for m in motions])
+        kept = tuple(v for v, left in zip(problem.values, out, strict=True) if not left)
+        again = (
+            fit_settled(dataclasses.replace(problem, values=kept), found.effects, [found.x]) if kept else None
+        )
+        if again is None:
+            return float("nan")
+        foretold = problem.predict(problem.model(again.axes, again.x))
+        squares += list(((foretold - problem.measured) / problem.errors)[out] ** 2)
+    return float(np.sqrt(np.mean(squares)))
+
+
+def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) -> float:
+    """How many σ worse than `truth` the rival meets what `truth` foretells, plausibility included."""
+    values = tuple(
+        dataclasses.replace(v, value=float(p)) for v, p in zip(problem.values, truth.predicted, strict=True)
+    )
+    foretold = dataclasses.replace(problem, values=values)
+    own = fit_settled(foretold, truth.effects, [truth.x])
+    other = fit_settled(foretold, rival.effects, [rival.x])
+    if own is None or other is None:
+        return float("inf")
+    return float(np.sqrt(max(other.objective - own.objective, 0.0)))
+
+
+def _starts(rows: _Rows, within: SettledFit | None) -> list[Array]:
     """The most promising of a grid of frictions and strengths; none when strength changes nothing."""
-    rated, moved = [], not last.size
-    forms = np.array([a.info.shapes for a in rows.axes], dtype=bool)
-    for friction in FRICTIONS_N:
-        off = np.r_[math.log(friction), 0.0, np.zeros(last.size)]
-        for strength in STRENGTHS if last.size else (0.0,):
-            x = np.r_[off[:2], np.where(last & ~forms, strength, 0.0)]
+    old = within.x[2:] if within is not None else np.zeros(0)
+    new = rows.axes[old.size :]
+    strengths = STRENGTHS if new else (0.0,)
+    rated, moved = [], not new
+    for friction in (*FRICTIONS_N, *([math.exp(within.x[0])] if within is not None else [])):
+        off = np.r_[math.log(friction), 0.0, old, np.zeros(len(new))]
+        for strength in strengths:
+            x = np.r_[off[: 2 + old.size], [0.0 if a.info.shapes else strength for a in new]]
             x = np.clip(x, rows.low + 1e-9, rows.high - 1e-9)
             row = rows(x)
-            moved |= bool(np.nanmax(np.abs(rows.predicted(x) - rows.predicted(off)) / rows.problem.errors) > STEP)
+            change = np.abs(rows.predicted(x) - rows.predicted(off)) / rows.problem.errors
+            moved |= bool(np.any(change > STEP))
             rated.append((float(row @ row), tuple(x)))
     rated.sort()
     return [np.array(x) for _, x in rated[:FURTHER]] if moved else []

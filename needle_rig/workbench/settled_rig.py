@@ -8,7 +8,8 @@ has settled.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +107,25 @@ def run_settled(
         rig.time_s,
         tuple(notes),
     )
+
+
+@dataclass(frozen=True)
+class Recorded(Strategy):
+    """A strategy whose motions ended where the base was recorded, as far as it was."""
+
+    inner: Strategy
+    base_deg: Mapping[str, float]
+
+    def next(self, task: Task, history: History) -> Waypoint | None:
+        """The strategy's next motion, to the recorded angle."""
+        waypoint = self.inner.next(task, history)
+        if waypoint is None or waypoint.name not in self.base_deg:
+            return waypoint
+        return replace(waypoint, angle_rad=rad(self.base_deg[waypoint.name]))
+
+    def expected_motions(self, task: Task) -> int:
+        """As many as the strategy's."""
+        return self.inner.expected_motions(task)
 
 
 class _Rig:
