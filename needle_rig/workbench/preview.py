@@ -138,7 +138,7 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
                     positions[i] = np.clip(direction * strength, low, high)
                 if not np.any([positions[i] != 0 for i in pattern]):
                     continue
-                change = _signature(problem, parent, axes, positions)
+                change = signature(problem, parent, axes, positions)
                 if change is None:
                     continue
                 projected = project(change)
@@ -224,7 +224,7 @@ def _apart(a: Array, b: Array, own: Sequence[Coordinate]) -> bool:
     return max(gap, default=0.0) > 1.0
 
 
-def _signature(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Array | None:
+def signature(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Array | None:
     """Whitened change of the model (n,) over all trials when the effect is put at `positions`."""
     point = Point(
         parent.point.log_friction,

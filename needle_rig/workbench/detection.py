@@ -1,0 +1,73 @@
+"""How strong an effect must be before a dataset shows it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from needle_rig.workbench.coordinates import Coordinate
+from needle_rig.workbench.prepare import Prepared
+from needle_rig.workbench.preview import Projector, forms, signature
+
+Array = npt.NDArray[np.float64]
+
+EXPECTED_GAIN = 16.0
+"""Fall of the objective (4σ) at which an effect is found in most datasets."""
+STRONGEST = 30.0
+WEAKEST = 1e-4
+
+
+def at_strength(axes: Sequence[Coordinate], strength: float, turn: float = 1.0) -> Array:
+    """Positions (k,) of one effect's coordinates at `strength` typical sizes; forms stay typical.
+
+    What may have either sign takes that of `turn`, items of a field alternate; bounds cut.
+    """
+    positions = forms(axes)[0].copy()
+    for k, axis in enumerate(axes):
+        if axis.info.shapes:
+            continue
+        low, high = axis.bounds
+        odd = axis.item is not None and axis.item % 2 == 1
+        sign = (-turn if odd else turn) if low < 0 < high else 1.0 if high > 0 else -1.0
+        positions[k] = min(max(sign * strength, low), high)
+    return positions
+
+
+def smallest_strength(axes: Sequence[Coordinate]) -> float:
+    """Strength, in typical sizes, below which an effect does not matter."""
+    return max(a.smallest for a in axes if not a.info.shapes)
+
+
+def detection_limit(prepared: Prepared, effect: str, turn: float = 1.0) -> float:
+    """Strength, in typical sizes, at which `effect` would lower the objective by 16 on average.
+
+    From the noise-free change of the model, with what the present model's parameters could take up projected
+    out. Infinite where not even thirty typical sizes show.
+    """
+    problem, parent = prepared.problem, prepared.present
+    axes = problem.axes([effect])
+    project = Projector(problem, parent)
+
+    def above(log_strength: float) -> float:
+        change = signature(
+            problem, parent, (*parent.axes, *axes), at_strength(axes, math.exp(log_strength), turn)
+        )
+        if change is None:
+            return -math.log(EXPECTED_GAIN)
+        left = project(change)
+        return math.log(max(float(left @ left), 1e-6) / EXPECTED_GAIN)
+
+    low, high = math.log(smallest_strength(axes)), math.log(smallest_strength(axes))
+    while above(high) < 0:
+        low, high = high, high + math.log(2.0)
+        if high > math.log(STRONGEST):
+            return math.inf
+    while above(low) > 0:
+        low, high = low - math.log(2.0), low
+        if low < math.log(WEAKEST):
+            return WEAKEST
+    return math.exp(float(brentq(above, low, high, xtol=0.05)))

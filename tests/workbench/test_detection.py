@@ -1,0 +1,32 @@
+"""How strong an effect must be before a dataset shows it."""
+
+import math
+
+import pytest
+
+from needle_rig.workbench.detection import at_strength, detection_limit, smallest_strength
+from needle_rig.workbench.prepare import prepare
+from needle_rig.workbench.simulate import Noise
+from tests.workbench.hidden import dataset, few
+
+
+@pytest.mark.parametrize("name", ["tissue_elasticity", "hall_offset"])
+def test_noisier_sensors_raise_the_limit(name):
+    limits = [
+        detection_limit(prepare(dataset(noise=noise), None, few()), name)
+        for noise in (Noise(), Noise(hall_deg=2.0, torque_nmm=0.0064))
+    ]
+    assert 2.0 < limits[1] / limits[0] < 12.0
+
+
+def test_an_effect_that_the_data_cannot_show_has_no_limit():
+    deaf = prepare(dataset(noise=Noise(torque_nmm=20.0)), None, few())
+    assert detection_limit(deaf, "torque_bias") == math.inf
+
+
+def test_signs_alternate_over_sensors_and_follow_the_turn():
+    problem = prepare(dataset(), None, few()).problem
+    offsets = at_strength(problem.axes(["hall_offset"]), 2.0, turn=-1.0)
+    assert offsets.tolist() == [-2.0, 2.0, -2.0, 2.0]
+    assert at_strength(problem.axes(["chuck_backlash"]), 2.0, turn=-1.0).tolist() == [2.0]
+    assert smallest_strength(problem.axes(["hall_offset"])) > 0
