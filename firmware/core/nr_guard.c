@@ -155,8 +155,8 @@ int32_t nr_guard_step(struct nr_guard *guard, uint32_t now_us, int32_t angle_mde
         guard->window_asked += (int64_t)asked * (int64_t)(now_us - guard->step_us);
     }
     guard->step_us = now_us;
-    const uint8_t present = (uint8_t)(causes(guard, now_us, angle_mdeg, encoder_good) |
-                                      judge_window(guard, now_us, angle_mdeg));
+    uint8_t present = causes(guard, now_us, angle_mdeg, encoder_good);
+    present |= judge_window(guard, now_us, angle_mdeg);
     if (guard->permitted != 0) {
         guard->still_since_us = now_us;
     }

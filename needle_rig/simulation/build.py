@@ -9,6 +9,7 @@ from needle_rig.control.brain import layout_of
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
 from needle_rig.rig import RawReadings
+from needle_rig.simulation.drive_guard import guard_settings
 from needle_rig.simulation.plant import Plant
 
 
@@ -19,4 +20,4 @@ def build_plant(config: RigConfig, raw: RawReadings | None = None) -> Plant:
     model = load_parameters(config.simulation.parameters, layout=layout_of(config))
     if config.simulation.free_needle:
         model = replace(model, friction_n=0.0, effects=())
-    return Plant(model, config.simulation, raw=raw)
+    return Plant(model, config.simulation, raw=raw, guard=guard_settings(config.drive))

@@ -36,8 +36,13 @@ class Hall(Protocol):
 class Drive(Protocol):
     """The drive node."""
 
-    state: DriveState
-    faults: DriveFault
+    @property
+    def state(self) -> DriveState:
+        """State of its guard."""
+
+    @property
+    def faults(self) -> DriveFault:
+        """Why it stands in FAULT."""
 
     @property
     def powered(self) -> bool:

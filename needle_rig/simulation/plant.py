@@ -83,12 +83,13 @@ class Plant:
 
     def write(self, command: Command) -> None:
         """Hand a command to the drive; it acts from the next `advance` on."""
-        self.guard.receive(command)
+        self.guard.receive(self._now_us, command)
 
     def advance(self, dt_s: float) -> None:
         """Let `dt_s` pass: drive guard, motor, needle, then one reading of every sensor."""
-        velocity, powered = self.guard.step(dt_s, self.motor.angle_rad, self._torque_nm)
-        self.turn(velocity, dt_s, powered=powered)
+        self.guard.torque(self._now_us, self._torque_nm)
+        velocity_rad_s = self.guard.step(self._now_us, self.motor.angle_rad)
+        self.turn(velocity_rad_s, dt_s, powered=self.guard.powered)
 
     def turn(self, velocity_rad_s: float, dt_s: float, *, powered: bool = True) -> None:
         """Like `advance`, with the motor's command given from outside: for nodes that guard it themselves."""
@@ -121,6 +122,10 @@ class Plant:
         """True angle of every node, shape (nodes,); places are `model.rod(...).position_m`."""
         assert self._state is not None
         return self._state.angle_rad
+
+    @property
+    def _now_us(self) -> int:
+        return round(self.time_s * 1e6)
 
     def _trial(self, path: list[tuple[float, float]]) -> Trial:
         times, angles = np.array(path).T

@@ -148,37 +148,51 @@ def test_it_opens_and_closes_as_a_rig(config, elastic):
     asyncio.run(use())
 
 
+class Guarded:
+    """A guard that is stepped every millisecond, its torque node alive."""
+
+    def __init__(self):
+        self.guard, self.now_us = DriveGuard(), 0
+
+    def step(self, command=None, angle_rad=0.0, torque_nm=0.0):
+        if command is not None:
+            self.guard.receive(self.now_us, command)
+        self.guard.torque(self.now_us, torque_nm)
+        velocity = self.guard.step(self.now_us, angle_rad)
+        self.now_us += 1000
+        return velocity
+
+    @property
+    def state(self):
+        return self.guard.state, self.guard.faults
+
+
+def running():
+    guarded = Guarded()
+    guarded.step(Command(clear=True))
+    guarded.step(Command(0.5, enable=True))
+    return guarded
+
+
 class TestDriveGuard:
     def test_silent_until_cleared(self):
-        guard = DriveGuard()
-        guard.receive(Command(0.5, enable=True))
-        assert guard.step(0.001, 0.0, 0.0) == (0.0, False)
-        assert guard.state is DriveState.SILENT
-        guard.receive(Command(clear=True))
-        guard.step(0.001, 0.0, 0.0)
-        assert guard.state is DriveState.READY
-        guard.receive(Command(0.5, enable=True))
-        assert guard.step(0.001, 0.0, 0.0) == (0.5, True)
-        assert guard.state is DriveState.RUNNING
-
-    def running(self):
-        guard = DriveGuard()
-        guard.receive(Command(clear=True))
-        guard.step(0.001, 0.0, 0.0)
-        guard.receive(Command(0.5, enable=True))
-        guard.step(0.001, 0.0, 0.0)
-        return guard
+        guarded = Guarded()
+        assert guarded.step(Command(0.5, enable=True)) == 0.0
+        assert guarded.state == (DriveState.SILENT, DriveFault.NONE)
+        guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.READY, DriveFault.NONE)
+        assert guarded.step(Command(0.5, enable=True)) == 0.5
+        assert guarded.state == (DriveState.RUNNING, DriveFault.NONE)
+        assert guarded.guard.powered
 
     def test_without_commands_it_stops_after_50_ms(self):
-        guard = self.running()
-        stopped_s = next(i * 0.001 for i in range(1, 1000) if guard.step(0.001, 0.0, 0.0)[0] == 0.0)
-        assert stopped_s == pytest.approx(0.050, abs=0.0015)
-        assert (guard.state, guard.faults) == (DriveState.FAULT, DriveFault.COMMAND_AGE)
-        guard.receive(Command())
-        guard.step(0.001, 0.0, 0.0)
-        guard.receive(Command(clear=True))
-        guard.step(0.001, 0.0, 0.0)
-        assert (guard.state, guard.faults) == (DriveState.READY, DriveFault.NONE)
+        guarded = running()
+        # the command came in the step before the first of these
+        assert next(ms for ms in range(1, 1000) if guarded.step() == 0.0) == 51
+        assert guarded.state == (DriveState.FAULT, DriveFault.COMMAND_AGE)
+        guarded.step(Command())
+        guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.READY, DriveFault.NONE)
 
     @pytest.mark.parametrize(
         ("angle", "torque", "velocity", "bit"),
@@ -189,28 +203,34 @@ class TestDriveGuard:
         ],
     )
     def test_latching_faults_want_rest_before_a_clear(self, angle, torque, velocity, bit):
-        guard = self.running()
-        guard.receive(Command(velocity, enable=True))
-        assert guard.step(0.001, angle, torque) == (0.0, False)
-        assert (guard.state, guard.faults) == (DriveState.FAULT, bit)
-        guard.receive(Command())
-        guard.receive(Command(clear=True))
-        guard.step(0.001, 0.0, 0.0)
-        assert guard.state is DriveState.FAULT
+        guarded = running()
+        assert guarded.step(Command(velocity, enable=True), angle, torque) == 0.0
+        assert guarded.state == (DriveState.FAULT, bit)
+        guarded.step(Command())
+        guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.FAULT, bit)
+        guarded.step(Command())
         for _ in range(110):
-            guard.receive(Command())
-            guard.step(0.001, 0.0, 0.0)
-        guard.receive(Command(clear=True))
-        guard.step(0.001, 0.0, 0.0)
-        assert guard.state is DriveState.READY
+            guarded.step(Command())
+        guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.READY, DriveFault.NONE)
 
     def test_a_stuck_clear_clears_once(self):
-        guard = self.running()
-        guard.step(0.001, 0.0, nm(3.0))
+        guarded = running()
+        guarded.step(torque_nm=nm(3.0))
         for _ in range(200):
-            guard.receive(Command(clear=True))
-            guard.step(0.001, 0.0, 0.0)
-        assert guard.state is DriveState.FAULT
+            guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.READY, DriveFault.NONE)
+        guarded.step(Command(0.5, enable=True, clear=True), torque_nm=nm(3.0))
+        for _ in range(200):
+            guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.FAULT, DriveFault.TORQUE_TRIP)
+
+    def test_at_its_angle_limit_it_holds_and_may_turn_back(self):
+        guarded = running()
+        assert guarded.step(Command(0.5, enable=True), rad(720.5)) == 0.0
+        assert guarded.guard.powered
+        assert guarded.step(Command(-0.5, enable=True), rad(720.5)) == -0.5
 
 
 class TestMotor:

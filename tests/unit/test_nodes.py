@@ -104,7 +104,7 @@ def test_a_stuck_clear_bit_clears_once() -> None:
 
 def test_it_stops_50_ms_after_the_last_command_and_moves_only_after_a_clear() -> None:
     host = running()
-    last_us = host.node._command_us
+    last_us = host.node.guard.command_us
     while host.velocity_rad_s:
         host.pass_ms(1)
     assert last_us is not None
@@ -184,7 +184,7 @@ def test_out_of_range_it_may_turn_back_in_after_a_clear_and_no_further_out() -> 
     host.angle_deg = -722.5
     host.pass_ms(5, Command(rad(-20), enable=True))
     assert host.node.faults == DriveFault.ANGLE
-    host.pass_ms(10, CLEAR)
+    host.pass_ms(120, CLEAR)
     host.pass_ms(10, TURN)
     assert host.node.state is DriveState.RUNNING
     host.pass_ms(10, Command(rad(-20), enable=True))
