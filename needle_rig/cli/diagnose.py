@@ -109,8 +109,8 @@ def _show(found: Answer) -> None:
         if names:
             said = ", ".join(d.effect if kind == "present" else d.sentence() for d in names)
             console.print(f"[bold]{kind.replace('_', ' ')}[/bold]: {said}")
-    for pattern in found.left_over.patterns:
-        console.print(f"left over: {pattern.sentence()}")
+    for sentence in found.left_in_words():
+        console.print(f"left over: {sentence}")
     if found.next_experiment:
         console.print(f"next: {found.next_experiment['sentence']}")
     for note in found.notes:

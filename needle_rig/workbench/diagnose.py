@@ -14,6 +14,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.coordinates import Coordinate
 from needle_rig.workbench.experiment import best_experiment
 from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.lack_of_fit import LackOfFit, lack_of_fit
 from needle_rig.workbench.leftover import Leftover, find_leftover
 from needle_rig.workbench.prepare import Prepared, prepare
 from needle_rig.workbench.rivals import Rival, find_rivals
@@ -123,12 +124,22 @@ class Answer:
     decisions: dict[str, Decision]
     left_over: Leftover
     explained: bool
+    lack_before: LackOfFit | None
+    """Whether replicates show anything to explain in the present model; None without replicates."""
+    lack_after: LackOfFit | None
+    """The same of what the answer leaves."""
     explained_fraction: float
     held_out_error_before: float
     held_out_error_after: float
     noise_floor: float
     next_experiment: dict[str, Any] | None
     notes: tuple[str, ...]
+
+    def left_in_words(self) -> list[str]:
+        """What is left: patterns, and what replicates share beyond how they differ."""
+        lack = self.lack_after
+        shared = [lack.sentence()] if lack is not None and lack.significant else []
+        return [p.sentence() for p in self.left_over.patterns] + shared
 
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""
@@ -143,9 +154,10 @@ class Answer:
             "held_out_error_after": _error(self.held_out_error_after),
             "explained_fraction": _plain(self.explained_fraction),
             "decisions": {name: d.as_json() for name, d in self.decisions.items()},
-            "left_over": {
-                "explained": self.explained,
-                "where": [p.sentence() for p in self.left_over.patterns],
+            "left_over": {"explained": self.explained, "where": self.left_in_words()},
+            "lack_of_fit": {
+                "before": self.lack_before.as_json() if self.lack_before else None,
+                "after": self.lack_after.as_json() if self.lack_after else None,
             },
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
@@ -158,6 +170,10 @@ class Diagnosis(Answer):
 
     prepared: Prepared = field(repr=False)
     search: Search = field(repr=False)
+
+
+def _too_small(size: float, unit: str) -> bool:
+    return size <= (SIZE_THAT_MATTERS_NMM if unit == "N·mm" else SIZE_THAT_MATTERS_DEG)
 
 
 def _plain(value: float | None) -> float | str | None:
@@ -211,13 +227,13 @@ def _conclude(
     explained_fraction = gain / (gain + left.gain) if gain + left.gain > 0 else 1.0
     if not named:
         explained_fraction = 1.0 if not left.significant else 0.0
-    matters = any(
-        p.size > (SIZE_THAT_MATTERS_NMM if p.unit == "N·mm" else SIZE_THAT_MATTERS_DEG) for p in left.patterns
-    )
-    unexplained = left.significant and matters
+    lack = lack_of_fit(problem, best, sensors)
+    unexplained = left.significant and any(not _too_small(p.size, p.unit) for p in left.patterns)
     if unexplained and named:
         unexplained = explained_fraction < WELL_EXPLAINED
     if explained_fraction < EXPLAINED and left.significant and named:
+        unexplained = True
+    if not named and lack is not None and lack.significant and not _too_small(lack.size, lack.unit):
         unexplained = True
     verdict = "unknown" if unexplained else "effect" if named else "none"
     ordered = _order(search, named)
@@ -237,6 +253,8 @@ def _conclude(
         decisions=_decisions(search, named if verdict == "effect" else []),
         left_over=left,
         explained=not unexplained,
+        lack_before=lack_of_fit(prepared.problem, prepared.present, sensors),
+        lack_after=lack,
         explained_fraction=explained_fraction,
         held_out_error_before=root_held.error,
         held_out_error_after=held.error if verdict == "effect" else root_held.error,

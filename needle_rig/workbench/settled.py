@@ -73,6 +73,8 @@ def diagnose_settled(
         decisions={c.effect: _decision(problem, c, tied, missing) for c in tried},
         left_over=Leftover(tuple(patterns), best.chi2, best.chi2 / n),
         explained=verdict != "unknown",
+        lack_before=None,
+        lack_after=None,
         explained_fraction=float(np.clip((root.chi2 - best.chi2) / room, 0.0, 1.0)) if missing else 1.0,
         held_out_error_before=held_out_error(problem, root),
         held_out_error_after=held_out_error(problem, best),
