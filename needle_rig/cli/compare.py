@@ -121,7 +121,7 @@ def _show_settled(found: SettledComparison) -> None:
 
     console = Console(highlight=False)
     console.print(
-        f"[bold]{found.dataset}[/bold] against the model {found.model}: error on values left out"
+        f"[bold]{found.dataset}[/bold] against the model {found.model}: error on motions left out"
         f" {found.held_out_error:.2f} × the scatter, reduced χ² {found.reduced_chi2:.2f}"
     )
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))

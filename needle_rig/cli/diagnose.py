@@ -88,8 +88,8 @@ def _show(found: Answer) -> None:
     console = Console(highlight=False, soft_wrap=False)
     console.print(f"[bold]{found.dataset}[/bold] against the model {found.model}: {_verdict(found)}")
     console.print(
-        f"Error on commands left out: {found.held_out_error_before:.2f} → {found.held_out_error_after:.2f}"
-        f" (noise is {found.noise_floor:.2f})"
+        f"Error on {found.left_out} left out: {found.held_out_error_before:.2f}"
+        f" → {found.held_out_error_after:.2f} (noise is {found.noise_floor:.2f})"
     )
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("effect", "held out", "removed"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -115,6 +115,9 @@ class Ranked:
 @dataclass(frozen=True)
 class Answer:
     """What `needle-rig diagnose` says, whatever kind of data it was asked of."""
+
+    left_out: ClassVar[str] = "commands"
+    """What held-out errors leave out in turn."""
 
     dataset: str
     model: str

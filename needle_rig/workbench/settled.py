@@ -40,6 +40,12 @@ MISSED = 2.0
 """Values further than this from the model, in standard errors, are told as left over."""
 
 
+class SettledAnswer(Answer):
+    """The answer on settled values."""
+
+    left_out = "motions"
+
+
 def diagnose_settled(
     data: SettledData,
     library: Mapping[str, type[Effect]],
@@ -64,7 +70,7 @@ def diagnose_settled(
     n = len(problem.values)
     room = max(root.chi2 - root.freedom, 1e-9)
     patterns = _left(problem, best)
-    return Answer(
+    return SettledAnswer(
         dataset=data.name,
         model=problem.base.name,
         verdict=verdict,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,18 @@ def test_runs_and_folders_of_one_rig_are_one_series(tmp_path, run_path):
     assert len(both.replicates) == 1
     with pytest.raises(BadInput, match="no data was named"):
         read_measurements([])
+
+
+def test_commands_take_runs_and_names_of_datasets(tmp_path, run_path):
+    from needle_rig.cli._workbench import read_data, read_settled_values
+
+    assert len(read_data((run_path,)).trials) == 1
+    assert read_settled_values((run_path,)) is None
+    assert read_settled_values((Path("reed2008"),)).name == "reed2008"
+    with pytest.raises(BadInput, match="holds settled values; give it alone"):
+        read_settled_values((run_path, Path("reed2008")))
+    with pytest.raises(BadInput, match="there is no such folder"):
+        read_data((Path("nowhere"),))
 
 
 def test_gaps_of_a_run_are_masked_and_said(tmp_path, run_path):

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
 LOOK = """
 from needle_rig.config.loader import find_config_file, load_rig_config
-for name in ("rig.yaml", "needle_rig.dbc", "parameters/rig_elastic.yaml"):
+for name in ("rig.yaml", "needle_rig.dbc", "parameters/rig_elastic.yaml", "datasets/reed2008/settled.yaml"):
     print(find_config_file(name))
 print(load_rig_config().name)
 """
@@ -47,6 +47,7 @@ def test_shipped_files_are_found_from_any_folder(site, tmp_path):
         "rig.yaml",
         "needle_rig.dbc",
         "rig_elastic.yaml",
+        "settled.yaml",
     ]
     assert name == "simulated rig"
 
