@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -61,16 +64,11 @@ class Here:
 _SHARED: dict[str, Any] = {}
 
 
-def _take(key: str, path_bytes: bytes) -> None:
-    import pickle
-
-    if _SHARED.get("key") != key:
-        _SHARED["key"], _SHARED["value"] = key, pickle.loads(path_bytes)
-
-
-def _call(key: str, shared: bytes, function: Callable[..., Any], task: Task) -> Any:
-    _take(key, shared)
-    return function(_SHARED["value"], *task)
+def _call(path: str, function: Callable[..., Any], task: Task) -> Any:
+    if path not in _SHARED:
+        _SHARED.clear()
+        _SHARED[path] = pickle.loads(Path(path).read_bytes())
+    return function(_SHARED[path], *task)
 
 
 class Processes:
@@ -85,19 +83,19 @@ class Processes:
                 name, "1"
             )  # small matrices: threads of each process would only get in the way
         self._pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-        self._shared, self._round = b"", 0
+        self._folder = TemporaryDirectory(prefix="needle-rig-")
+        self._path, self._round = "", 0
 
     def share(self, shared: Any) -> None:
-        """Pack it once; every process unpacks it once."""
-        import pickle
-
-        self._shared = pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL)
+        """Write it to a file, which every process reads once."""
         self._round += 1
+        path = Path(self._folder.name) / f"shared-{self._round}.pickle"
+        path.write_bytes(pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL))
+        self._path = str(path)
 
     def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
         """Results in the order of the tasks."""
-        key = f"{os.getpid()}-{id(self)}-{self._round}"
-        futures = [self._pool.submit(_call, key, self._shared, function, task) for task in tasks]
+        futures = [self._pool.submit(_call, self._path, function, task) for task in tasks]
         results = []
         for done, future in enumerate(futures, 1):
             results.append(future.result())
@@ -109,6 +107,7 @@ class Processes:
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
+        self._folder.cleanup()
 
 
 class Cluster:
