@@ -56,7 +56,7 @@ class _Motion(Section):
 
 class _Sequence(Section):
     strategy: str
-    options: dict[str, float] = Field(default_factory=dict)
+    options: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)
     target_deg: Angle
     speed_deg_s: Annotated[float, Field(gt=0, le=360)] = 45.0
     settle_s: Annotated[float, Field(ge=0, le=3600)] = 3.0
@@ -102,7 +102,7 @@ class SettledSequence:
     """What the rig was told, and the standard errors of what it showed, in the unit of each quantity."""
 
     strategy: str
-    options: Mapping[str, float]
+    options: Mapping[str, float | tuple[float, ...]]
     target_deg: float
     speed_deg_s: float
     settle_s: float
@@ -115,7 +115,10 @@ class SettledSequence:
     @property
     def title(self) -> str:
         """In words."""
-        options = ", ".join(f"{k}={v:g}" for k, v in self.options.items())
+        options = ", ".join(
+            f"{k}={v:g}" if isinstance(v, float) else f"{k}={', '.join(f'{x:g}' for x in v)}"
+            for k, v in self.options.items()
+        )
         return self.strategy + (f" ({options})" if options else "")
 
 
@@ -173,6 +176,8 @@ def read_settled(path: str | os.PathLike[str]) -> SettledData:
         for key in section.model_extra or {}:
             raise places.error((*path_of, key), "unknown key; remove it")
     sensors = len(read.rig.hall_sensors)
+    if not sensors:
+        raise places.error(("rig", "hall_sensors"), "no sensor is listed; settled values need at least one")
     sequences, values = [], []
     for s, part in enumerate(read.sequences):
         sequences.append(

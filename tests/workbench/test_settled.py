@@ -134,6 +134,21 @@ def test_the_recorded_base_drives_the_model(tmp_path):
     assert [v.of for v in data.values] == [v.of for v in paper().values]
 
 
+def test_any_strategy_with_its_options_can_be_told(tmp_path):
+    text = (shipped_datasets()["reed2008"] / "settled.yaml").read_text()
+    steps = "strategy: protocol\n    options: {steps_deg: [45, -30], dwell_s: 1}\n"
+    text = (
+        text.replace("strategy: reed2008\n", steps).replace("rotate", "step_1").replace("final", "step_2", 1)
+    )
+    (tmp_path / "settled.yaml").write_text(text)
+    data = read_settled(tmp_path)
+    assert data.words(data.values[1].of) == "protocol (steps_deg=45, -30, dwell_s=1), step_2: tip lag"
+    runs = SettledProblem(data, load_parameters("rig_rigid"), {}, data.weighed).run(
+        load_parameters("rig_rigid")
+    )
+    assert [round(deg(m.base_angle_rad)) for m in runs[0]] == [0, 45, -30]
+
+
 def test_without_zeroed_sensors_a_torque_bias_ties_as_well():
     data = dataclasses.replace(paper(), zeroed_at_rest=False)
     found = diagnose_settled(data, few("torque_bias", "torque_gain"))
