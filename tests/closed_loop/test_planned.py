@@ -8,12 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from needle_rig.control.planning.belief import Errors, first_belief, worlds
-from needle_rig.control.planning.search import Aim, carry_out, fewest, likeliest_plan, rate
+from needle_rig.control.planning.belief import World, first_belief, worlds
+from needle_rig.control.planning.search import Aim, Effort, carry_out, cheapest, likeliest_plans, rate
 from needle_rig.control.strategies.planned import Planned
 from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.effects.bending_torque import BendingTorque
 from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
@@ -22,6 +24,7 @@ from needle_rig.workbench.settled_rig import SettledRun, run_settled
 from needle_rig.workbench.simulate import NO_NOISE, Noise
 
 RIGIDITY_NM2 = 62.56e-6
+PLENTY = Effort(math.inf)
 TRUST = Trust(
     {
         "friction_nmm_per_100mm": 0.001,
@@ -102,10 +105,11 @@ def test_a_rigid_uniform_needle_ends_on_the_two_front_optimum() -> None:
     task = _task(model)
     belief = first_belief(model, {}, 1e-6)
     history = _run_history(model, task)
-    aim = Aim(task, history[-1].base_angle_rad, rad(120.0), 0.5, 0.9)
+    aim = Aim(task, history[-1].base_angle_rad, rad(120.0), 0.5, 0.9, rad(0.15))
     needles = worlds(belief, task, history, 1)
-    closed_form = rate(aim, needles, [task.target_rad + s * lag for s in (1.0, back, 0.0)])
-    ours = likeliest_plan(aim, needles[0], 3)
+    closed_form = rate(aim, needles, [task.target_rad + s * lag for s in (1.0, back, 0.0)], PLENTY)
+    ours = likeliest_plans(aim, needles[0], 3, PLENTY)[2]
+    assert len(ours.angles_rad) == 3
     assert nmm(closed_form.ends.torque_nm[0]) == pytest.approx(0.0, abs=2e-3)
     # the planner weighs the worst angle, so it may beat the condition of zero torque, but not lose to it
     assert ours.cost_rad <= closed_form.cost_rad + rad(0.05)
@@ -171,16 +175,57 @@ def test_same_input_same_plan() -> None:
     assert [m.base_angle_rad for m in runs[0].history] == [m.base_angle_rad for m in runs[1].history]
 
 
-def test_fewest_prefers_fewer_motions_within_the_tolerance() -> None:
+def test_a_motion_more_is_taken_when_it_is_worth_its_price() -> None:
     plant = load_parameters("rig_elastic")
     task = _task(plant)
     history = _run_history(plant, task)
     needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1)
-    aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9)
-    plans = [likeliest_plan(aim, needles[0], n) for n in (1, 2)]
-    assert fewest(plans, rad(0.3)) is plans[1]
-    assert fewest(plans, rad(60.0)) is plans[0]
-    again = carry_out(aim, needles, plans[1].angles_rad)
-    assert again.worst_rad == pytest.approx(plans[1].ends.worst_rad)
-    assert math.isfinite(plans[1].cost_rad)
-    assert Errors().torque_nm > 0
+    lengths = []
+    for price_deg in (0.01, 0.15, 60.0):
+        aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(price_deg))
+        plan = cheapest(likeliest_plans(aim, needles[0], 4, PLENTY))
+        again = carry_out(aim, needles, plan.angles_rad, PLENTY)
+        assert again.worst_rad == pytest.approx(plan.ends.worst_rad)
+        lengths.append(len(plan.angles_rad))
+    assert lengths[0] >= lengths[1] == 2
+    assert lengths[2] == 1
+
+
+def test_what_was_the_best_way_to_go_on_stays_so() -> None:
+    plant = load_parameters("rig_rigid").with_effects(ChuckBacklash(4.0))
+    task = _task(plant)
+    history = _run_history(plant, task)
+    needle = worlds(first_belief(plant, {}, 1e-6), task, history, 1)[0]
+    aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(0.15))
+    plan = cheapest(likeliest_plans(aim, needle, 5, PLENTY))
+    assert len(plan.angles_rad) >= 4
+    travel_s = plan.angles_rad[0] / task.speed_rad_s
+    path = Trial(np.array([0.0, travel_s, travel_s + 1.0]), np.array([0.0, *[plan.angles_rad[0]] * 2]))
+    there = World(needle.model, needle.model.truth(path, needle.state).state)
+    rest = dataclasses.replace(aim, base_rad=plan.angles_rad[0])
+    going_on = cheapest(likeliest_plans(rest, there, 5, PLENTY))
+    assert deg(going_on.ends.worst_rad[0]) == pytest.approx(deg(plan.ends.worst_rad[0]), abs=0.3)
+    assert len(going_on.angles_rad) <= len(plan.angles_rad)
+
+
+def test_a_search_ends_when_its_effort_is_spent() -> None:
+    plant = load_parameters("rig_rigid").with_effects(BendingTorque(0.05, 0.02))
+    task = _task(plant)
+    history = _run_history(plant, task)
+    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1)
+    aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(0.15))
+    costs = []
+    for solves in (1.0, 2e4, 2e5):
+        effort = Effort(solves)
+        plan = cheapest(likeliest_plans(aim, needles[0], 5, effort))
+        assert effort.left > -3e4
+        costs.append(plan.cost_rad)
+    assert costs[0] >= costs[1] >= costs[2]
+    assert deg(costs[0]) > 10.0 > 3.0 > deg(costs[2])
+
+
+def test_a_doubt_is_kept_to_the_end() -> None:
+    plant, wrong = load_parameters("rig_elastic"), load_parameters("rig_rigid")
+    names = [motion.name for motion in _run(plant, Planned(), _task(wrong)).history[1:]]
+    first = names.index("overshoot")
+    assert names[first:] == ["overshoot", "back", "forward", "final"]

@@ -26,8 +26,8 @@ from needle_rig.units import nm, rad
 
 Array = npt.NDArray[np.float64]
 
-ELEMENT_LENGTH_M = 3e-3
-"""Coarse enough for hundreds of sequences in half a second; against 0.5 mm it moves no angle by 0.01°."""
+ELEMENT_LENGTH_M = 5e-3
+"""Coarse enough for a thousand sequences in half a second; against 0.5 mm it moves no angle by 0.01°."""
 TOLERANCE_RAD = rad(0.1)
 """Of one time step, where the needle depends on rates or angles."""
 STEP = 0.3
@@ -35,7 +35,7 @@ ITERATIONS = 4
 READ_BEFORE_END_S = 0.25
 """Torques are means over the last half second: its middle stands for them."""
 RELAXED_NM = nm(0.002)
-LONGEST_WIND_RAD = rad(720.0)
+FIRST_WIND_RAD, LONGEST_WIND_RAD, WIND_RAD = rad(20.0), rad(540.0), rad(0.02)
 
 
 @dataclass(frozen=True)
@@ -163,6 +163,25 @@ def corrected(belief: Belief, task: Task, history: History, errors: Errors, use_
     return best
 
 
+def after_next(belief: Belief, task: Task, history: History, turned_rad: float, errors: Errors) -> Belief:
+    """The belief as sure as it will be when the torque after a turn to `turned_rad` has been read."""
+    last = history[-1]
+    held = abs(turned_rad - last.base_angle_rad) / task.speed_rad_s + task.settle_s
+    turned = dataclasses.replace(
+        last,
+        index=last.index + 1,
+        moved_s=last.time_s,
+        time_s=last.time_s + held,
+        base_angle_rad=turned_rad,
+    )
+    told = _Told(task, (*history, turned), errors, use_hall=False, last_only=True)
+    here = told.residuals(belief.model_at(belief.mean))
+    steps = STEP * np.eye(len(belief.names))
+    slope = (np.array([told.residuals(belief.model_at(belief.mean + s)) for s in steps]) - here) / STEP
+    curvature = np.linalg.inv(belief.covariance) + slope @ slope.T
+    return dataclasses.replace(belief, covariance=np.linalg.inv(curvature).astype(np.float64))
+
+
 def worlds(belief: Belief, task: Task, history: History, count: int) -> list[World]:
     """Needles that agree with the belief, each with its shaft where `history` brought it."""
     return [world_at(belief.model_at(z), task, history) for z in belief.samples(count)]
@@ -215,19 +234,21 @@ def _at_rest(model: NeedleModel, task: Task, base_rad: float, torque_nm: float) 
     if abs(missing) < RELAXED_NM:
         return here
     sign = math.copysign(1.0, missing)
-    low, high = 0.0, rad(10.0)
+    low, high, short = 0.0, FIRST_WIND_RAD, abs(missing)
     while True:
         here, shown = wound(sign * high)
-        if sign * (torque_nm - shown) <= 0.0 or high >= LONGEST_WIND_RAD:
+        left = sign * (torque_nm - shown)
+        if left <= 0.0:
             break
-        low, high = high, 2.0 * high
-    if high >= LONGEST_WIND_RAD:
-        return here
-    for _ in range(10):
-        middle = 0.5 * (low + high)
-        here, shown = wound(sign * middle)
-        low, high = (middle, high) if sign * (torque_nm - shown) > 0.0 else (low, middle)
-    return here
+        slips = low > 0.0 and short - left < 0.1 * RELAXED_NM
+        if slips or high >= LONGEST_WIND_RAD:
+            return here
+        low, high, short = high, 3.0 * high, left
+
+    from scipy.optimize import brentq
+
+    turn = brentq(lambda turn: wound(sign * turn)[1] - torque_nm, low, high, xtol=WIND_RAD)
+    return wound(sign * turn)[0]
 
 
 class _Told:

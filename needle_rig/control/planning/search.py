@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -19,24 +20,43 @@ Array = npt.NDArray[np.float64]
 
 TORQUE_WEIGHT = 0.2
 """Of the lag that the torque left stands for, beside the worst angle error."""
-BASE_WEIGHT = 0.15
+BASE_WEIGHT = 0.05
 """Of the base's distance from the target."""
-ROTATION_WEIGHT = 0.001
-"""Of the total rotation: of two plans as good, the shorter."""
+TURN_PRICE = 0.005
+"""Of the total rotation: 100° more must take 0.5° off the error."""
 FINAL_BOUND_RAD = rad(10.0)
-GRID = {2: (41,), 3: (15, 13)}
-DESCENTS = 3
+FIRST_SCAN, NEXT_SCAN = 31, 17
+SQUARES_EVALUATIONS = 6
+POLISH_EVALUATIONS, ROBUST_EVALUATIONS = 10, 12
+"""A motion, in one world and in all."""
+STEP_RAD, SHIFT_RAD = rad(1.0), 100.0
+"""Of the slopes; the shift makes relative steps absolute."""
+CALL_SOLVES = 100.0
+LAW_SOLVES = 2.0
+"""What a call of the solver costs besides its solves, and what a solve with torque laws costs, in solves."""
+
+
+class Effort:
+    """Solves that a search may still spend: it ends in time without looking at a clock."""
+
+    def __init__(self, solves: float) -> None:
+        self.left = solves
+
+    def spend(self, solves: int, laws: bool) -> None:
+        """Take off one call of the solver."""
+        self.left -= CALL_SOLVES + solves * (LAW_SOLVES if laws else 1.0)
 
 
 @dataclass(frozen=True)
 class Aim:
-    """What every plan must keep to; the window is what follows each settling."""
+    """What every plan must keep to, and what its rotations cost; the window is what follows each settling."""
 
     task: Task
     base_rad: float
     overshoot_rad: float
     settle_s: float
     quantile: float
+    rotation_price_rad: float
     window_s: float = 0.5
 
     @property
@@ -54,6 +74,8 @@ class Ends:
 
     worst_rad: Array
     torque_nm: Array
+    off_rad: Array
+    """Of every node from the first tissue to the tip in the first world, shape (nodes,)."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +87,7 @@ class Plan:
     ends: Ends
 
 
-def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float]) -> Ends:
+def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float], effort: Effort) -> Ends:
     """What turning the base through `angles_rad` leaves in each world."""
     times, path = [0.0], [aim.base_rad]
     last = len(angles_rad) - 1
@@ -79,126 +101,162 @@ def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float]) ->
     for k, world in enumerate(worlds):
         if angles_rad:
             solution = world.model.truth(Trial(time_s, base_rad), world.state)
+            effort.spend(solution.solves, bool(world.rod.laws))
             shaft, torque[k] = solution.state.angle_rad, solution.torque_nm[-1]
         else:
             shaft, torque[k] = world.state.angle_rad, _held_torque(world)
-        worst[k] = np.abs(shaft[world.tissue] - aim.task.target_rad).max()
-    return Ends(worst, torque)
+        off = shaft[world.tissue] - aim.task.target_rad
+        worst[k] = np.abs(off).max()
+        if k == 0:
+            first = off
+    return Ends(worst, torque, first)
 
 
 def cost(aim: Aim, angles_rad: Sequence[float], ends: Ends) -> float:
-    """The quantile over the worlds of worst error and torque left, with a little for rotation, radians."""
+    """The quantile over the worlds of worst error and torque left, and the price of the rotations, radians.
+
+    A price, and not a tolerance: what was the best way to go on stays so after its first motion.
+    """
     task = aim.task
-    lag = np.abs(ends.torque_nm) * effective_length_m(task.layout) / task.torsional_rigidity_nm2
-    each = ends.worst_rad + TORQUE_WEIGHT * lag
+    each = ends.worst_rad + TORQUE_WEIGHT * np.abs(_lag(aim, ends.torque_nm))
     path = (aim.base_rad, *angles_rad)
     turned = float(np.abs(np.diff(path)).sum())
     off = abs(path[-1] - task.target_rad)
     value = float(np.quantile(each, aim.quantile)) if len(each) > 1 else float(each[0])
-    return value + BASE_WEIGHT * off + ROTATION_WEIGHT * turned
+    return value + BASE_WEIGHT * off + aim.rotation_price_rad * len(angles_rad) + TURN_PRICE * turned
 
 
-def rate(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float]) -> Plan:
+def _lag(aim: Aim, torque_nm: Array) -> Array:
+    return torque_nm * effective_length_m(aim.task.layout) / aim.task.torsional_rigidity_nm2
+
+
+def rate(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float] | Array, effort: Effort) -> Plan:
     """The plan `angles_rad` with what it leaves."""
     angles = tuple(float(a) for a in angles_rad)
-    ends = carry_out(aim, worlds, angles)
+    ends = carry_out(aim, worlds, angles, effort)
     return Plan(angles, cost(aim, angles, ends), ends)
 
 
-def best_plan(aim: Aim, worlds: Sequence[World], most: int, tolerance_rad: float, least: int = 0) -> Plan:
-    """The sequence of `least` to `most` (at most 3) motions with the fewest within the tolerance.
+def cheapest(plans: Sequence[Plan]) -> Plan:
+    """The plan of the lowest cost."""
+    return min(plans, key=lambda plan: plan.cost_rad)
 
-    The number of motions is chosen in the likeliest world; that plan is then made robust in all, and compared
-    with the best of one motion and with staying.
+
+def likeliest_plans(aim: Aim, world: World, most: int, effort: Effort) -> list[Plan]:
+    """The best sequence of 1, 2, … motions in one world, until one more motion is not worth its price.
+
+    Each is a descent in all angles, from the sequence before with one more turn before its first or its last
+    motion, and for two reversals from those of a rigid needle as well.
     """
-    likely = [likeliest_plan(aim, worlds[0], n) for n in range(max(least, 1), most + 1)]
-    chosen = fewest(likely, tolerance_rad)
-    plans = [rate(aim, worlds, ())] if least == 0 else []
-    for plan in {len(p.angles_rad): p for p in (*likely[:1], chosen)}.values():
-        plans.append(refine(aim, worlds, plan.angles_rad, evaluations=20 * len(plan.angles_rad)))
-    return fewest(plans, tolerance_rad)
-
-
-def likeliest_plan(aim: Aim, world: World, motions: int) -> Plan:
-    """The best sequence of `motions` (1 to 3) in one world: a grid, then a descent from its best hollows."""
-    low, high = aim.reach
     target = aim.task.target_rad
-    axes = [_denser_at(target, low, high, count) for count in GRID.get(motions, ())]
-    shape = tuple(len(axis) for axis in axes)
-    grid = [rate(aim, [world], (*before, target)) for before in product(*axes)]
-    starts = [grid[k] for k in _hollows(np.array([plan.cost_rad for plan in grid]).reshape(shape))]
-    if motions > 1:
-        # from a wound state the first of the three is done already
-        fronts = [angles[3 - motions :] for angles in _two_fronts(aim, world)]
-        starts += [rate(aim, [world], (*before, target)) for before in fronts]
-    starts.sort(key=lambda plan: plan.cost_rad)
-    found = [refine(aim, [world], start.angles_rad, evaluations=40 * motions) for start in starts[:DESCENTS]]
-    return min(found, key=lambda plan: plan.cost_rad)
+    found = [_descend(aim, world, (target,), effort)]
+    while len(found) < most and effort.left > 0.0:
+        *turns, last = found[-1].angles_rad
+        # one more reversal comes to the end from the other side, where play is to be taken up the other way
+        axis = _denser_at(target, *aim.reach, NEXT_SCAN if turns else FIRST_SCAN)
+        scans = [[(*turns, x, 2.0 * target - last) for x in axis]]
+        if turns:
+            scans.append([(x, *turns, last) for x in _denser_at(aim.base_rad, *aim.reach, NEXT_SCAN)])
+        starts = [cheapest([rate(aim, [world], a, effort) for a in scan]).angles_rad for scan in scans]
+        if len(turns) == 1:
+            starts += _two_fronts(aim, world)
+        found.append(cheapest([_descend(aim, world, start, effort) for start in starts]))
+        if len(found) > 2 and found[-1].cost_rad > found[-2].cost_rad:
+            break
+    return found
 
 
-def _hollows(cost_rad: Array) -> list[int]:
-    """Flat places of the values no neighbour of which is lower."""
-    if cost_rad.ndim == 0:
-        return [0]
-    from scipy.ndimage import minimum_filter
+def _two_fronts(aim: Aim, world: World) -> list[tuple[float, float, float]]:
+    """The three angles that straighten a rigid, uniform needle, from either side; the lag is this needle's.
 
-    lowest = minimum_filter(cost_rad, size=3, mode="nearest")
-    return [int(k) for k in np.flatnonzero(cost_rad.ravel() <= lowest.ravel())]
-
-
-def refine(aim: Aim, worlds: Sequence[World], start_rad: Sequence[float], evaluations: int) -> Plan:
-    """The best plan near `start_rad`, by Nelder and Mead's simplex."""
-    from scipy.optimize import minimize
-
-    low, high = aim.reach
+    From the wound state, fronts at 3/4 and 1/4 of the tissue leave no net torque; with a free length l_in the
+    base comes back by 1.5 (l_in + 0.375 L)/(l_in + 0.5 L) of the lag.
+    """
+    whole, tissue = effective_length_m(aim.task.layout), tissue_length_m(aim.task.layout)
+    rod = world.rod
+    carried_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1]
+    lag = float((carried_nm[1:] / rod.stiffness_nm_per_rad).sum())
+    lag += float(carried_nm[0]) * rod.base_compliance_rad_per_nm
+    back = 1.0 - 1.5 * (whole - 0.125 * tissue) / whole
     target = aim.task.target_rad
-    bounds = [(low, high)] * (len(start_rad) - 1)
-    bounds.append((max(target - FINAL_BOUND_RAD, low), min(target + FINAL_BOUND_RAD, high)))
-    start = np.clip(start_rad, *np.array(bounds).T)
+    return [(target + s * lag, target + s * back * lag, target) for s in (1.0, -1.0)]
+
+
+def _descend(aim: Aim, world: World, start_rad: Sequence[float], effort: Effort) -> Plan:
+    """The best plan near `start_rad` in one world: least squares of all nodes first, for speed."""
+    from scipy.optimize import Bounds, least_squares
+
+    seen: list[Plan] = []
+
+    def off(shifted: Array) -> Array:
+        if seen and effort.left <= 0.0:
+            raise _Spent
+        plan = rate(aim, [world], shifted - SHIFT_RAD, effort)
+        seen.append(plan)
+        ends = plan.ends
+        base = plan.angles_rad[-1] - aim.task.target_rad
+        torque = TORQUE_WEIGHT * _lag(aim, ends.torque_nm)
+        return np.concatenate([ends.off_rad / math.sqrt(len(ends.off_rad)), torque, [BASE_WEIGHT * base]])
+
+    start, bounds = _bounded(aim, start_rad)
+    with suppress(_Spent):
+        least_squares(
+            off,
+            start + SHIFT_RAD,
+            bounds=Bounds(*(bounds + SHIFT_RAD).T),
+            diff_step=[STEP_RAD / SHIFT_RAD],
+            max_nfev=SQUARES_EVALUATIONS,
+            xtol=1e-3 / SHIFT_RAD,
+            ftol=1e-2,
+        )
+    return refine(aim, [world], cheapest(seen).angles_rad, POLISH_EVALUATIONS, effort)
+
+
+class _Spent(Exception):
+    """Ends a descent."""
+
+
+def refine(
+    aim: Aim, worlds: Sequence[World], start_rad: Sequence[float], evaluations: int, effort: Effort
+) -> Plan:
+    """The best plan near `start_rad`, by Nelder and Mead's simplex, in `evaluations` a motion."""
+    from scipy.optimize import Bounds, minimize
+
+    start, bounds = _bounded(aim, start_rad)
     sizes = np.array([rad(4.0)] * (len(start) - 1) + [rad(1.0)])
     seen: dict[tuple[float, ...], Plan] = {}
 
     def value(angles: Array) -> float:
         key = tuple(angles.tolist())
         if key not in seen:
-            seen[key] = rate(aim, worlds, key)
+            if seen and effort.left <= 0.0:
+                raise _Spent
+            seen[key] = rate(aim, worlds, key, effort)
         return seen[key].cost_rad
 
-    found = minimize(
-        value,
-        start,
-        method="Nelder-Mead",
-        bounds=bounds,
-        options={
-            "initial_simplex": _simplex(start, sizes, bounds),
-            "maxfev": evaluations,
-            "xatol": rad(0.05),
-            "fatol": rad(0.01),
-        },
-    )
-    del found
-    return min(seen.values(), key=lambda plan: plan.cost_rad)
+    with suppress(_Spent):
+        minimize(
+            value,
+            start,
+            method="Nelder-Mead",
+            bounds=Bounds(*bounds.T),
+            options={
+                "initial_simplex": _simplex(start, sizes, bounds),
+                "maxfev": evaluations * len(start),
+                "xatol": rad(0.05),
+                "fatol": rad(0.01),
+            },
+        )
+    return cheapest(list(seen.values()))
 
 
-def fewest(plans: Sequence[Plan], tolerance_rad: float) -> Plan:
-    """The plan with the fewest motions whose cost is within `tolerance_rad` of the best."""
-    best = min(plan.cost_rad for plan in plans)
-    good = [plan for plan in plans if plan.cost_rad <= best + tolerance_rad]
-    return min(good, key=lambda plan: (len(plan.angles_rad), plan.cost_rad))
-
-
-def _two_fronts(aim: Aim, world: World) -> list[tuple[float, float]]:
-    """First two of the three angles that straighten a rigid, uniform needle, from either side.
-
-    From the wound state, fronts at 3/4 and 1/4 of the tissue leave no net torque; with a free length l_in the
-    base comes back by 1.5 (l_in + 0.375 L)/(l_in + 0.5 L) of the lag.
-    """
-    whole, tissue = effective_length_m(aim.task.layout), tissue_length_m(aim.task.layout)
-    friction_nm = float(world.rod.slip_plus_nm[world.tissue].sum())
-    twist = whole / world.model.torsional_rigidity_nm2 + world.rod.base_compliance_rad_per_nm
-    lag = friction_nm * twist
-    back = 1.0 - 1.5 * (whole - 0.125 * tissue) / whole
-    return [(aim.task.target_rad + s * lag, aim.task.target_rad + s * back * lag) for s in (1.0, -1.0)]
+def _bounded(aim: Aim, angles_rad: Sequence[float]) -> tuple[Array, Array]:
+    """The angles kept within their bounds, and those, shapes (motions,) and (motions, 2)."""
+    low, high = aim.reach
+    target = aim.task.target_rad
+    bounds = np.array([(low, high)] * len(angles_rad))
+    bounds[-1] = max(target - FINAL_BOUND_RAD, low), min(target + FINAL_BOUND_RAD, high)
+    return np.clip(angles_rad, *bounds.T), bounds
 
 
 def _denser_at(target: float, low: float, high: float, count: int) -> Array:
@@ -208,7 +266,7 @@ def _denser_at(target: float, low: float, high: float, count: int) -> Array:
     return np.concatenate([below[::-1], [target], above])
 
 
-def _simplex(start: Array, sizes: Array, bounds: Sequence[tuple[float, float]]) -> Array:
+def _simplex(start: Array, sizes: Array, bounds: Array) -> Array:
     corners = [start]
     for axis, (low, high) in enumerate(bounds):
         corner = start.copy()

@@ -7,18 +7,35 @@ from functools import lru_cache
 
 import numpy as np
 
-from needle_rig.control.planning.belief import Belief, Errors, corrected, first_belief, misfit, worlds
-from needle_rig.control.planning.fallback import reed_remaining
-from needle_rig.control.planning.search import Aim, Plan, best_plan, refine
+from needle_rig.control.planning.belief import (
+    Belief,
+    Errors,
+    after_next,
+    corrected,
+    first_belief,
+    misfit,
+    worlds,
+)
+from needle_rig.control.planning.fallback import doubted_at, reed_remaining
+from needle_rig.control.planning.search import (
+    ROBUST_EVALUATIONS,
+    Aim,
+    Effort,
+    Plan,
+    cheapest,
+    likeliest_plans,
+    rate,
+    refine,
+)
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput
-from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.units import deg, nmm, rad
 
 SAMPLES = 8
-MOST_AHEAD = 3
-MOST_AHEAD_WITH_LAWS = 2
-"""Torques that depend on angle cost five times as much to follow, and planning has half a second."""
+MOST_AHEAD = 5
+LIKELY_SOLVES, ROBUST_SOLVES = 160_000, 100_000
+"""What the search may spend in the likeliest needle, and in all: about 0.15 s of one core each."""
 FRICTION_SIGMA = 1.64
 """Before friction was seen, also a needle is planned for of which one in twenty slips easier."""
 QUICK_SETTLE_S = 0.5
@@ -30,11 +47,11 @@ class Planned(Strategy):
     """The fewest and shortest rotations that leave the shaft straight at the target, by the rig's model.
 
     Minimised is a quantile, over what is uncertain of the needle, of the worst angle error from the first
-    tissue to the tip, plus the torque left (as the lag that it stands for, weighted). Of plans within
-    `tolerance_deg` the one with the fewest rotations is taken. After each settled motion, friction and the
-    model's other uncertain values are corrected from the torques (and, with `use_hall`, the Hall angles),
-    and the rest is planned anew. As long as the friction of the run has not been seen, the base goes only as
-    far as every likely needle needs.
+    tissue to the tip, plus the torque left (as the lag that it stands for, weighted), plus a price:
+    `rotation_price_deg` for each rotation and 0.5° for every 100° turned. After each settled motion, friction
+    and the model's other uncertain values are corrected from the torques (and, with `use_hall`, the Hall
+    angles), and the rest is planned anew. As long as the friction of the run has not been seen, the base goes
+    only as far as every likely needle needs.
 
     It refuses a model whose error on runs held out of its fit is above `largest_error` times the noise floor.
     When torque or Hall angles are more than `doubt_sigma` from what any likely needle gives, it says so and
@@ -44,18 +61,18 @@ class Planned(Strategy):
     slow = True
 
     largest_overshoot_deg: float = 120.0
-    tolerance_deg: float = 0.5
+    rotation_price_deg: float = 0.15
     quantile: float = 0.9
     friction_scatter: float = 0.05
     """Relative standard deviation of friction from run to run."""
     largest_error: float = 5.0
     doubt_sigma: float = 5.0
     use_hall: bool = False
-    motions: int = 6
+    motions: int = 8
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.largest_overshoot_deg <= 720.0 or not 0.0 < self.tolerance_deg <= 20.0:
-            raise BadInput("planned: largest_overshoot_deg must be 0 to 720 and tolerance_deg 0 to 20")
+        if not 0.0 < self.largest_overshoot_deg <= 720.0 or not 0.0 < self.rotation_price_deg <= 20.0:
+            raise BadInput("planned: largest_overshoot_deg must be 0 to 720, rotation_price_deg 0 to 20")
         if not 0.5 <= self.quantile <= 1.0 or not 0.0 < self.friction_scatter <= 0.5:
             raise BadInput("planned: quantile must be 0.5 to 1 and friction_scatter above 0, to 0.5")
         if not self.largest_error > 0 or not self.doubt_sigma > 0 or not 1 <= self.motions <= 20:
@@ -89,12 +106,13 @@ class Planned(Strategy):
         """The next motion of the newest plan, or None when nothing is to be gained."""
         self.check(task)
         task = _in_this_rig(task)
-        doubt = self.doubt(task, history)
+        belief = self.belief(task, history)
+        doubt = self.doubt(task, history, belief)
         if doubt is not None:
             return reed_remaining(task, history, *doubt)
         if len(history) > self.motions:
             return None
-        plan, note = self.plan(task, history)
+        plan, note = self.plan(task, history, belief)
         if not plan.angles_rad:
             return None
         last = len(plan.angles_rad) == 1
@@ -115,21 +133,20 @@ class Planned(Strategy):
         first = first_belief(task.model, task.trust.uncertainties, self.friction_scatter)
         return corrected(first, task, history, Errors(), self.use_hall)
 
-    def doubt(self, task: Task, history: History) -> tuple[int, str] | None:
-        """The first settled motion that no likely needle explains, and a sentence, or None."""
-        for settled in range(2, len(history) + 1):
-            seen = history[:settled]
-            sigma, told = misfit(self.belief(task, seen), task, seen, Errors())
-            if sigma > self.doubt_sigma:
-                return (
-                    settled - 1,
-                    f"{told}, {sigma:.0f}σ: the model does not hold here, going on as reed2008",
-                )
-        return None
+    def doubt(self, task: Task, history: History, belief: Belief) -> tuple[int, str] | None:
+        """The settled motion that no likely needle explained, and a sentence if it is the last, or None."""
+        before = doubted_at(history)
+        if before is not None:
+            return before, ""
+        if len(history) == 1:
+            return None
+        sigma, told = misfit(belief, task, history, Errors())
+        if sigma <= self.doubt_sigma:
+            return None
+        return len(history) - 1, (f"{told}, {sigma:.0f}σ: the model does not hold here, going on as reed2008")
 
-    def plan(self, task: Task, history: History) -> tuple[Plan, str]:
+    def plan(self, task: Task, history: History, belief: Belief) -> tuple[Plan, str]:
         """The best rest of the sequence (angles may be none), and what is expected of it."""
-        belief = self.belief(task, history)
         samples = worlds(belief, task, history, SAMPLES)
         aim = Aim(
             task,
@@ -137,31 +154,39 @@ class Planned(Strategy):
             rad(self.largest_overshoot_deg),
             self._settle_s(task),
             self.quantile,
+            rad(self.rotation_price_deg),
         )
-        tolerance = rad(self.tolerance_deg)
-        ahead = MOST_AHEAD_WITH_LAWS if samples[0].rod.laws else MOST_AHEAD
-        left = min(ahead, self.motions + 1 - len(history))
-        plan = best_plan(aim, samples, left, tolerance, least=0 if len(history) > 1 else 1)
+        left = min(MOST_AHEAD, self.motions + 1 - len(history))
+        likely = likeliest_plans(aim, samples[0], left, Effort(LIKELY_SOLVES))
+        robust = Effort(ROBUST_SOLVES)
         if len(history) == 1:
-            plan = self._careful(task, history, aim, belief, plan)
-        return plan, _expectation(task, plan, belief, len(history) == 1)
+            plan = self._careful(
+                task, history, aim, belief, rate(aim, samples, cheapest(likely).angles_rad, robust)
+            )
+            return plan, _expectation(task, plan, belief, unseen=True)
+        plans = [rate(aim, samples, (), robust)]
+        for chosen in {likely[0].angles_rad, cheapest(likely).angles_rad}:
+            plans.append(refine(aim, samples, chosen, ROBUST_EVALUATIONS, robust))
+        plan = cheapest(plans)
+        return plan, _expectation(task, plan, belief, unseen=False)
 
     def _careful(self, task: Task, history: History, aim: Aim, belief: Belief, plan: Plan) -> Plan:
-        """The plan, its first motion cut to what the needle that slips easiest needs.
+        """The plan, its first motion cut to what the needle that slips easiest needs, where that pays.
 
-        Going on in the same direction later loses nothing; having gone too far would cost a reversal.
+        Going on in the same direction later loses nothing; having gone too far would cost a reversal. What
+        it will leave is judged by needles as alike as they will be when the torque has been read.
         """
-        likely = worlds(belief, task, history, 1)
-        known = refine(aim, likely, plan.angles_rad, 30)
-        if plan.cost_rad <= known.cost_rad + rad(self.tolerance_deg):
-            return plan
-        place = belief.names.index("friction_nmm_per_100mm")
+        effort = Effort(ROBUST_SOLVES)
         easy = belief.mean.copy()
-        easy[place] -= FRICTION_SIGMA
-        light = replace(belief, mean=easy)
-        first = refine(aim, worlds(light, task, history, 1), known.angles_rad, 40).angles_rad[0]
-        near = min((first, known.angles_rad[0]), key=lambda angle: abs(angle - aim.base_rad))
-        return replace(known, angles_rad=(near, *known.angles_rad), cost_rad=known.cost_rad)
+        easy[belief.names.index(FRICTION)] -= FRICTION_SIGMA
+        light = worlds(replace(belief, mean=easy), task, history, 1)
+        near = refine(aim, light, plan.angles_rad, ROBUST_EVALUATIONS, effort).angles_rad[0]
+        near = min((near, plan.angles_rad[0]), key=lambda angle: abs(angle - aim.base_rad))
+        sure = worlds(after_next(belief, task, history, near, Errors()), task, history, SAMPLES)
+        known = refine(aim, sure, plan.angles_rad, ROBUST_EVALUATIONS, effort)
+        if plan.cost_rad <= known.cost_rad + aim.rotation_price_rad:
+            return plan
+        return replace(known, angles_rad=(near, *known.angles_rad))
 
     def _settle_s(self, task: Task) -> float:
         assert task.model is not None
