@@ -263,7 +263,12 @@ def _conclude(
         held_out_error_after=held.error if verdict == "effect" else root_held.error,
         noise_floor=1.0,
         next_experiment=experiment,
-        notes=(*prepared.dataset.notes, *prepared.notes, *_trace_notes(search)),
+        notes=(
+            *prepared.dataset.notes,
+            *prepared.notes,
+            *_trace_notes(search),
+            *(_preview_notes(search, named) if verdict == "effect" else []),
+        ),
         prepared=prepared,
         search=search,
     )
@@ -406,6 +411,27 @@ def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
     if abs(found.pull_rigidity) > 3:
         parts.append(f"the needle's constants are pulled by {found.pull_rigidity:+.1f}σ")
     return "; ".join(parts)
+
+
+def _preview_notes(search: Search, named: list[str]) -> list[str]:
+    """What was not fitted in the place of an effect, since its preview gains too little."""
+    notes = []
+    here = search.fits[search.best][0].objective
+    for effect in named:
+        rest = frozenset(search.best - {effect})
+        left_out = [
+            c
+            for c in search.children.get(rest, [])
+            if c.fit is None and rest | {c.effect} not in search.fits and c.effect not in search.best
+        ]
+        if left_out:
+            most = max(left_out, key=lambda c: (c.preview.gain, c.effect))
+            gain = search.fits[rest][0].objective - here
+            notes.append(
+                f"In the place of {effect}, {len(left_out)} effects were not refitted: their previews promise"
+                f" at most {100 * most.preview.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
+            )
+    return notes
 
 
 def _trace_notes(search: Search) -> list[str]:

@@ -28,7 +28,6 @@ ROUGH = 0.5
 """First fits end when the next step would gain less than this;"""
 PROMISING = 4.0
 """those that gain more than this are refined."""
-WORTH = 2.0
 MOST_TRACES = 2
 
 
@@ -163,6 +162,8 @@ class Search:
     best: frozenset[str] = frozenset()
     traces: dict[str, tuple[Fit, frozenset[str]]] = field(default_factory=dict)
     """Effects that are seen but too small to matter, with the fit that showed each."""
+    asked: dict[frozenset[str], float] = field(default_factory=dict)
+    """Preview gain below which `children` of a set were not fitted."""
 
     def __post_init__(self) -> None:
         self.start = frozenset(self.root.effects)
@@ -179,17 +180,27 @@ class Search:
             self.fits[key] = (found, held)
 
     def expand(self, key: frozenset[str], worth: float = -1.0) -> list[Candidate]:
-        """All effects on top of the set `key`; with `worth` only those whose preview reaches it."""
-        done = self.children.get(key)
-        if done is not None:
-            return done
+        """All effects on top of the set `key`; with `worth` only those whose preview reaches it.
+
+        A preview orders the work on sets that may come to nothing; on the set where the search stands, every
+        effect is fitted.
+        """
+        known = {c.effect: c for c in self.children.get(key, [])}
+        before = self.asked.get(key, np.inf)
         parent = self.fits[key][0]
         names = [n for n in self.names if n not in key and n not in self.traces]
-        found = self.work.run(try_effect, [(parent, n, (), worth) for n in names])
-        found = self._from_limits(parent, found)
+        wanted = [
+            n
+            for n in names
+            if n not in known or (known[n].fit is None and worth <= known[n].preview.gain < before)
+        ]
+        if not wanted:
+            return self.children.setdefault(key, [])
+        known |= {c.effect: c for c in self.work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
+        found = self._from_limits(parent, [known[n] for n in names])
         for candidate in found:
             self.keep(candidate.fit, candidate.held)
-        self.children[key] = found
+        self.children[key], self.asked[key] = found, min(worth, before)
         return found
 
     def _from_limits(self, parent: Fit, found: list[Candidate]) -> list[Candidate]:
@@ -289,7 +300,7 @@ class Search:
         kept = [redone.get(c.effect) or _silenced(c, parent) for c in stale if c.effect != trace]
         for candidate in kept:
             self.keep(candidate.fit, candidate.held)
-        self.children[self.best] = kept
+        self.children[self.best], self.asked = kept, {self.best: -1.0}
 
     def _worth_again(self, candidate: Candidate) -> bool:
         parent = self.fits[self.best][0]
@@ -327,17 +338,13 @@ class Search:
             near = [k for k in options if score(self.problem, self.fits[k][0]) < lowest + 0.6 * spread]
             frontier = [self.best, *[k for k in near if k != self.best][: FRONTIER - 1]]
         self.best = self._back(self.best)
-        self.expand(self.best, self._worth(self.best))
+        self.expand(self.best)
         return self.best
-
-    def _worth(self, key: frozenset[str]) -> float:
-        """Smallest preview gain that earns a fit: none at the start, a chance's worth on top of an effect."""
-        return -1.0 if key == self.start else WORTH
 
     def _forward(self, frontier: list[frozenset[str]]) -> None:
         for place, key in enumerate(frontier):
             if place == 0:
-                self.expand(key, self._worth(key))
+                self.expand(key)
                 continue
             best_child = min(
                 (c.fit.objective for c in self.children[frontier[0]] if c.fit is not None), default=np.inf
