@@ -129,6 +129,15 @@ def _blocks(time_s: Array, parts: list[tuple[int, int, int]]) -> tuple[list[int]
     return starts, bins, moving_bins
 
 
+def bin_means(given: DatasetTrial, values: Array) -> Array:
+    """Means (C, K), in the bins of the trial, of values (C, M) at its samples."""
+    time_s = given.trial.time_s
+    starts, bins, kinds = _blocks(time_s, motions_of(given.trial.base_angle_rad, np.asarray(given.phase)))
+    of_sample = np.repeat(bins, np.diff([*starts, time_s.size]))
+    count = np.bincount(of_sample, minlength=len(kinds))
+    return np.array([np.bincount(of_sample, v, len(kinds)) / count for v in values])
+
+
 def bin_trial(given: DatasetTrial) -> BinnedTrial:
     """Bins of one trial."""
     base_rad = given.trial.base_angle_rad

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig.dataset import Dataset
+from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Effect
-from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.bins import bin_trial
+from needle_rig.physics.needle_model import NeedleModel, predict_batch
+from needle_rig.workbench.bins import bin_means, bin_trial
 from needle_rig.workbench.coordinates import positions_of
 from needle_rig.workbench.fit import Fit, fit, start_point
 from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.noise import measure_noise, with_replicate_scatter
-from needle_rig.workbench.problem import Point, Problem
+from needle_rig.workbench.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 COARSE_M = 4e-3
 CELLS_PER_SECTION = 6
+FINER = 8.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def prepare(dataset: Dataset, model: NeedleModel | None, library: Mapping[str, t
         noise = with_replicate_scatter(noise, binned, left, problem.groups)
         problem = problem.with_noise(noise)
         first = _again(problem, first)
-    problem.nuisance = solver_error(problem, first, present.element_length_m)
+    problem.nuisance = solver_error(problem, first, dataset.trials, present.element_length_m)
     final = _again(problem, first)
     return Prepared(dataset, problem, final, held_out(problem, final), tuple(notes))
 
@@ -132,17 +133,23 @@ def _left(problem: Problem, found: Fit) -> list[Array]:
     return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
 
 
-def solver_error(problem: Problem, found: Fit, fine_m: float) -> tuple[Array, ...]:
-    """The difference between the model on its stated mesh and on the one used for fits, a trial each."""
+def solver_error(
+    problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float
+) -> tuple[Array, ...]:
+    """What our own numerics do, whitened (n, 1) a trial: the model solved finely minus the model as used.
+
+    Finely is on cells of `fine_m`, with an eighth of the solver's tolerance, driven by every sample.
+    """
     every = list(range(len(problem.trials)))
-    point: Point = found.point
-    models = [problem.model(found.axes, point, t) for t in every]
-    fine = [dataclasses.replace(m, element_length_m=fine_m) for m in models]
-    coarse_readings, fine_readings = problem.readings(models, every), problem.readings(fine, every)
-    return tuple(
-        problem.whiteners[t](f - c)[:, None]
-        for t, (f, c) in enumerate(zip(fine_readings, coarse_readings, strict=True))
-    )
+    models = [problem.model(found.axes, found.point, t) for t in every]
+    tolerance_rad = models[0].tolerance_rad / FINER
+    fine = [dataclasses.replace(m, element_length_m=fine_m, tolerance_rad=tolerance_rad) for m in models]
+    seen = predict_batch(fine, [given.trial for given in trials], threads=problem.threads)
+    errors = []
+    for t, used in enumerate(problem.readings(models, every)):
+        values = np.vstack([seen[t].torque_nm[None, :], seen[t].hall_rad.T])
+        errors.append(problem.whiteners[t](bin_means(trials[t], values) - used)[:, None])
+    return tuple(errors)
 
 
 def _notes(problem: Problem) -> list[str]:

@@ -29,6 +29,8 @@ ROUGH = 0.5
 PROMISING = 4.0
 """those that gain more than this are refined."""
 MOST_TRACES = 2
+TIMES_OURS = 3.0
+"""Claims smaller than this many times our own numerical error are refused."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,15 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
     if all(a.one_sided for a in new):
         p *= 0.5
     return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))
+
+
+def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
+    """Whether what the child changes is under three times our solver's own error along it."""
+    if not problem.nuisance[0].shape[1]:
+        return False
+    change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
+    ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
+    return bool(change @ change < TIMES_OURS * abs(change @ ours))
 
 
 def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
@@ -244,7 +255,7 @@ class Search:
     def passes(self, parent: frozenset[str], child: frozenset[str]) -> bool:
         """Whether the child's extra effects are seen, and foretell what they have not seen."""
         (old, old_held), (new, new_held) = self.fits[parent], self.fits[child]
-        if chance(old, new, len(self.names)) >= SIGNIFICANCE:
+        if chance(old, new, len(self.names)) >= SIGNIFICANCE or may_be_ours(self.problem, old, new):
             return False
         if old_held is not None and not np.isfinite(old_held.error):
             return True  # a single command: nothing can be left out, and the report says so
