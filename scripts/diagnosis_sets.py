@@ -1,0 +1,252 @@
+"""The datasets of `scripts/diagnosis_table`: the plan, how one is made, and the answer to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import random
+import time
+import traceback
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from needle_rig.model import load_parameters
+from needle_rig.physics.library import find_effects
+from needle_rig.physics.rod import Layout
+from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
+from needle_rig.workbench.coordinates import coordinates, make_effects
+from needle_rig.workbench.detection import at_strength, detection_limit, smallest_strength
+from needle_rig.workbench.diagnose import diagnose
+from needle_rig.workbench.prepare import prepare
+from needle_rig.workbench.simulate import Noise, simulate_dataset
+
+STRENGTHS = (0.5, 1.0, 3.0, 5.0, 10.0)
+IMPOSTORS = ("clock skew 10 ms", "2 % outliers", "dropped samples", "half the solver step")
+PAIRS = (
+    ("tissue_elasticity", "tip_friction"),
+    ("tissue_elasticity", "torque_bias"),
+    ("layered_friction", "chuck_backlash"),
+    ("viscous_slip", "torque_gain"),
+    ("tissue_elasticity", "viscous_slip"),
+    ("guide_friction", "hall_offset"),
+    ("tip_friction", "chuck_backlash"),
+    ("bending_torque", "tissue_elasticity"),
+    ("direction_asymmetry", "chuck_compliance"),
+    ("hall_gain", "tissue_elasticity"),
+)
+OTHER_LAYOUT = Layout(0.31, ((0.12, 0.16), (0.18, 0.24), (0.255, 0.30)), (0.17, 0.247, 0.309))
+FEWER_TRIALS = Protocol(
+    "fewer",
+    (
+        compensation(45.0),
+        compensation(45.0),
+        compensation(-60.0, 20.0),
+        staircase((30.0, 70.0, 20.0, -20.0, 10.0)),
+        compensation(45.0),
+        compensation(90.0, 90.0, 8.0),
+    ),
+)
+SETUPS = (
+    (None, Noise(friction_scatter=0.02, rigidity_error=0.02)),
+    (None, Noise(hall_deg=0.12, torque_nmm=0.0004, friction_scatter=0.01, rigidity_error=0.02)),
+    (None, Noise(friction_scatter=0.05, rigidity_error=0.02)),
+    (None, Noise(hall_deg=0.5, torque_nmm=0.0016, friction_scatter=0.03, rigidity_error=0.02)),
+    (OTHER_LAYOUT, Noise(friction_scatter=0.02, rigidity_error=0.02)),
+)
+"""Layout (None: the experiment's, with the standard series) and noise; the last has fewer trials too."""
+
+
+def plan(seeds: int) -> list[dict]:
+    """Every dataset, so ordered that any beginning is a fair sample with the main rows a little ahead."""
+    names = sorted(find_effects())
+    every = range(seeds)
+
+    def one(strength: float) -> list[dict]:
+        return [
+            {"kind": "one", "effects": [n], "strength": strength, "setup": (i + s) % len(SETUPS), "seed": s}
+            for i, n in enumerate(names)
+            for s in every
+        ]
+
+    parts = [(0.7, one(3.0)), (1.0, one(10.0)), (1.0, one(1.0)), (1.0, one(5.0)), (0.9, one(0.5))]
+    parts.append((0.7, [{"kind": "none", "setup": s % len(SETUPS), "seed": s} for s in range(12 * seeds)]))
+    for strength in (3.0, 10.0):
+        pairs = [
+            {"kind": "pair", "effects": p, "strength": strength, "setup": (i + s) % len(SETUPS), "seed": s}
+            for i, p in enumerate(map(list, PAIRS))
+            for s in every
+        ]
+        parts.append((1.0, pairs))
+    removed = [
+        {"kind": "removed", "effects": [n], "strength": 10.0, "setup": (i + s + 1) % len(SETUPS), "seed": s}
+        for i, n in enumerate(names)
+        for s in range((seeds + 1) // 2)
+    ]
+    spoilt = [
+        {"kind": "impostor", "impostor": i, "setup": s % len(SETUPS), "seed": s}
+        for i in IMPOSTORS
+        for s in range(4 * seeds)
+    ]
+    parts += [(0.8, removed), (0.9, spoilt)]
+    placed = []
+    for number, (weight, tasks) in enumerate(parts):
+        random.Random(number).shuffle(tasks)
+        placed += [(weight * (i + 0.5) / len(tasks), number, t) for i, t in enumerate(tasks)]
+    return [t for _, _, t in sorted(placed, key=lambda p: p[:2])]
+
+
+def key(task: dict) -> str:
+    """What tells a dataset from the others."""
+    fields = ("kind", "effects", "strength", "setup", "seed", "impostor")
+    return json.dumps({f: task[f] for f in fields if f in task}, sort_keys=True)
+
+
+def simulated(setup: int, effects, seed: int, finer: float = 1.0):
+    """A dataset of a setup with these effects hidden."""
+    layout, noise = SETUPS[setup]
+    model = load_parameters("rig_rigid").with_effects(*effects)
+    if layout is not None:
+        model = dataclasses.replace(model, layout=layout)
+    model = dataclasses.replace(
+        model,
+        element_length_m=model.element_length_m / finer,
+        tolerance_rad=model.tolerance_rad / finer,
+    )
+    protocol = load_protocol("standard") if layout is None else FEWER_TRIALS
+    return simulate_dataset(model, protocol, seed, noise, name="x")
+
+
+_PREPARED: dict[int, object] = {}
+
+
+def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float]:
+    """(detection limit, smallest strength that matters, where multiples of 1 and more count from)."""
+    library = find_effects()
+    if setup not in _PREPARED:
+        _PREPARED[setup] = prepare(simulated(setup, (), 987), None, library)
+    prepared = _PREPARED[setup]
+    limit = detection_limit(prepared, effect, turn)
+    smallest = smallest_strength(prepared.problem.axes([effect]))
+    return limit, smallest, max(limit, smallest)
+
+
+def spoiled(dataset, impostor: str, seed: int):
+    """A dataset with a fault of measurement in it."""
+    generator = np.random.default_rng(seed + 5000)
+    trials = []
+    for given in dataset.trials:
+        time_s = given.trial.time_s
+        torque, hall = given.torque_nm.copy(), given.hall_rad.copy()
+        if impostor.startswith("clock"):
+            late = [np.interp(time_s - 0.01, time_s, c) for c in (torque, *hall.T)]
+            new = dataclasses.replace(given, torque_nm=late[0], hall_rad=np.column_stack(late[1:]))
+        elif impostor.startswith("2 %"):
+            for column in (torque, *hall.T):
+                hit = generator.random(column.size) < 0.02
+                column[hit] += generator.standard_normal(hit.sum()) * 30 * np.std(np.diff(column[:20]))
+            new = dataclasses.replace(given, torque_nm=torque, hall_rad=hall)
+        else:
+            keep = generator.random(time_s.size) > 0.1
+            keep[[0, -1]] = True
+            base = given.trial.base_angle_rad[keep]
+            new = dataclasses.replace(
+                given,
+                trial=dataclasses.replace(given.trial, time_s=time_s[keep], base_angle_rad=base),
+                base_measured_rad=given.base_measured_rad[keep],
+                base_residual_rad=given.base_residual_rad[keep],
+                torque_nm=torque[keep],
+                hall_rad=hall[keep],
+                phase=given.phase[keep],
+            )
+        trials.append(new)
+    return dataclasses.replace(dataset, trials=tuple(trials))
+
+
+def judge(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
+    """Make one dataset, diagnose it, and note what the answer was."""
+    try:
+        return {**task, **judged(task, known)}
+    except Exception:  # noqa: BLE001 a crash is an answer too: it is counted
+        return {**task, "crash": traceback.format_exc(limit=-4)}
+
+
+def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
+    """The answer to one dataset."""
+    library = dict(find_effects())
+    layout = SETUPS[task["setup"]][0] or load_parameters("rig_rigid").layout
+    turn = -1.0 if task["seed"] % 2 else 1.0
+    hidden, truth, limits = [], {}, {}
+    for name in task.get("effects", ()):
+        place = f"{name} {task['setup']} {turn:+.0f}"
+        limits[place] = tuple(known.get(place) or limits_of(task["setup"], name, turn))
+        limit, _, matters = limits[place]
+        if not np.isfinite(limit):
+            return {"limits": {}, "skipped": f"{name} does not show in this setup"}
+        axes = coordinates(library, [name], layout)
+        strength = task["strength"] * (limit if task["strength"] < 1 else matters)
+        positions = at_strength(axes, strength, turn)
+        hidden += make_effects(library, axes, positions)
+        pairs = zip(axes, positions, strict=True)
+        truth[name] = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
+    impostor = task.get("impostor", "")
+    seed = 10_000 + 7 * task["seed"] + sum(map(ord, key({**task, "seed": 0})))
+    dataset = simulated(task["setup"], hidden, seed, 2.0 if impostor.startswith("half") else 1.0)
+    if impostor and not impostor.startswith("half"):
+        dataset = spoiled(dataset, impostor, seed)
+    if task["kind"] == "removed":
+        library.pop(task["effects"][0])
+    begun, cpu = time.monotonic(), time.process_time()
+    found = diagnose(dataset, library)
+    spent = {"wall_s": round(time.monotonic() - begun, 1), "cpu_s": round(time.process_time() - cpu, 1)}
+    named = found.ranking[: len(found.effects)]
+    values = [(v, truth[r.effect].get(v.name)) for r in named if r.effect in truth for v in r.values]
+    return {
+        **spent,
+        "limits": limits,
+        "verdict": found.verdict,
+        "named": list(found.effects),
+        "ties": {r.effect: list(r.indistinguishable_from) for r in named},
+        "after": found.held_out_error_after,
+        "decisions": {n: found.decisions[n].decision for n in truth if n in found.decisions},
+        "covered": [v.low <= value <= v.high for v, value in values if value is not None],
+        "relatives": relatives(list(truth)),
+        "left": [p.sentence() for p in found.left_over.patterns[:2]],
+        **(naive(found) if task["kind"] in ("one", "none") else {}),
+    }
+
+
+def relatives(effects: list[str]) -> list[str]:
+    """Declared relatives, either way."""
+    every = find_effects()
+    related = {r for n in effects for r in every[n].relatives}
+    related |= {n for n in every for e in effects if e in every[n].relatives}
+    return sorted(related - set(effects))
+
+
+def naive(found) -> dict:
+    """What the independent-noise F-test and AIC over raw samples say of the same candidates."""
+    problem, search = found.search.problem, found.search
+    trials = list(range(len(problem.trials)))
+    samples = sum(int(b.count.sum()) for b in problem.trials)
+
+    def squares(fit) -> float:
+        point = dataclasses.replace(fit.point, trial_friction=np.zeros(len(trials)))
+        readings = problem.readings([problem.model(fit.axes, point, t) for t in trials], trials)
+        white = problem.noise.white[:, None]
+        pairs = zip(problem.trials, readings, strict=True)
+        return samples + sum(float(np.nansum(((b.mean - r) / white) ** 2 * b.count)) for b, r in pairs)
+
+    base = squares(search.root)
+    tests, gains = {}, {}
+    for candidate in search.children.get(search.start, []):
+        if candidate.fit is not None:
+            k, now = len(candidate.fit.axes), squares(candidate.fit)
+            ratio = max(base - now, 0.0) / k / (now / (samples - k - 2))
+            tests[candidate.effect] = float(f_distribution.sf(ratio, k, samples - k - 2))
+            gains[candidate.effect] = base - now - 2 * k
+    first, best = min(tests, key=tests.get, default=None), max(gains, key=gains.get, default=None)
+    return {
+        "f_test": first if first and tests[first] < 0.01 else None,
+        "aic": best if best and gains[best] > 0 else None,
+    }
