@@ -37,6 +37,7 @@ _REGAIN = 0.2
 _REGAIN_AT_MOST_S = 0.25
 _STEPS_A_WAKE = 4
 _TOO_OFTEN = 5
+_ALL_OF_A_CORE = 0.8
 _HAND_RAD_S = rad(120.0)
 
 
@@ -102,6 +103,7 @@ class BenchLoop:
         self._regain_s = 0.0
         self._late_at_s = 0.0
         self._late_in_a_row = 0
+        self._late_since = (0.0, 0.0)
         self._last_command: tuple[bool, bool] | None = None
         self._last_state: Any = None
         self._velocity_rad_s = 0.0
@@ -158,10 +160,13 @@ class BenchLoop:
         self._behind_s += late_s
         self._regain_s = min(self._regain_s + late_s, _REGAIN_AT_MOST_S)
         self._say({"event": "late", "late_s": round(late_s, 4)})
-        now_s = time.monotonic()
-        self._late_in_a_row = self._late_in_a_row + 1 if now_s - self._late_at_s < 1.0 else 1
+        now_s, cpu_s = time.monotonic(), time.process_time()
+        if now_s - self._late_at_s > 1.0:
+            self._late_in_a_row, self._late_since = 0, (now_s, cpu_s)
         self._late_at_s = now_s
-        if self._late_in_a_row == _TOO_OFTEN:
+        self._late_in_a_row += 1
+        since_s, cpu_since_s = self._late_since
+        if self._late_in_a_row >= _TOO_OFTEN and cpu_s - cpu_since_s > _ALL_OF_A_CORE * (now_s - since_s):
             be_urgent(False)
 
     def _regained_s(self) -> float:
@@ -306,7 +311,7 @@ class BenchLoop:
 def be_urgent(urgent: bool = True) -> None:
     """Run before ordinary programs where the system allows it: a rig does not wait for the machine.
 
-    Not for a bench that cannot keep up, which would leave nothing to the others.
+    Not for a bench that is late because it needs more than a core: it would leave nothing to the others.
     """
     policy, priority = (os.SCHED_FIFO, 1) if urgent else (os.SCHED_OTHER, 0)
     with contextlib.suppress(PermissionError):
