@@ -48,6 +48,12 @@ class Preview:
     error: float
     """Standard deviation of the strength (on its axis), from the smallest strength's signature."""
     estimate: float
+    whole: bool = True
+    """Whether every form was tried."""
+
+    def may_reach(self, worth: float) -> bool:
+        """Whether this gain, or that of a form not tried yet, may be as much as `worth`."""
+        return self.gain >= worth or not self.whole
 
 
 class Projector:
@@ -182,7 +188,8 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
             kept.append(start)
         if len(kept) == 4:
             break
-    return Preview(effect, max(0.0, kept[0].gain) if kept else 0.0, tuple(kept), error, estimate)
+    gain = max(0.0, kept[0].gain) if kept else 0.0
+    return Preview(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(own)))
 
 
 def _joint(

@@ -203,7 +203,8 @@ class Search:
         wanted = [
             n
             for n in names
-            if n not in known or (known[n].fit is None and worth <= known[n].preview.gain < before)
+            if n not in known
+            or (known[n].fit is None and worth < before and known[n].preview.may_reach(worth))
         ]
         if not wanted:
             return self.children.setdefault(key, [])
