@@ -63,6 +63,25 @@ def test_time_passes_in_the_plant_as_on_the_clock(bench: Bench) -> None:
     assert ends[1]["plant_s"] - ends[0]["plant_s"] == pytest.approx(passed_s - missed_s, abs=0.06)
 
 
+@pytest.mark.parametrize(("away_s", "left_s"), [(0.15, 0.0), (0.45, 0.2)])
+def test_time_that_the_machine_took_is_made_up_for_up_to_a_quarter_of_a_second(
+    bench: Bench, away_s: float, left_s: float
+) -> None:
+    def behind_s() -> float:
+        bench.tell("status")
+        return float(bench.wait_for(lambda said: "base_deg" in said, 10)["behind_s"])
+
+    before_s = behind_s()
+    os.kill(bench.pid, signal.SIGSTOP)
+    select.select([], [], [], away_s)
+    os.kill(bench.pid, signal.SIGCONT)
+    late = bench.wait_for(lambda said: said.get("event") == "late", 10)
+    assert late["late_s"] == pytest.approx(away_s, abs=0.01)
+    assert behind_s() - before_s == pytest.approx(away_s, abs=0.02)
+    assert bench.heard(1.5) is None
+    assert behind_s() - before_s == pytest.approx(left_s, abs=0.01)
+
+
 def test_a_wrong_parameter_set_is_refused_as_if_in_this_process() -> None:
     with pytest.raises(BadInput, match="no_such_needle"):
         bench_module.start(load_rig_config(None, {"simulation.parameters": "no_such_needle"}))
