@@ -21,7 +21,7 @@ DRIVE_SENTENCES: dict[DriveFault, str] = {
     DriveFault.ANGLE: "it left its own angle range; turn the base back by hand",
     DriveFault.TORQUE_TRIP: "the torque at the base passed its own trip level; free the needle",
     DriveFault.ENCODER: "its encoder failed; check the cable",
-    DriveFault.FRAME: "too many commands arrived damaged; check the termination and shielding of the bus",
+    DriveFault.FRAME: "too many commands or torque frames arrived damaged; check the bus and its termination",
     DriveFault.TORQUE_AGE: "the torque node went quiet; check its power and the bus",
 }
 TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
