@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,10 @@ from needle_rig.errors import BadInput
 if TYPE_CHECKING:
     from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.workbench.simulate import Noise
+    from needle_rig.workbench.strategies_table import Foretold, Table
 
+PAIR = ("planned", "reed2008")
 TARGETS = "15,-15,45,-45,90,-90,180,-180"
 
 
@@ -24,6 +28,11 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
 )
 @click.option(
     "--effect", "effects", multiple=True, metavar="NAME[=VALUE]", help="Effect of the simulated rig."
+)
+@click.option(
+    "--each",
+    is_flag=True,
+    help="A rig of its own for every --effect, and one line for each: planned beside reed2008.",
 )
 @effects_option
 @click.option(
@@ -48,6 +57,7 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
 def command(
     parameters: str,
     effects: tuple[str, ...],
+    each: bool,
     directories: tuple[str, ...],
     model_path: str | None,
     diagnose: bool,
@@ -70,54 +80,91 @@ def command(
     from needle_rig.model import SavedModel, load_model, load_parameters, parameter_sets
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.workbench.simulate import Noise
-    from needle_rig.workbench.strategies_table import (
-        Bout,
-        all_strategies,
-        compare_strategies,
-        figure,
-        foretold,
-    )
+    from needle_rig.workbench.strategies_table import all_strategies, figure
 
     library = find_library(directories)
-    plant = load_parameters(parameters, effects=directories)
-    if effects:
-        plant = plant.with_effects(*parse_effects(effects, library))
+    bare = load_parameters(parameters, effects=directories)
     angles = _targets(targets)
-    strategies = tuple(n.replace("-", "_") for n in names) or all_strategies()
+    strategies = tuple(n.replace("-", "_") for n in names) or (PAIR if each else all_strategies())
     if not 0.0 <= scatter_percent <= 50.0:
         raise BadInput(f"--scatter-percent {scatter_percent:g}: give 0 to 50")
+    if each and (not effects or model_path is not None or pictures is not None):
+        raise BadInput("--each needs --effect once or more, and goes without --model and --png")
+    if each and not set(PAIR) <= set(strategies):
+        raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
     noise = Noise(friction_scatter=scatter_percent / 100.0)
-    saved, told = None, ""
-    bout = Bout(plant, plant.torsional_rigidity_nm2, noise)
-    if "planned" in strategies or model_path is not None:
-        if model_path is None:
-            saved = _identified(plant, noise, library, diagnose, jobs)
-        elif model_path in parameter_sets():
-            saved = SavedModel(load_parameters(model_path, effects=directories), model_path)
-        else:
-            saved = load_model(model_path, effects=directories)
-        bout = Bout(plant, plant.torsional_rigidity_nm2, noise, saved)
-        told = foretold(bout)[2]
-        click.echo(told, err=True)
-    say(f"running {len(strategies)} strategies to {len(angles)} targets")
-    table = compare_strategies(bout, strategies, angles, seeds, work=worker(jobs, None))
-    file = None
+
+    def contest(plant: NeedleModel) -> Contest:
+        saved = None
+        if "planned" in strategies or model_path is not None:
+            if model_path is None:
+                saved = _identified(plant, noise, library, diagnose, jobs)
+            elif model_path in parameter_sets():
+                saved = SavedModel(load_parameters(model_path, effects=directories), model_path)
+            else:
+                saved = load_model(model_path, effects=directories)
+        return _contest(plant, noise, saved, strategies, angles, seeds, jobs)
+
+    if each:
+        contests = [contest(bare.with_effects(*parse_effects((e,), library))) for e in effects]
+        if as_json:
+            told = [{"effect": e} | _document(c) for e, c in zip(effects, contests, strict=True)]
+            click.echo(json.dumps({"effects": told}, ensure_ascii=False, allow_nan=False))
+            return
+        click.echo(
+            f"{parameters}: worst error of the shaft in °, medians (95 % quantiles) over {len(angles)}"
+            f" targets, {seeds} × 2 starts"
+        )
+        _show_each(effects, contests)
+        return
+    plant = bare.with_effects(*parse_effects(effects, library))
+    found = contest(plant)
     if pictures is not None:
         from needle_rig.workbench.report import png
 
         pictures.mkdir(parents=True, exist_ok=True)
         file = pictures / "strategies.png"
         hidden = ", ".join(e.name() for e in plant.effects) or "rigid tissue"
-        file.write_bytes(
-            png(figure(table, f"{parameters} ({hidden}), {scatter_percent:g} % scatter of friction"))
-        )
+        title = f"{parameters} ({hidden}), {scatter_percent:g} % scatter of friction"
+        file.write_bytes(png(figure(found.table, title)))
         click.echo(f"picture: {file}", err=True)
     if as_json:
-        click.echo(json.dumps(_document(table, saved, told), ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(_document(found), ensure_ascii=False, allow_nan=False))
         return
     _show(
-        table.overall(),
+        found.table.overall(),
         f"{parameters}: medians (95 % quantiles) over {len(angles)} targets, {seeds} × 2 starts",
+    )
+
+
+@dataclass(frozen=True)
+class Contest:
+    """The strategies on one rig: the model that planned had, what was said beforehand, and what came."""
+
+    saved: SavedModel | None
+    foretold: Foretold | None
+    table: Table
+
+
+def _contest(
+    plant: NeedleModel,
+    noise: Noise,
+    saved: SavedModel | None,
+    strategies: tuple[str, ...],
+    targets_deg: tuple[float, ...],
+    seeds: int,
+    jobs: int | None,
+) -> Contest:
+    from needle_rig.workbench.strategies_table import Bout, compare_strategies, foretold
+
+    bout = Bout(plant, plant.torsional_rigidity_nm2, noise, saved)
+    told = None
+    if saved is not None:
+        told = foretold(bout, targets_deg)
+        click.echo(told.sentence, err=True)
+    say(f"running {len(strategies)} strategies to {len(targets_deg)} targets")
+    return Contest(
+        saved, told, compare_strategies(bout, strategies, targets_deg, seeds, work=worker(jobs, None))
     )
 
 
@@ -141,7 +188,9 @@ def _identified(plant: NeedleModel, noise: Any, library: Any, diagnose: bool, jo
     return fit_known(dataset, library, [e.name() for e in plant.effects if not e.is_off()])
 
 
-def _document(table: Any, saved: SavedModel | None, told: str) -> dict[str, Any]:
+def _document(contest: Contest) -> dict[str, Any]:
+    table, saved = contest.table, contest.saved
+    told = contest.foretold.sentence if contest.foretold else ""
     document: dict[str, Any] = {"rows": table.rows(), "overall": table.overall(), "foretold": told}
     if saved is not None:
         document["model"] = {
@@ -154,6 +203,32 @@ def _document(table: Any, saved: SavedModel | None, told: str) -> dict[str, Any]
         }
         document["model_error_over_floor"] = saved.error_over_floor
     return document
+
+
+def _show_each(effects: tuple[str, ...], contests: list[Contest]) -> None:
+    """One line a hidden effect: what the model lacks or has, both errors, and what was said beforehand."""
+    click.echo(
+        f"  {'hidden effect':<38}{'in the model':<26}{'planned':>11}{'reed2008':>13}{'times':>7}"
+        "  said beforehand"
+    )
+    for effect, contest in zip(effects, contests, strict=True):
+        rows = {row["strategy"]: row for row in contest.table.overall()}
+        saved, told = contest.saved, contest.foretold
+        assert saved is not None
+        assert told is not None
+        names = ", ".join(e.name() for e in saved.model.effects) or "none"
+        errors = [rows[name]["worst_deg"] for name in PAIR if "worst_deg" in rows[name]]
+        cells = [f"{e['median']:.1f} ({e['q95']:.1f})" for e in errors]
+        times = f"{errors[1]['median'] / errors[0]['median']:.1f}" if len(errors) == 2 else ""
+        cells = ["refused", *cells] if len(cells) == 1 else cells
+        click.echo(
+            f"  {effect:<38}{names:<26}{cells[0]:>11}{cells[1]:>13}{times:>7}"
+            f"  {told.planned_deg:.1f} ({told.q95_deg:.1f}) against {told.reed2008_deg:.1f}"
+        )
+    for effect, contest in zip(effects, contests, strict=True):
+        assert contest.foretold is not None
+        if ": less than" in contest.foretold.sentence or not contest.foretold.planned_deg > 0:
+            click.echo(f"{effect}: {contest.foretold.sentence}")
 
 
 def _show(rows: list[dict[str, Any]], title: str) -> None:

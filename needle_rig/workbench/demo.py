@@ -117,7 +117,7 @@ def tell_story(
     dataset = simulate_dataset(plant, load_protocol("standard"), seed=seed, noise=noise, name="runs")
     lesson = learn(dataset, library, work=work, say=say)
     bout = Bout(plant, dataset.needle.torsional_rigidity_nm2, noise, lesson.after)
-    told = foretold(bout, target_deg)[2]
+    told = foretold(bout, (target_deg,), ("relaxed",)).sentence
     say(told)
     say(f"{runs} fresh needles to {target_deg:g}° with each strategy")
     plain, planned = [], []

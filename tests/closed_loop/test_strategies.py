@@ -188,7 +188,11 @@ def test_a_single_correction_brings_the_tip_and_leaves_the_shaft_wound(align):
 
 
 def test_the_two_front_optimum_takes_one_move_fewer_than_the_paper(align):
-    """Rigid, uniform: θ_d + lag, θ_d + lag · (1 − 1.5 (l_in + 0.375 L)/(l_in + 0.5 L)), θ_d."""
+    """Rigid, uniform: θ_d + lag, θ_d + lag · (1 − 1.5 (l_in + 0.375 L)/(l_in + 0.5 L)), θ_d.
+
+    Fronts at 3/4 and 1/4 of the tissue: torque ±υL/4 there, so the worst place is the middle, off by
+    ∫τ/JG = υL²/(16 JG).
+    """
     entry, length = 0.175, 0.100
     friction_nm = 0.0582e-3
     lag = deg(lag_rad(friction_nm, MODEL_LAYOUT, 62.56e-6))
@@ -205,6 +209,10 @@ def test_the_two_front_optimum_takes_one_move_fewer_than_the_paper(align):
     assert abs(shaft[-1] - 45.0) < 0.1
     assert abs(nmm(run.outcome.torque_nm)) < 0.001
     assert abs(run.settled[-1].hall_rad[0] - rad(45.0)) < rad(0.1)
+    assert len(run.settled) == make_strategy("reed2008", {}).expected_motions(TASK) - 1
+    middle = deg(friction_nm * length / (16.0 * 62.56e-6))
+    assert abs(shaft - 45.0).max() == pytest.approx(middle, abs=0.1)
+    assert 0.2 < middle < 0.4
 
 
 def test_dither_lowers_the_torque_a_little_and_helps_the_tip_little(align):

@@ -95,10 +95,39 @@ def test_planned_without_a_model_is_a_refusal_in_the_table() -> None:
 
 
 def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
-    ours, plain, told = foretold(_bout("rig_rigid", "rig_rigid"))
-    assert plain < 3.0
-    assert ours < 3.0
-    assert "less than 3 times better, because reed2008 leaves little to gain" in told
+    told = foretold(_bout("rig_rigid", "rig_rigid"), (45.0,), ("relaxed",))
+    assert told.planned_deg <= told.q95_deg < told.reed2008_deg < 3.0
+    assert "less than 3 times better, because reed2008 leaves little to gain" in told.sentence
+
+
+def test_what_is_foretold_is_of_the_targets_and_starts_that_are_run() -> None:
+    bout = _bout(model="rig_elastic")
+    small, large = (foretold(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))
+    # a turn that hardly slips leaves no more than itself
+    assert small.reed2008_deg < 2.0 < 6.0 < large.reed2008_deg
+
+
+def test_each_effect_has_a_rig_and_a_line_of_its_own() -> None:
+    asked = [
+        "--parameters",
+        "rig_rigid",
+        "--each",
+        "--effect",
+        "tip_friction",
+        "--effect",
+        "chuck_compliance",
+    ]
+    asked += ["--targets", "45", "--seeds", "1", "--jobs", "1"]
+    answer = CliRunner().invoke(command, asked)
+    assert answer.exit_code == 0, answer.output
+    lines = {line.split()[0]: line.split() for line in answer.stdout.splitlines()[2:4]}
+    assert set(lines) == {"tip_friction", "chuck_compliance"}
+    for effect, cells in lines.items():
+        assert cells[1] == effect
+        assert float(cells[2]) < float(cells[4]) / 3.0
+        assert float(cells[6]) == pytest.approx(float(cells[4]) / float(cells[2]), rel=0.3)
+    for wrong in (["--each"], ["--each", "--effect", "tip_friction", "--strategy", "none"]):
+        assert isinstance(CliRunner().invoke(command, wrong).exception, BadInput)
 
 
 def test_bad_use_is_a_sentence() -> None:

@@ -163,12 +163,13 @@ class Planned(Strategy):
             plan = self._careful(
                 task, history, aim, belief, rate(aim, samples, cheapest(likely).angles_rad, robust)
             )
-            return plan, _expectation(task, plan, belief, unseen=True)
+            # planning anew may spare a rotation that is not worth its price any more
+            return plan, _expectation(plan, belief, aim.rotation_price_rad, unseen=True)
         plans = [rate(aim, samples, (), robust)]
         for chosen in {likely[0].angles_rad, cheapest(likely).angles_rad}:
             plans.append(refine(aim, samples, chosen, ROBUST_EVALUATIONS, robust))
         plan = cheapest(plans)
-        return plan, _expectation(task, plan, belief, unseen=False)
+        return plan, _expectation(plan, belief, 0.0, unseen=False)
 
     def _careful(self, task: Task, history: History, aim: Aim, belief: Belief, plan: Plan) -> Plan:
         """The plan, its first motion cut to what the needle that slips easiest needs, where that pays.
@@ -208,17 +209,16 @@ def _takes_time(model: NeedleModel) -> bool:
     return bool(creeps.any() or rod.viscous_nms_per_rad.any())
 
 
-def _expectation(task: Task, plan: Plan, belief: Belief, unseen: bool) -> str:
+def _expectation(plan: Plan, belief: Belief, slack_rad: float, unseen: bool) -> str:
     """What should be left, as a person wants to know it."""
-    worst, torque = (
-        np.quantile(plan.ends.worst_rad, [0.5, 0.95]),
-        np.quantile(np.abs(plan.ends.torque_nm), 0.95),
-    )
+    median, high = (deg(float(q)) for q in np.quantile(plan.ends.worst_rad, [0.5, 0.95]))
+    high += deg(slack_rad)
+    torque = np.quantile(np.abs(plan.ends.torque_nm), 0.95)
     factor, spread = belief.friction_factor()
     count = len(plan.angles_rad)
     rotations = "1 rotation" if count == 1 else f"{count} rotations"
     friction = "" if unseen else f", friction {100 * factor:.0f} ± {100 * spread:.0f} % of the model's"
     return (
-        f"plans {rotations}, expects {deg(float(worst[0])):.1f}° (95 %: {deg(float(worst[1])):.1f}°) at the"
+        f"plans {rotations}, expects {median:.1f}° (95 %: {high:.1f}°) at the"
         f" worst place of the shaft and up to {nmm(float(torque)):.3f} N·mm left{friction}"
     )
