@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from needle_rig.physics.laws import call_law
+from needle_rig.physics.laws import borrowed, call_law
 
 # rows of `coefficients` (Rod.coefficients)
 PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION = range(9)
@@ -25,13 +25,15 @@ BASE_COMPLIANCE, STRIBECK_RATE, WEAKENING, AGEING_TIME, TOLERANCE, LONGEST, SHOR
 # counts
 STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_WRONG, LAST_WRONG = range(6)
 # flags
-HAS_CREEP, HAS_VISCOUS, HAS_BOND, ADAPTIVE = 1, 2, 4, 8
+HAS_CREEP, HAS_VISCOUS, HAS_BOND, HAS_LAWS, ADAPTIVE = 1, 2, 4, 8, 16
+# places in `states`
+SLOTS = 6
 # rows of the work array
 (
-    LEFT, RIGHT, C_ALG, DAMP, GRIP0, UP, DOWN, SLIP_PLUS, SLIP_MINUS, FORCE, SLOPE,
-    LOW, SHIFT, TORQUE, MOVE, NEXT, ALPHA,
-) = range(17)  # fmt: skip
-WORK_ROWS = 17
+    SPRING, C_ALG, DAMP, GRIP0, UP, DOWN, SCALE, DIAGONAL, GIVEN, PIVOT, RATIO, VALUE, MOVE,
+    FORCE, SLOPE, RHS, ALPHA, TORQUE, NEXT, C_KEPT, DAMP_KEPT,
+) = range(21)  # fmt: skip
+WORK_ROWS = 21
 
 EPS = 2.220446049250313e-16
 MOVE_TOLERANCE_RAD = 1e-11
@@ -45,144 +47,160 @@ _jit = njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="n
 
 
 @_jit
-def sweep(base_compliance, base, slip, work, angle):  # type: ignore[no-untyped-def]
-    """Solve the linear system of the present active set into `angle`.
+def assemble(states, new, flags, work):  # type: ignore[no-untyped-def]
+    """Rows of the linear system for the active set of `new`: SCALE · (Kθ − f) + own θ = GIVEN.
 
-    The tridiagonal system is eliminated from both ends to the middle, which halves the chain of divisions;
-    rows are put together on the way, in the shadow of the divisions. Indices are unsigned because numba
-    otherwise tests each for counting from the end.
+    One row of `work` a loop: compilers make vector code of loops that write little.
     """
-    n = slip.size
-    middle = n // 2
-    low, shift = work[LOW], work[SHIFT]
-    # row 0 is the base: θ + base_compliance · (Kθ − f) = base
-    above = -base_compliance * work[RIGHT, 0]
-    inverse = 1.0 / (1.0 - above)
-    ratio = above * inverse
-    value = (base + base_compliance * work[FORCE, 0]) * inverse
-    low[0] = ratio
-    shift[0] = value
-    last = np.uintp(n - 1)
-    below, diagonal, above, given = row(last, slip, work)
-    inverse = 1.0 / diagonal
-    ratio_j = below * inverse
-    value_j = given * inverse
-    low[last] = ratio_j
-    shift[last] = value_j
-    pairs = min(middle - 1, n - 2 - middle)
-    for k in range(1, pairs + 1):
-        i = np.uintp(k)
-        j = np.uintp(n - 1 - k)
-        below, diagonal, above, given = row(i, slip, work)
-        below_j, diagonal_j, above_j, given_j = row(j, slip, work)
-        inverse = 1.0 / (diagonal - below * ratio)
-        inverse_j = 1.0 / (diagonal_j - above_j * ratio_j)
-        ratio = above * inverse
-        ratio_j = below_j * inverse_j
-        value = (given - below * value) * inverse
-        value_j = (given_j - above_j * value_j) * inverse_j
-        low[i] = ratio
-        low[j] = ratio_j
-        shift[i] = value
-        shift[j] = value_j
-    for k in range(pairs + 1, middle):
-        i = np.uintp(k)
-        below, diagonal, above, given = row(i, slip, work)
-        inverse = 1.0 / (diagonal - below * ratio)
-        ratio = above * inverse
-        value = (given - below * value) * inverse
-        low[i] = ratio
-        shift[i] = value
-    for k in range(pairs + 1, n - 1 - middle):
-        j = np.uintp(n - 1 - k)
-        below, diagonal, above, given = row(j, slip, work)
-        inverse = 1.0 / (diagonal - above * ratio_j)
-        ratio_j = below * inverse
-        value_j = (given - above * value_j) * inverse
-        low[j] = ratio_j
-        shift[j] = value_j
-    x = 0.0
-    if middle == n - 1:
-        # two nodes: the upward elimination has reached the middle already
-        x = (shift[middle] - low[middle] * value) / (1.0 - low[middle] * ratio)
-    else:
-        below, diagonal, above, given = row(np.uintp(middle), slip, work)
-        x = (given - below * value - above * value_j) / (diagonal - below * ratio - above * ratio_j)
-    x_j = x
-    angle[middle] = x
-    for k in range(1, min(middle, n - 1 - middle) + 1):
-        i = np.uintp(middle - k)
-        j = np.uintp(middle + k)
-        x = shift[i] - low[i] * x
-        x_j = shift[j] - low[j] * x_j
-        angle[i] = x
-        angle[j] = x_j
-    if n - 1 - middle < middle:
-        angle[0] = shift[0] - low[0] * x
-
-
-@_jit
-def row(i, slip, work):  # type: ignore[no-untyped-def]
-    """Row i of the linear system: below, on and above the diagonal, and the right side."""
-    state = slip[i]
-    stuck = state == 0.0
-    scale = work[C_ALG, i] if stuck else 1.0
-    own = 1.0 if stuck else work[DAMP, i]
-    given = work[GRIP0, i] if stuck else (work[SLIP_MINUS, i] if state < 0.0 else work[SLIP_PLUS, i])
-    left = work[LEFT, i]
-    right = work[RIGHT, i]
-    return (
-        -scale * left,
-        scale * (left + right - work[SLOPE, i]) + own,
-        -scale * right,
-        scale * work[FORCE, i] + given,
-    )
-
-
-@_jit
-def contradictions(angle, slip, work, counts):  # type: ignore[no-untyped-def]
-    """Torque and slip of every node, and how many contradict their state.
-
-    NEXT says which way they want to go; the first and last of them are counted too.
-    """
-    n = slip.size
-    torque, move, nxt = work[TORQUE], work[MOVE], work[NEXT]
-    bad = 0
-    here = angle[0]
-    after = angle[1]
+    n = states.shape[2]
+    for i in range(n):
+        compliance = work[C_ALG, i]
+        work[SCALE, i] = compliance if states[new, SLIP, i] == 0.0 else 1.0
+    for i in range(n):
+        state, grip, up, down = states[new, SLIP, i], work[GRIP0, i], work[UP, i], work[DOWN, i]
+        limit = up if state > 0.0 else -down
+        resist = work[DAMP, i] * (grip + work[C_ALG, i] * limit) - limit
+        work[GIVEN, i] = grip if state == 0.0 else resist
     for i in range(1, n):
-        before = here
-        here = after
-        if i < n - 1:
-            after = angle[np.uintp(i + 1)]
-        left = work[LEFT, i]
-        right = work[RIGHT, i]
-        state = slip[i]
-        wrong = 0.0
-        if state == 0.0:
-            hold = left * (before - here) + right * (after - here) + (work[FORCE, i] + work[SLOPE, i] * here)
-            torque[i] = hold
-            move[i] = 0.0
-            rounding = 32.0 * EPS * (left + right) * (abs(here) + 1e-3)
-            if hold > work[UP, i] * (1.0 + 1e-9) + rounding:
-                wrong = 1.0
-            elif hold < -work[DOWN, i] * (1.0 + 1e-9) - rounding:
-                wrong = -1.0
-        else:
-            given = work[SLIP_MINUS, i] if state < 0.0 else work[SLIP_PLUS, i]
-            resist = work[DAMP, i] * here - given
-            slipped = here - work[GRIP0, i] - work[C_ALG, i] * resist
-            torque[i] = resist
-            move[i] = slipped
-            if state * slipped < -MOVE_TOLERANCE_RAD and state < 2.0:
-                wrong = -state
-        nxt[i] = wrong
-        if wrong != 0.0:
-            if bad == 0:
-                counts[FIRST_WRONG] = i
-            counts[LAST_WRONG] = i
-            bad += 1
-    return bad
+        damp = work[DAMP, i]
+        own = 1.0 if states[new, SLIP, i] == 0.0 else damp
+        work[DIAGONAL, i] = work[SCALE, i] * (work[SPRING, i - 1] + work[SPRING, i]) + own
+    work[DIAGONAL, 0] = work[SCALE, 0] * work[SPRING, 0] + 1.0
+    if flags & HAS_LAWS:
+        for i in range(n):
+            work[DIAGONAL, i] -= work[SCALE, i] * work[SLOPE, i]
+        for i in range(n):
+            work[RHS, i] = work[GIVEN, i] + work[SCALE, i] * work[FORCE, i]
+
+
+@_jit
+def eliminate(work, rhs, first, towards, rows):  # type: ignore[no-untyped-def]
+    """Leading minors, and what goes with them, of `rows` rows of the linear system from the row `first` on.
+
+    A pivot is the ratio of two minors, whose recurrence needs no division. They start anew from 1 every
+    eighth row, so that they neither overflow nor vanish.
+    """
+    minor, before, value, coupled, spring = 1.0, 0.0, 0.0, 0.0, 0.0
+    for start in range(0, rows, 8):
+        for k in range(start, min(start + 8, rows)):
+            i = np.uintp(first + towards * k)
+            scale = work[SCALE, i]
+            outward = scale * spring
+            spring = work[SPRING, i] if towards > 0 else work[SPRING, i - np.uintp(1)]
+            inward = scale * spring
+            work[RATIO, i] = inward * minor
+            after = work[DIAGONAL, i] * minor - outward * coupled * before
+            value = work[rhs, i] * minor + outward * value
+            before, minor, coupled = minor, after, inward
+            work[PIVOT, i] = minor
+            work[VALUE, i] = value
+        inverse = 1.0 / minor
+        before, minor, value = before * inverse, 1.0, value * inverse
+
+
+@_jit
+def sweep(states, new, flags, work):  # type: ignore[no-untyped-def]
+    """Solve the linear system of the active set of `new` into its angles, from both ends to the middle."""
+    n = states.shape[2]
+    assemble(states, new, flags, work)
+    rhs = RHS if flags & HAS_LAWS else GIVEN
+    middle = n // 2
+    eliminate(work, rhs, 0, 1, middle)
+    eliminate(work, rhs, n - 1, -1, n - 1 - middle)
+    work[PIVOT, middle] = 1.0
+    for i in range(n):
+        inverse = 1.0 / work[PIVOT, i]
+        work[RATIO, i] *= inverse
+        work[VALUE, i] *= inverse
+    pull = work[SCALE, middle] * work[SPRING, middle - 1]
+    given = work[rhs, middle] + pull * work[VALUE, middle - 1]
+    pivot = work[DIAGONAL, middle] - pull * work[RATIO, middle - 1]
+    if middle < n - 1:
+        pull = work[SCALE, middle] * work[SPRING, middle]
+        given += pull * work[VALUE, middle + 1]
+        pivot -= pull * work[RATIO, middle + 1]
+    x = given / pivot
+    x_j = x
+    states[new, ANGLE, middle] = x
+    for k in range(1, n - middle):
+        x = work[VALUE, np.uintp(middle - k)] + work[RATIO, np.uintp(middle - k)] * x
+        x_j = work[VALUE, np.uintp(middle + k)] + work[RATIO, np.uintp(middle + k)] * x_j
+        states[new, ANGLE, np.uintp(middle - k)] = x
+        states[new, ANGLE, np.uintp(middle + k)] = x_j
+    if middle > n - 1 - middle:
+        states[new, ANGLE, 0] = work[VALUE, 0] + work[RATIO, 0] * x
+
+
+@_jit
+def held(states, new, work, i, after):  # type: ignore[no-untyped-def]
+    """Torque on node i from its neighbours, the next one at angle `after`, and the laws."""
+    here = states[new, ANGLE, i]
+    pulls = work[SPRING, i - 1] * (states[new, ANGLE, i - 1] - here) + work[SPRING, i] * (after - here)
+    return pulls + (work[FORCE, i] + work[SLOPE, i] * here)
+
+
+@_jit
+def beyond(hold, states, new, work, i):  # type: ignore[no-untyped-def]
+    """1 or −1 where a torque is above the limit of node i by more than rounding, else 0."""
+    stiffness = work[SPRING, i - 1] + work[SPRING, i]
+    rounding = 32.0 * EPS * stiffness * (abs(states[new, ANGLE, i]) + 1e-3)
+    above = 1.0 if hold > work[UP, i] * (1.0 + 1e-9) + rounding else 0.0
+    return -1.0 if hold < -work[DOWN, i] * (1.0 + 1e-9) - rounding else above
+
+
+@_jit
+def slipped(states, new, work, i):  # type: ignore[no-untyped-def]
+    """How far node i moved if it slips."""
+    here = states[new, ANGLE, i]
+    return here - work[GRIP0, i] - work[C_ALG, i] * (work[DAMP, i] * here - work[GIVEN, i])
+
+
+@_jit
+def wrong(states, new, work, i, hold):  # type: ignore[no-untyped-def]
+    """Which way node i, with the torque `hold` on it, wants to leave its state; 0: it does not."""
+    state = states[new, SLIP, i]
+    sticking = beyond(hold, states, new, work, i)
+    back = state * slipped(states, new, work, i) < -MOVE_TOLERANCE_RAD
+    slipping = -state if back & (state < 2.0) else 0.0
+    return sticking if state == 0.0 else slipping
+
+
+@_jit
+def contradicted(states, new, work):  # type: ignore[no-untyped-def]
+    """How many nodes contradict their state in the solution; writes nothing, so that it is vector code."""
+    last = states.shape[2] - 1
+    bad = 0
+    for i in range(1, last):
+        hold = held(states, new, work, i, states[new, ANGLE, i + 1])
+        bad += 1 if wrong(states, new, work, i, hold) != 0.0 else 0
+    hold = held(states, new, work, last, states[new, ANGLE, last])
+    return bad + (1 if wrong(states, new, work, last, hold) != 0.0 else 0)
+
+
+@_jit
+def mark(states, new, work, counts):  # type: ignore[no-untyped-def]
+    """NEXT: which way the nodes that contradict their state want to go; TORQUE: what stuck nodes hold."""
+    last = states.shape[2] - 1
+    for i in range(1, last):
+        work[TORQUE, i] = held(states, new, work, i, states[new, ANGLE, i + 1])
+    work[TORQUE, last] = held(states, new, work, last, states[new, ANGLE, last])
+    for i in range(1, last + 1):
+        work[NEXT, i] = wrong(states, new, work, i, work[TORQUE, i])
+    first = 1
+    while work[NEXT, first] == 0.0:
+        first += 1
+    while work[NEXT, last] == 0.0:
+        last -= 1
+    counts[FIRST_WRONG] = first
+    counts[LAST_WRONG] = last
+
+
+@_jit
+def moves(states, new, work):  # type: ignore[no-untyped-def]
+    """MOVE: the slip of every node."""
+    for i in range(states.shape[2]):
+        moved = slipped(states, new, work, i)
+        work[MOVE, i] = 0.0 if states[new, SLIP, i] == 0.0 else moved
 
 
 @_jit
@@ -191,7 +209,7 @@ def reach(work, i):  # type: ignore[no-untyped-def]
 
     1 in rigid tissue, near 0 where the compliance of stuck or the viscosity of slipping tissue spreads it.
     """
-    k = work[LEFT, i]
+    k = work[SPRING, i - 1]
     q = work[DAMP, i] / k
     slipping = 1.0 + 0.5 * q - math.sqrt(q + 0.25 * q * q)
     ck = work[C_ALG, i] * k
@@ -211,7 +229,7 @@ def correct(angle, before, slip, work, counts):  # type: ignore[no-untyped-def]
     retreat(slip, work, counts)
     # stuck nodes: what each sheds is carried away from the side that pulls it, in both directions
     n = slip.size
-    torque, nxt, carried = work[TORQUE], work[NEXT], work[SHIFT]
+    torque, nxt, carried = work[TORQUE], work[NEXT], work[VALUE]
     up, down = work[UP], work[DOWN]
     first, last = counts[FIRST_WRONG], counts[LAST_WRONG]
     load = 0.0
@@ -307,15 +325,15 @@ def retreat(slip, work, counts):  # type: ignore[no-untyped-def]
 def pulled_from_left(work, angle, before, i, sign):  # type: ignore[no-untyped-def]
     """Whether the torque that node i cannot hold came from the base's side since the step began."""
     own = angle[i] - before[i]
-    left = work[LEFT, i] * (angle[i - 1] - before[i - 1] - own)
-    right = work[RIGHT, i] * (angle[i + 1] - before[i + 1] - own) if i < angle.size - 1 else 0.0
+    left = work[SPRING, i - 1] * (angle[i - 1] - before[i - 1] - own)
+    right = work[SPRING, i] * (angle[i + 1] - before[i + 1] - own) if i < angle.size - 1 else 0.0
     return sign * left > sign * right
 
 
 @_jit
-def evaluate_laws(addresses, parameters, weights, position, angle, before, dt, time, work):  # type: ignore[no-untyped-def]
+def evaluate_laws(rod, laws, angle, before, dt, time, work):  # type: ignore[no-untyped-def]
     """Linearise the torque laws about `angle`: work[FORCE] + work[SLOPE] · θ. Largest change at `angle`."""
-    force, slope = work[FORCE], work[SLOPE]
+    addresses, parameters, weights = laws
     change = 0.0
     for i in range(angle.size):
         value = 0.0
@@ -325,16 +343,16 @@ def evaluate_laws(addresses, parameters, weights, position, angle, before, dt, t
             weight = weights[k, i]
             if weight == 0.0:
                 continue
-            a, p, x = addresses[k], parameters[k], position[i]
+            a, p, x = addresses[k], parameters[k], rod[POSITION, i]
             here = call_law(a, p, angle[i], rate, time, x)
             by_angle = (call_law(a, p, angle[i] + 1e-7, rate, time, x) - here) / 1e-7
             step = 1e-7 * (1.0 + abs(rate))
             by_rate = (call_law(a, p, angle[i], rate + step, time, x) - here) / step
             value += weight * here
             gradient += weight * (by_angle + by_rate / dt)
-        change = max(change, abs(force[i] + slope[i] * angle[i] - value))
-        force[i] = value - gradient * angle[i]
-        slope[i] = gradient
+        change = max(change, abs(work[FORCE, i] + work[SLOPE, i] * angle[i] - value))
+        work[FORCE, i] = value - gradient * angle[i]
+        work[SLOPE, i] = gradient
     return change
 
 
@@ -342,7 +360,7 @@ def evaluate_laws(addresses, parameters, weights, position, angle, before, dt, t
 def set_length(rod, flags, dt, work):  # type: ignore[no-untyped-def]
     """Coefficients of creep and viscosity for steps of length dt."""
     if flags & HAS_CREEP:
-        for i in range(rod.shape[1]):
+        for i in range(1, rod.shape[1]):
             k, eta = rod[CREEP_K, i], rod[CREEP_ETA, i]
             creeps = k < np.inf and eta < np.inf
             work[ALPHA, i] = eta / (eta + dt * k) if creeps else 0.0
@@ -353,33 +371,35 @@ def set_length(rod, flags, dt, work):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def predict_slip(earlier, now, ratio, guess):  # type: ignore[no-untyped-def]
+def predict_slip(states, earlier, now, ratio, guess):  # type: ignore[no-untyped-def]
     """The active set if every slip front goes on moving as it did from `earlier` to `now`, times `ratio`.
 
-    Just `now` when fronts have appeared or vanished between the two. Nodes of state 2 have no say.
+    Just that of `now` when fronts have appeared or vanished between the two. Nodes of state 2 have no say.
     """
-    n = np.uintp(now.size)
+    n = np.uintp(states.shape[2])
     one = np.uintp(1)
-    guess[:] = now
-    i = one
-    while i < n and earlier[i] == now[i]:
-        i += one
-    if i == n:
+    for k in range(states.shape[2]):
+        states[guess, SLIP, k] = states[now, SLIP, k]
+    changes = 0
+    for k in range(states.shape[2]):
+        changes += 1 if states[earlier, SLIP, k] != states[now, SLIP, k] else 0
+    if changes == 0:
         return
     i, j, place = one, one, one
     while True:
-        while i < n and earlier[i] == 2.0:
+        while i < n and states[earlier, SLIP, i] == 2.0:
             i += one
-        while j < n and now[j] == 2.0:
+        while j < n and states[now, SLIP, j] == 2.0:
             j += one
-        if i == n or j == n or earlier[i] != now[j]:
+        if i == n or j == n or states[earlier, SLIP, i] != states[now, SLIP, j]:
             if i != n or j != n:
-                guess[:] = now
+                for k in range(states.shape[2]):
+                    states[guess, SLIP, k] = states[now, SLIP, k]
             return
-        state = now[j]
-        while i < n and (earlier[i] == state or earlier[i] == 2.0):
+        state = states[now, SLIP, j]
+        while i < n and (states[earlier, SLIP, i] == state or states[earlier, SLIP, i] == 2.0):
             i += one
-        while j < n and (now[j] == state or now[j] == 2.0):
+        while j < n and (states[now, SLIP, j] == state or states[now, SLIP, j] == 2.0):
             j += one
         end = n
         if i < n or j < n:
@@ -387,100 +407,89 @@ def predict_slip(earlier, now, ratio, guess):  # type: ignore[no-untyped-def]
             end = np.uintp(min(float(n), max(float(place), math.floor(float(j) + moved + 0.5))))
         for k in range(place, end):
             m = np.uintp(k)
-            if now[m] != 2.0:
-                guess[m] = state
+            if states[now, SLIP, m] != 2.0:
+                states[guess, SLIP, m] = state
         place = end
 
 
 @_jit
 def step(  # type: ignore[no-untyped-def]
-    rod, scalars, flags, addresses, parameters, weights, old, new, guess, dt, base, time, work, counts
+    rod, scalars, flags, laws, states, old, new, guess, dt, base, time, work, counts
 ):
     """One implicit step of length dt from `old` to `new`, whose slip holds the active set to try first.
 
     False: no solution. Rows of `new` that this rod does not change (bond, age, creep) are left alone.
     """
-    n = old.shape[1]
-    compliance = rod[COMPLIANCE]
-    alpha, c_alg, grip = work[ALPHA], work[C_ALG], work[GRIP0]
-    has_creep = flags & HAS_CREEP != 0
-    has_bond = flags & HAS_BOND != 0
-    if addresses.size > 0:
-        new[ANGLE] = guess[ANGLE]
-        evaluate_laws(addresses, parameters, weights, rod[POSITION], new[ANGLE], old[ANGLE], dt, time, work)
-    if has_creep:
+    n = states.shape[2]
+    if flags & HAS_LAWS:
+        states[new, ANGLE] = states[guess, ANGLE]
+        evaluate_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, work)
+    for i in range(n):
+        work[GRIP0, i] = states[old, GRIP, i]
+    if flags & HAS_CREEP:
         for i in range(n):
-            grip[i] = old[GRIP, i] + alpha[i] * old[CREEP, i]
-    else:
-        grip[:] = old[GRIP]
+            work[GRIP0, i] += work[ALPHA, i] * states[old, CREEP, i]
+    work[GRIP0, 0] = base
     counts[STEPS] += 1
-    if has_bond:
-        new[BOND] = old[BOND]
-        new[AGE] = old[AGE]
+    if flags & HAS_BOND:
+        states[new, BOND] = states[old, BOND]
+        states[new, AGE] = states[old, AGE]
         for _ in range(60):
-            for i in range(n):
-                factor = 1.0 + rod[EXCESS, i] * new[BOND, i]
-                if rod[AGEING, i] > 0.0:
-                    factor += rod[AGEING, i] * math.log10(1.0 + new[AGE, i] / scalars[AGEING_TIME])
-                work[UP, i] = rod[PLUS, i] * factor
-                work[DOWN, i] = rod[MINUS, i] * factor
-            limits(work, n)
-            if not balance(
-                rod, scalars, addresses, parameters, weights, old, new, guess, dt, base, time, work, counts
-            ):
+            set_limits(rod, scalars, states, new, work)
+            if not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts):
                 return False
-            if follow_bond(rod, scalars, old, new, dt, work[MOVE]) < 1e-6:
+            if follow_bond(rod, scalars, states, old, new, dt, work) < 1e-6:
                 break
-    else:
-        limits(work, n)
-        if not balance(
-            rod, scalars, addresses, parameters, weights, old, new, guess, dt, base, time, work, counts
-        ):
-            return False
-    move, torque = work[MOVE], work[TORQUE]
-    for i in range(1, n):
-        new[GRIP, i] = old[GRIP, i] + move[i]
-    new[GRIP, 0] = base
-    if has_creep:
+    elif not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts):
+        return False
+    for i in range(n):
+        states[new, GRIP, i] = states[old, GRIP, i] + work[MOVE, i]
+    states[new, GRIP, 0] = base
+    if flags & HAS_CREEP:
         for i in range(1, n):
-            new[CREEP, i] = alpha[i] * old[CREEP, i] + (c_alg[i] - compliance[i]) * torque[i]
+            stuck = states[new, SLIP, i] == 0.0
+            resist = work[DAMP, i] * states[new, ANGLE, i] - work[GIVEN, i]
+            torque = held(states, new, work, i, states[new, ANGLE, min(i + 1, n - 1)]) if stuck else resist
+            grown = (work[C_ALG, i] - rod[COMPLIANCE, i]) * torque
+            states[new, CREEP, i] = work[ALPHA, i] * states[old, CREEP, i] + grown
     return True
 
 
 @_jit
-def limits(work, n):  # type: ignore[no-untyped-def]
-    """Right sides of slipping rows for the present slip limits."""
-    damp, grip, c_alg = work[DAMP], work[GRIP0], work[C_ALG]
-    for i in range(n):
-        work[SLIP_PLUS, i] = damp[i] * (grip[i] + c_alg[i] * work[UP, i]) - work[UP, i]
-    for i in range(n):
-        work[SLIP_MINUS, i] = damp[i] * (grip[i] - c_alg[i] * work[DOWN, i]) + work[DOWN, i]
+def set_limits(rod, scalars, states, new, work):  # type: ignore[no-untyped-def]
+    """Slip limits for the bond and age of `new`."""
+    for i in range(states.shape[2]):
+        factor = 1.0 + rod[EXCESS, i] * states[new, BOND, i]
+        if rod[AGEING, i] > 0.0:
+            factor += rod[AGEING, i] * math.log10(1.0 + states[new, AGE, i] / scalars[AGEING_TIME])
+        work[UP, i] = rod[PLUS, i] * factor
+        work[DOWN, i] = rod[MINUS, i] * factor
 
 
 @_jit
-def follow_bond(rod, scalars, old, new, dt, move):  # type: ignore[no-untyped-def]
-    """Bond and age at the end of a step with slip `move`; returns the largest change of the limit."""
+def follow_bond(rod, scalars, states, old, new, dt, work):  # type: ignore[no-untyped-def]
+    """Bond and age at the end of a step with the slip MOVE; returns the largest change of the limit."""
     change = 0.0
-    for i in range(1, move.size):
+    for i in range(1, states.shape[2]):
+        moved = abs(work[MOVE, i])
         if rod[EXCESS, i] > 0.0:
-            slipped = abs(move[i])
-            ratio = slipped / (dt * scalars[STRIBECK_RATE])
-            gain = (slipped + dt * scalars[STRIBECK_RATE]) / scalars[WEAKENING]
+            ratio = moved / (dt * scalars[STRIBECK_RATE])
+            gain = (moved + dt * scalars[STRIBECK_RATE]) / scalars[WEAKENING]
             target = math.exp(-ratio * ratio)
-            bond = (old[BOND, i] + gain * target) / (1.0 + gain)
-            change = max(change, rod[EXCESS, i] * abs(bond - new[BOND, i]))
-            new[BOND, i] = bond
+            bond = (states[old, BOND, i] + gain * target) / (1.0 + gain)
+            change = max(change, rod[EXCESS, i] * abs(bond - states[new, BOND, i]))
+            states[new, BOND, i] = bond
         if rod[AGEING, i] > 0.0:
-            age = (old[AGE, i] + dt) / (1.0 + abs(move[i]) / scalars[WEAKENING])
-            shift = math.log10((scalars[AGEING_TIME] + age) / (scalars[AGEING_TIME] + new[AGE, i]))
+            age = (states[old, AGE, i] + dt) / (1.0 + moved / scalars[WEAKENING])
+            shift = math.log10((scalars[AGEING_TIME] + age) / (scalars[AGEING_TIME] + states[new, AGE, i]))
             change = max(change, rod[AGEING, i] * abs(shift))
-            new[AGE, i] = age
+            states[new, AGE, i] = age
     return change
 
 
 @_jit
 def balance(  # type: ignore[no-untyped-def]
-    rod, scalars, addresses, parameters, weights, old, new, guess, dt, base, time, work, counts
+    rod, flags, laws, states, old, new, guess, dt, time, work, counts
 ):
     """Solve the step's complementarity problem for fixed slip limits; False when it did not converge.
 
@@ -488,96 +497,64 @@ def balance(  # type: ignore[no-untyped-def]
     the active set can go in circles where nodes are about to slip: a pre-sliding give of `SOFTENED_RAD`
     at the limit, in this step alone, breaks them; no grip moves by it.
     """
-    n = new.shape[1]
-    if settle(rod, scalars, addresses, parameters, weights, old, new, dt, base, time, work, counts, 0, False):
-        return True
-    new[SLIP] = guess[SLIP]
-    if addresses.size > 0:
-        new[ANGLE] = guess[ANGLE]
-    if settle(
-        rod,
-        scalars,
-        addresses,
-        parameters,
-        weights,
-        old,
-        new,
-        dt,
-        base,
-        time,
-        work,
-        counts,
-        MOST_BLOCK_FLIPS,
-        False,
-    ):
-        return True
-    kept = work[C_ALG].copy()
-    damp = work[DAMP].copy()
-    for i in range(1, n):
-        largest = max(work[UP, i], work[DOWN, i])
-        if 0.0 < largest < np.inf:
-            work[C_ALG, i] = max(kept[i], SOFTENED_RAD / largest)
-            work[DAMP, i] = damp[i] / (1.0 + (work[C_ALG, i] - kept[i]) * damp[i])
-    limits(work, n)
-    solved = settle(
-        rod,
-        scalars,
-        addresses,
-        parameters,
-        weights,
-        old,
-        new,
-        dt,
-        base,
-        time,
-        work,
-        counts,
-        MOST_BLOCK_FLIPS,
-        True,
-    )
-    work[C_ALG] = kept
-    work[DAMP] = damp
+    n = states.shape[2]
+    solved = False
+    for attempt in range(3):
+        if attempt == 1:
+            states[new, SLIP] = states[guess, SLIP]
+            if flags & HAS_LAWS:
+                states[new, ANGLE] = states[guess, ANGLE]
+        elif attempt == 2:
+            work[C_KEPT] = work[C_ALG]
+            work[DAMP_KEPT] = work[DAMP]
+            for i in range(1, n):
+                largest = max(work[UP, i], work[DOWN, i])
+                if 0.0 < largest < np.inf:
+                    work[C_ALG, i] = max(work[C_KEPT, i], SOFTENED_RAD / largest)
+                    softer = work[C_ALG, i] - work[C_KEPT, i]
+                    work[DAMP, i] = work[DAMP_KEPT, i] / (1.0 + softer * work[DAMP_KEPT, i])
+        solved = settle(rod, flags, laws, states, old, new, dt, time, work, counts, attempt)
+        if solved:
+            break
+    moves(states, new, work)
+    if attempt == 2:
+        work[C_ALG] = work[C_KEPT]
+        work[DAMP] = work[DAMP_KEPT]
     return solved
 
 
 @_jit
-def settle(  # type: ignore[no-untyped-def]
-    rod, scalars, addresses, parameters, weights, old, new, dt, base, time, work, counts, eager, to_the_end
-):
-    """Correct the active set until no node contradicts it; gives up early unless `to_the_end`.
+def settle(rod, flags, laws, states, old, new, dt, time, work, counts, attempt):  # type: ignore[no-untyped-def]
+    """Correct the active set until no node contradicts it; the last attempt, 2, does not give up early.
 
-    Laws are linearised anew before each of the first `eager` solves, which strong ones need; after that only
-    when the active set has settled, which takes fewer calls and cannot chase it round.
+    Laws are linearised anew before each of the first solves of the later attempts, which strong ones need;
+    else only when the active set has settled, which takes fewer calls and cannot chase it round.
     """
-    n = old.shape[1]
-    angle, slip = new[ANGLE], new[SLIP]
-    nxt = work[NEXT]
-    has_laws = addresses.size > 0
+    n = states.shape[2]
+    eager = MOST_BLOCK_FLIPS if attempt > 0 else 0
     best = n + 1
     stalled = 0
     newton = 0
     for iteration in range(MOST_BLOCK_FLIPS + 20 * n):
-        if has_laws and iteration < eager:
-            evaluate_laws(addresses, parameters, weights, rod[POSITION], angle, old[ANGLE], dt, time, work)
-        sweep(scalars[BASE_COMPLIANCE], base, slip, work, angle)
+        if flags & HAS_LAWS and iteration < eager:
+            evaluate_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, work)
+        sweep(states, new, flags, work)
         counts[SOLVES] += 1
-        bad = contradictions(angle, slip, work, counts)
+        bad = contradicted(states, new, work)
         if bad == 0:
-            if not has_laws:
+            if flags & HAS_LAWS == 0:
                 return True
             # Newton on the laws: the linearisation must meet the laws at the new angles
-            change = evaluate_laws(
-                addresses, parameters, weights, rod[POSITION], angle, old[ANGLE], dt, time, work
-            )
+            change = evaluate_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, work)
             largest = 0.0
             for i in range(n):
-                largest = max(largest, abs(work[FORCE, i] + work[SLOPE, i] * angle[i]))
+                largest = max(largest, abs(work[FORCE, i] + work[SLOPE, i] * states[new, ANGLE, i]))
             if change <= 1e-9 * largest + 1e-18:
                 return True
             best = n + 1
             stalled = 0
             newton += 1
-            if newton > MOST_NEWTON and not to_the_end:
+            if newton > MOST_NEWTON and attempt < 2:
                 return False
             continue
         if bad < best:
@@ -585,45 +562,37 @@ def settle(  # type: ignore[no-untyped-def]
             stalled = 0
         else:
             stalled += 1
-        if stalled > 2 and not to_the_end:
+        if stalled > 2 and attempt < 2:
             return False
+        mark(states, new, work, counts)
         if stalled < 6:
-            correct(angle, old[ANGLE], slip, work, counts)
+            correct(states[new, ANGLE], states[old, ANGLE], states[new, SLIP], work, counts)
         else:
             # Murty: one flip at a time, always the last in order; finite for every P-matrix
-            for i in range(n - 1, 0, -1):
-                if nxt[i] != 0.0:
-                    slip[i] = nxt[i] if slip[i] == 0.0 else 0.0
-                    break
-    for i in range(1, n):
-        if nxt[i] != 0.0:
-            counts[FAILED_NODE] = i
-            break
+            i = counts[LAST_WRONG]
+            states[new, SLIP, i] = work[NEXT, i] if states[new, SLIP, i] == 0.0 else 0.0
+    counts[FAILED_NODE] = counts[FIRST_WRONG]
     return False
 
 
 @_jit
-def store(state, torque, row, sensors, out_torque, out_sensor, out_tip, out_shaft):  # type: ignore[no-untyped-def]
-    """Write one output sample."""
+def store(rod, flags, laws, stiffness, states, slot, time, row, sensors, outputs):  # type: ignore[no-untyped-def]
+    """Write one output sample: torque that the base exerts on the needle, and angles."""
+    out_torque, out_sensor, out_tip, out_shaft = outputs
+    torque = stiffness[0] * (states[slot, ANGLE, 0] - states[slot, ANGLE, 1])
+    if flags & HAS_LAWS:
+        addresses, parameters, weights = laws
+        for k in range(addresses.size):
+            if weights[k, 0] != 0.0:
+                torque -= weights[k, 0] * call_law(
+                    addresses[k], parameters[k], states[slot, ANGLE, 0], 0.0, time, rod[POSITION, 0]
+                )
     out_torque[row] = torque
     for s in range(sensors.size):
-        out_sensor[row, s] = state[ANGLE, sensors[s]]
-    n = state.shape[1]
-    out_tip[row] = state[ANGLE, n - 1]
+        out_sensor[row, s] = states[slot, ANGLE, sensors[s]]
+    out_tip[row] = states[slot, ANGLE, states.shape[2] - 1]
     if out_shaft.shape[0] > 0:
-        out_shaft[row] = state[ANGLE]
-
-
-@_jit
-def base_torque(stiffness, state, addresses, parameters, weights, rod, time):  # type: ignore[no-untyped-def]
-    """Torque that the base exerts on the needle."""
-    torque = stiffness[0] * (state[ANGLE, 0] - state[ANGLE, 1])
-    for k in range(addresses.size):
-        if weights[k, 0] != 0.0:
-            torque -= weights[k, 0] * call_law(
-                addresses[k], parameters[k], state[ANGLE, 0], 0.0, time, rod[POSITION, 0]
-            )
-    return torque
+        out_shaft[row] = states[slot, ANGLE]
 
 
 @_jit
@@ -667,60 +636,60 @@ def furthest_sample(times, base, time, length, row, next_kink, has_earlier, tole
 
 
 @_jit
-def extrapolate(half, end, full, flags):  # type: ignore[no-untyped-def]
+def extrapolate(states, half, end, full, flags):  # type: ignore[no-untyped-def]
     """Take the error of first order out of the states after one and two half steps."""
-    n = half.shape[1]
-    for r in range(2):
+    n = states.shape[2]
+    for r in range(3 if flags & HAS_CREEP else 2):
         for i in range(n):
-            shift = end[r, i] - full[r, i]
-            half[r, i] += 0.5 * shift
-            end[r, i] += shift
-    if flags & HAS_CREEP:
+            states[half, r, i] += 0.5 * (states[end, r, i] - states[full, r, i])
         for i in range(n):
-            shift = end[CREEP, i] - full[CREEP, i]
-            half[CREEP, i] += 0.5 * shift
-            end[CREEP, i] += shift
+            states[end, r, i] += states[end, r, i] - states[full, r, i]
     if flags & HAS_BOND:
         for i in range(n):
-            end[BOND, i] = min(1.0, max(0.0, 2.0 * end[BOND, i] - full[BOND, i]))
-            end[AGE, i] = max(0.0, 2.0 * end[AGE, i] - full[AGE, i])
+            states[end, BOND, i] = min(1.0, max(0.0, 2.0 * states[end, BOND, i] - states[full, BOND, i]))
+            states[end, AGE, i] = max(0.0, 2.0 * states[end, AGE, i] - states[full, AGE, i])
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def largest_difference(a, b):  # type: ignore[no-untyped-def]
-    """Largest |a − b|."""
+def largest_difference(states, a, b):  # type: ignore[no-untyped-def]
+    """Largest difference of angles."""
     largest = 0.0
-    for i in range(a.size):
-        largest = max(largest, abs(a[i] - b[i]))
+    for i in range(states.shape[2]):
+        largest = max(largest, abs(states[a, ANGLE, i] - states[b, ANGLE, i]))
     return largest
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def missed_by_quadratic(earlier, now, half, end, earlier_time, time, dt):  # type: ignore[no-untyped-def]
-    """Largest error of a quadratic through a step, from the next divided difference."""
-    before = time - earlier_time
+def missed_by_quadratic(states, before, now, half, end, gap, dt):  # type: ignore[no-untyped-def]
+    """Largest error of a quadratic through a step, from the next divided difference.
+
+    `before` is the state a time `gap` before `now`.
+    """
+    w_before = 1.0 / (gap * (gap + 0.5 * dt) * (gap + dt))
+    w_now = -2.0 / (gap * dt * dt)
+    w_half = 4.0 / (dt * dt * (gap + 0.5 * dt))
+    w_end = -2.0 / (dt * dt * (gap + dt))
     worst = 0.0
-    for i in range(earlier.size):
-        y1, y2, y3 = now[ANGLE, i], half[ANGLE, i], end[ANGLE, i]
-        first = (y2 - y1) / (0.5 * dt)
-        second = (y3 - y2) / (0.5 * dt)
-        bend = (first - (y1 - earlier[i]) / before) / (before + 0.5 * dt)
-        worst = max(worst, abs((second - first) / dt - bend))
-    return worst / (before + dt) * 0.0481 * dt**3
+    for i in range(states.shape[2]):
+        third = w_before * states[before, ANGLE, i] + w_now * states[now, ANGLE, i]
+        third += w_half * states[half, ANGLE, i] + w_end * states[end, ANGLE, i]
+        worst = max(worst, abs(third))
+    return worst * 0.0481 * dt**3
 
 
 @_jit
-def blend(start, half, end, x, out):  # type: ignore[no-untyped-def]
+def blend(states, now, half, end, x, out):  # type: ignore[no-untyped-def]
     """Angles at the fraction x of a step, on a quadratic through its start, middle and end."""
     w0, w1, w2 = (2.0 * x - 1.0) * (x - 1.0), 4.0 * x * (1.0 - x), x * (2.0 * x - 1.0)
-    for i in range(start.shape[1]):
-        out[ANGLE, i] = w0 * start[ANGLE, i] + w1 * half[ANGLE, i] + w2 * end[ANGLE, i]
+    for i in range(states.shape[2]):
+        ends = w0 * states[now, ANGLE, i] + w2 * states[end, ANGLE, i]
+        states[out, ANGLE, i] = ends + w1 * states[half, ANGLE, i]
 
 
 @njit(
     "int64(float64[::1], float64[:, ::1], float64[::1], int64, int64[::1], int64[::1], float64[:, ::1],"
-    " float64[::1], float64[::1], int64[::1], float64[:, ::1], float64[::1], float64[:, ::1], float64[::1],"
-    " float64[:, ::1], int64[::1])",
+    " float64[::1], float64[::1], int64[::1], float64[:, :, ::1], float64[:, ::1], float64[::1],"
+    " float64[:, ::1], float64[::1], float64[:, ::1], int64[::1])",
     cache=True,
     nogil=True,
     fastmath={"contract", "nsz"},
@@ -737,37 +706,38 @@ def run(  # type: ignore[no-untyped-def]
     times,
     base,
     sensors,
-    state,
+    states,
+    work,
     out_torque,
     out_sensor,
     out_tip,
     out_shaft,
     counts,
 ):
-    """Follow the base path from `state`, which is advanced in place; 0 when done, 1 when a step failed.
+    """Follow the base path from the state in every slot of `states`; 0 when done, 1 when a step failed.
+
+    The last state ends up in slot 0. `work` is scratch of zeros, of WORK_ROWS rows.
 
     Rods that depend on no rate take one implicit step a sample, and none while the base holds still. The
     others take two half steps and a full one: their difference is the error of the step, and extrapolating
     it away keeps what is exact and gives second order to the rest. Steps end at samples, or divide the way
     to the next one; samples inside a step are read off a quadratic, whose error counts too.
     """
-    n = state.shape[1]
+    n = states.shape[2]
     samples = times.size
-    work = np.zeros((WORK_ROWS, n))
-    work[RIGHT, : n - 1] = stiffness
-    work[LEFT, 1:] = stiffness
+    laws = (addresses, parameters, weights)
+    work, states, rod = borrowed(work), borrowed(states), borrowed(rod)
+    outputs = (borrowed(out_torque), borrowed(out_sensor), borrowed(out_tip), borrowed(out_shaft))
+    work[SPRING, : n - 1] = stiffness
     work[C_ALG] = rod[COMPLIANCE]
+    # the base is a stuck node that grips the drive
+    work[C_ALG, 0] = scalars[BASE_COMPLIANCE]
     work[UP] = rod[PLUS]
     work[DOWN] = rod[MINUS]
-    states = np.empty((5, 6, n))
-    for k in range(5):
-        states[k] = state
-    now, half, end, full, shown = states[0], states[1], states[2], states[3], states[4]
-    earlier = np.empty(n)
-    has_earlier = False
-    earlier_time = 0.0
-    fronts = np.empty(n)  # slip at the middle of the last step
-    fronts_time = -1.0  # from that middle to its end; negative without one
+    # `before` is the middle of the last step, or its start where steps are single
+    now, before, half, end, full, shown = 0, 1, 2, 3, 4, 5
+    since = -1.0  # what the base turned or, in a rod that depends on rates, the time from `before` to `now`
+    gap = -1.0  # that time where both lie on one line of the base path, else negative
     set_for = -1.0
     tolerance = scalars[TOLERANCE]
     shortest = scalars[SHORTEST]
@@ -776,10 +746,9 @@ def run(  # type: ignore[no-untyped-def]
     time = times[0]
     length = min(scalars[LONGEST], 1e-3)
     next_kink = 0
-    torque = base_torque(stiffness, now, addresses, parameters, weights, rod, time)
-    if base[0] == now[GRIP, 0]:
+    if base[0] == states[0, GRIP, 0]:
         row = 0
-        store(now, torque, 0, sensors, out_torque, out_sensor, out_tip, out_shaft)
+        store(rod, flags, laws, stiffness, states, now, time, 0, sensors, outputs)
 
     while row < samples - 1:
         target = row + 1
@@ -791,7 +760,7 @@ def run(  # type: ignore[no-untyped-def]
                 # the record starts elsewhere than the state: the base turned there within one sample
                 dt = times[1] - times[0] if samples > 1 else 1e-3
             elif base[target] == base[row]:
-                store(now, torque, target, sensors, out_torque, out_sensor, out_tip, out_shaft)
+                store(rod, flags, laws, stiffness, states, now, times[target], target, sensors, outputs)
                 row = target
                 time = times[row]
                 continue
@@ -802,8 +771,7 @@ def run(  # type: ignore[no-untyped-def]
         else:
             if row >= next_kink:
                 next_kink = end_of_line(times, base, row)
-                has_earlier = False
-                fronts_time = -1.0
+                gap = -1.0
                 length = min(length, times[row + 1] - times[row])
             if flags & HAS_BOND:
                 # over a slip of the weakening length the limit changes by as much as it can
@@ -811,7 +779,7 @@ def run(  # type: ignore[no-untyped-def]
                 length = min(length, scalars[WEAKENING] / (8.0 * turn + 1e-12))
             to_next = times[target] - time
             if length >= to_next * (1.0 - 1e-9):
-                target = furthest_sample(times, base, time, length, row, next_kink, has_earlier, tolerance)
+                target = furthest_sample(times, base, time, length, row, next_kink, gap > 0.0, tolerance)
                 stop = times[target]
                 dt = stop - time
                 end_base = base[target]
@@ -827,26 +795,27 @@ def run(  # type: ignore[no-untyped-def]
         for part in range(1 if single else 3):
             # the halves first: their active set is a good first guess for the full step
             if single:
-                old, new, guess, h, b, t = 0, 2, 0, dt, end_base, stop
+                old, new, guess, h, b, t = now, end, now, dt, end_base, stop
+                turn = end_base - states[now, GRIP, 0]
+                earlier, ratio = before, turn / since
             elif part == 0:
-                old, new, guess, h, b, t = 0, 1, 0, 0.5 * dt, middle_base, middle_time
+                old, new, guess, h, b, t = now, half, now, 0.5 * dt, middle_base, middle_time
+                # longer ago is better: fronts are known to the node only; `end` is still the step's before
+                earlier, ratio = end, 0.5 * h / gap
             elif part == 1:
-                old, new, guess, h, b, t = 1, 2, 1, 0.5 * dt, end_base, stop
+                old, new, guess, h, b, t = half, end, half, 0.5 * dt, end_base, stop
+                earlier, ratio = (before, h / (gap + h)) if gap > 0.0 else (now, 1.0)
             else:
-                old, new, guess, h, b, t = 0, 3, 2, dt, end_base, stop
-            if part == 0 and not single and fronts_time > 0.0:
-                predict_slip(fronts, now[SLIP], h / fronts_time, states[new, SLIP])
-            elif part == 1:
-                predict_slip(now[SLIP], half[SLIP], 1.0, end[SLIP])
+                old, new, guess, h, b, t = now, full, end, dt, end_base, stop
+                earlier, ratio = end, -1.0
+            if ratio > 0.0:
+                predict_slip(states, earlier, old, ratio, new)
             else:
                 states[new, SLIP] = states[guess, SLIP]
             if h != set_for:
                 set_length(rod, flags, h, work)
                 set_for = h
-            solved = step(
-                rod, scalars, flags, addresses, parameters, weights,
-                states[old], states[new], states[guess], h, b, t, work, counts,
-            )  # fmt: skip
+            solved = step(rod, scalars, flags, laws, states, old, new, guess, h, b, t, work, counts)
             if not solved:
                 break
         if not solved:
@@ -855,35 +824,34 @@ def run(  # type: ignore[no-untyped-def]
                 return 1
             length = 0.5 * dt
             continue
-        if not single:
-            error = largest_difference(end[ANGLE], full[ANGLE]) / tolerance
+        if single:
+            since = end_base - states[now, GRIP, 0]
+            before, now, end = now, end, before
+        else:
+            error = largest_difference(states, end, full) / tolerance
             if error > 1.0 and dt > shortest:
                 length = dt * max(0.2, 0.85 / math.sqrt(error))
                 continue
-            extrapolate(half, end, full, flags)
+            extrapolate(states, half, end, full, flags)
             growth = min(3.0, 0.85 / math.sqrt(max(error, 1e-4)))
-            if target > row + 1 and has_earlier:
-                missed = missed_by_quadratic(earlier, now, half, end, earlier_time, time, dt) / tolerance
+            if target > row + 1 and gap > 0.0:
+                missed = missed_by_quadratic(states, before, now, half, end, gap, dt) / tolerance
                 needed = target > row + 2 or abs(times[row + 1] - middle_time) > 1e-6 * dt
                 if missed > 1.0 and needed:
                     length = dt * max(0.25, 0.85 / missed ** (1.0 / 3.0))
                     continue
                 growth = min(growth, max(1.0, 0.85 / max(missed, 1e-4) ** (1.0 / 3.0)))
             for k in range(row + 1, target):
-                blend(now, half, end, (times[k] - time) / dt, shown)
-                torque = base_torque(stiffness, shown, addresses, parameters, weights, rod, times[k])
-                store(shown, torque, k, sensors, out_torque, out_sensor, out_tip, out_shaft)
-            earlier[:] = half[ANGLE]
-            earlier_time = middle_time
-            has_earlier = True
-            fronts[:] = half[SLIP]
-            fronts_time = 0.5 * dt
+                blend(states, now, half, end, (times[k] - time) / dt, shown)
+                store(rod, flags, laws, stiffness, states, shown, times[k], k, sensors, outputs)
+            gap = 0.5 * dt
+            before, half = half, before
+            now, end = end, now
             length = min(scalars[LONGEST], dt * growth)
-        now[:] = end
         if target > row:
-            torque = base_torque(stiffness, now, addresses, parameters, weights, rod, stop)
-            store(now, torque, target, sensors, out_torque, out_sensor, out_tip, out_shaft)
+            store(rod, flags, laws, stiffness, states, now, stop, target, sensors, outputs)
         row = target
         time = stop
-    state[:] = now
+    if now != 0:
+        states[0] = states[now]
     return 0

@@ -162,7 +162,9 @@ def _run(
     addresses, parameters, weights, keep = _packed_laws(rod)
     creeps, viscous, bonds = rod.depends_on_rate
     flags = kernel.HAS_CREEP * creeps + kernel.HAS_VISCOUS * viscous + kernel.HAS_BOND * bonds
-    if flags or len(addresses):
+    if len(addresses):
+        flags += kernel.HAS_LAWS
+    if flags:
         flags += kernel.ADAPTIVE
     scalars = np.array(
         [
@@ -177,6 +179,7 @@ def _run(
             SHORTEST_SNAP_S if bonds else SHORTEST_STEP_S,
         ]
     )
+    states = np.repeat(packed[np.newaxis], kernel.SLOTS, axis=0)
     torque = np.empty(time.size)
     sensor = np.empty((time.size, len(rod.sensors)))
     tip = np.empty(time.size)
@@ -193,7 +196,8 @@ def _run(
         time,
         base,
         np.ascontiguousarray(rod.sensors, dtype=np.int64),
-        packed,
+        states,
+        np.zeros((kernel.WORK_ROWS, nodes)),
         torque,
         sensor,
         tip,
@@ -201,6 +205,7 @@ def _run(
         counts,
     )
     del keep
+    packed = states[0].copy()
     if failed:
         node = int(counts[kernel.FAILED_NODE])
         sample = int(counts[kernel.FAILED_SAMPLE])
