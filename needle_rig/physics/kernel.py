@@ -25,21 +25,26 @@ BASE_COMPLIANCE, STRIBECK_RATE, WEAKENING, AGEING_TIME, TOLERANCE, LONGEST, SHOR
 # counts
 STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_WRONG, LAST_WRONG = range(6)
 # flags
-HAS_CREEP, HAS_VISCOUS, HAS_BOND, HAS_LAWS, ADAPTIVE = 1, 2, 4, 8, 16
+HAS_CREEP, HAS_VISCOUS, HAS_BOND, HAS_LAWS, HAS_DRY, ADAPTIVE = 1, 2, 4, 8, 16, 32
 # places in `states`
 SLOTS = 6
 # rows of the work array
 (
     SPRING, C_ALG, DAMP, GRIP0, UP, DOWN, SCALE, DIAGONAL, GIVEN, PIVOT, RATIO, VALUE, MOVE,
-    FORCE, SLOPE, RHS, ALPHA, TORQUE, NEXT, C_KEPT, DAMP_KEPT,
-) = range(21)  # fmt: skip
-WORK_ROWS = 21
+    FORCE, SLOPE, RHS, ALPHA, TORQUE, NEXT, C_KEPT, DAMP_KEPT, SLIP_KEPT,
+) = range(22)  # fmt: skip
+WORK_ROWS = 22
 
 EPS = 2.220446049250313e-16
 MOVE_TOLERANCE_RAD = 1e-11
 MOST_BLOCK_FLIPS = 60
 MOST_NEWTON = 20
 SOFTENED_RAD = 1e-8
+NO_TIME_S = 1e-12
+LIMIT_TOLERANCE = 1e-6
+"""To which part a slip limit with memory is found in a step."""
+TORQUE_PER_RAD = 5e-4
+"""Error of the base torque (N·m) that counts as much as one radian of error in an angle."""
 SMALL_LOAD = 1e-9
 """Part of a node's limits below which a shed load is not followed further."""
 
@@ -209,7 +214,7 @@ def reach(work, i):  # type: ignore[no-untyped-def]
 
     1 in rigid tissue, near 0 where the compliance of stuck or the viscosity of slipping tissue spreads it.
     """
-    k = work[SPRING, i - 1]
+    k = max(work[SPRING, i - 1], work[SPRING, i])
     q = work[DAMP, i] / k
     slipping = 1.0 + 0.5 * q - math.sqrt(q + 0.25 * q * q)
     ck = work[C_ALG, i] * k
@@ -318,6 +323,10 @@ def retreat(slip, work, counts):  # type: ignore[no-untyped-def]
                     if wrong == total or not inner or reach(work, i) < 0.5:
                         slip[i] = 0.0
                     nxt[i] = 0.0
+            # what the run overturned just past its end
+            if end < n and nxt[end] == -sign:
+                nxt[end] = 0.0
+                work[TORQUE, end] = max(-work[DOWN, end], min(work[UP, end], work[TORQUE, end]))
         start = last + 1
 
 
@@ -371,6 +380,14 @@ def set_length(rod, flags, dt, work):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def past(states, slot, state, i):  # type: ignore[no-untyped-def]
+    """The first node from i on that is neither in `state` nor free."""
+    while i < np.uintp(states.shape[2]) and (states[slot, SLIP, i] == state or states[slot, SLIP, i] == 2.0):
+        i += np.uintp(1)
+    return i
+
+
+@_jit
 def predict_slip(states, earlier, now, ratio, guess):  # type: ignore[no-untyped-def]
     """The active set if every slip front goes on moving as it did from `earlier` to `now`, times `ratio`.
 
@@ -387,20 +404,20 @@ def predict_slip(states, earlier, now, ratio, guess):  # type: ignore[no-untyped
         return
     i, j, place = one, one, one
     while True:
-        while i < n and states[earlier, SLIP, i] == 2.0:
-            i += one
-        while j < n and states[now, SLIP, j] == 2.0:
-            j += one
-        if i == n or j == n or states[earlier, SLIP, i] != states[now, SLIP, j]:
-            if i != n or j != n:
-                for k in range(states.shape[2]):
-                    states[guess, SLIP, k] = states[now, SLIP, k]
+        i, j = past(states, earlier, 2.0, i), past(states, now, 2.0, j)
+        if j == n:
             return
         state = states[now, SLIP, j]
-        while i < n and (states[earlier, SLIP, i] == state or states[earlier, SLIP, i] == 2.0):
-            i += one
-        while j < n and (states[now, SLIP, j] == state or states[now, SLIP, j] == 2.0):
-            j += one
+        if i < n and states[earlier, SLIP, i] == 0.0 and state != 0.0:
+            # a stuck run between two fronts that have met
+            i = past(states, earlier, 0.0, i)
+        if i < n and states[earlier, SLIP, i] == state:
+            i = past(states, earlier, state, i)
+        elif state != 0.0 or i == n:
+            for k in range(states.shape[2]):
+                states[guess, SLIP, k] = states[now, SLIP, k]
+            return
+        j = past(states, now, state, j)
         end = n
         if i < n or j < n:
             moved = ratio * (float(j) - float(i))
@@ -435,16 +452,24 @@ def step(  # type: ignore[no-untyped-def]
         states[new, BOND] = states[old, BOND]
         states[new, AGE] = states[old, AGE]
         for _ in range(60):
-            set_limits(rod, scalars, states, new, work)
+            set_limits(rod, scalars, states, new, new, 1.0, work)
             if not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts):
                 return False
-            if follow_bond(rod, scalars, states, old, new, dt, work) < 1e-6:
+            if follow_bond(rod, scalars, states, old, new, dt, work) < LIMIT_TOLERANCE:
                 break
     elif not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts):
         return False
-    for i in range(n):
-        states[new, GRIP, i] = states[old, GRIP, i] + work[MOVE, i]
+    finish(rod, flags, states, old, new, work)
     states[new, GRIP, 0] = base
+    return True
+
+
+@_jit
+def finish(rod, flags, states, old, new, work):  # type: ignore[no-untyped-def]
+    """Grip and creep at the end of a step."""
+    n = states.shape[2]
+    for i in range(1, n):
+        states[new, GRIP, i] = states[old, GRIP, i] + work[MOVE, i]
     if flags & HAS_CREEP:
         for i in range(1, n):
             stuck = states[new, SLIP, i] == 0.0
@@ -452,16 +477,57 @@ def step(  # type: ignore[no-untyped-def]
             torque = held(states, new, work, i, states[new, ANGLE, min(i + 1, n - 1)]) if stuck else resist
             grown = (work[C_ALG, i] - rod[COMPLIANCE, i]) * torque
             states[new, CREEP, i] = work[ALPHA, i] * states[old, CREEP, i] + grown
-    return True
 
 
 @_jit
-def set_limits(rod, scalars, states, new, work):  # type: ignore[no-untyped-def]
-    """Slip limits for the bond and age of `new`."""
+def overloaded(rod, states, slot, work, i, after):  # type: ignore[no-untyped-def]
+    """1 or −1 where a dry node is above its limit, else 0."""
+    over = beyond(held(states, slot, work, i, after), states, slot, work, i)
+    return over if (rod[VISCOUS, i] == 0.0) & (states[slot, SLIP, i] != 2.0) else 0.0
+
+
+@_jit
+def admit(rod, scalars, flags, laws, states, slot, before, elapsed, time, work, counts):  # type: ignore[no-untyped-def]
+    """Return a state that was extrapolated or interpolated to the admissible set; False: not found.
+
+    There a dry node may be above its limit, which no solution of a step is. A step of no length lets such
+    nodes slip until they are on it; viscous ones cannot move in it. Slip limits are those in `work`, rates
+    for the laws are reckoned since `before`, a time `elapsed` ago. Afterwards `work` needs `set_length`.
+    """
+    n = states.shape[2]
+    if flags & HAS_LAWS:
+        evaluate_laws(rod, laws, states[slot, ANGLE], states[before, ANGLE], elapsed, time, work)
+    last = n - 1
+    bad = 1 if overloaded(rod, states, slot, work, last, states[slot, ANGLE, last]) != 0.0 else 0
+    for i in range(1, last):
+        bad += 1 if overloaded(rod, states, slot, work, i, states[slot, ANGLE, i + 1]) != 0.0 else 0
+    if bad == 0:
+        return True
+    set_length(rod, flags, NO_TIME_S, work)
+    for i in range(n):
+        work[GRIP0, i] = states[slot, GRIP, i] + work[ALPHA, i] * states[slot, CREEP, i]
+    for i in range(1, n):
+        work[SLIP_KEPT, i] = states[slot, SLIP, i]
+        if states[slot, SLIP, i] != 2.0:
+            after = states[slot, ANGLE, min(i + 1, last)]
+            states[slot, SLIP, i] = overloaded(rod, states, slot, work, i, after)
+    solved = balance(rod, flags, laws, states, before, slot, slot, elapsed, time, work, counts)
+    if solved:
+        finish(rod, flags, states, slot, slot, work)
+    for i in range(1, n):
+        states[slot, SLIP, i] = work[SLIP_KEPT, i]
+    return solved
+
+
+@_jit
+def set_limits(rod, scalars, states, one, other, slack, work):  # type: ignore[no-untyped-def]
+    """Slip limits, times `slack`, for the bond and age of the states `one` or `other`, the higher ones."""
     for i in range(states.shape[2]):
-        factor = 1.0 + rod[EXCESS, i] * states[new, BOND, i]
+        factor = 1.0 + rod[EXCESS, i] * max(states[one, BOND, i], states[other, BOND, i])
         if rod[AGEING, i] > 0.0:
-            factor += rod[AGEING, i] * math.log10(1.0 + states[new, AGE, i] / scalars[AGEING_TIME])
+            age = max(states[one, AGE, i], states[other, AGE, i])
+            factor += rod[AGEING, i] * math.log10(1.0 + age / scalars[AGEING_TIME])
+        factor *= slack
         work[UP, i] = rod[PLUS, i] * factor
         work[DOWN, i] = rod[MINUS, i] * factor
 
@@ -636,7 +702,7 @@ def furthest_sample(times, base, time, length, row, next_kink, has_earlier, tole
 
 
 @_jit
-def extrapolate(states, half, end, full, flags):  # type: ignore[no-untyped-def]
+def extrapolate(states, half, end, full, flags, ageing_time):  # type: ignore[no-untyped-def]
     """Take the error of first order out of the states after one and two half steps."""
     n = states.shape[2]
     for r in range(3 if flags & HAS_CREEP else 2):
@@ -647,7 +713,9 @@ def extrapolate(states, half, end, full, flags):  # type: ignore[no-untyped-def]
     if flags & HAS_BOND:
         for i in range(n):
             states[end, BOND, i] = min(1.0, max(0.0, 2.0 * states[end, BOND, i] - states[full, BOND, i]))
-            states[end, AGE, i] = max(0.0, 2.0 * states[end, AGE, i] - states[full, AGE, i])
+            # of the logarithm, to which the limit is proportional
+            grown = (ageing_time + states[end, AGE, i]) ** 2 / (ageing_time + states[full, AGE, i])
+            states[end, AGE, i] = max(0.0, grown - ageing_time)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -678,12 +746,13 @@ def missed_by_quadratic(states, before, now, half, end, gap, dt):  # type: ignor
 
 
 @_jit
-def blend(states, now, half, end, x, out):  # type: ignore[no-untyped-def]
-    """Angles at the fraction x of a step, on a quadratic through its start, middle and end."""
+def blend(states, now, half, end, x, rows, out):  # type: ignore[no-untyped-def]
+    """The first `rows` rows of a state at the fraction x of a step, on a quadratic through the step."""
     w0, w1, w2 = (2.0 * x - 1.0) * (x - 1.0), 4.0 * x * (1.0 - x), x * (2.0 * x - 1.0)
-    for i in range(states.shape[2]):
-        ends = w0 * states[now, ANGLE, i] + w2 * states[end, ANGLE, i]
-        states[out, ANGLE, i] = ends + w1 * states[half, ANGLE, i]
+    for r in range(rows):
+        for i in range(states.shape[2]):
+            ends = w0 * states[now, r, i] + w2 * states[end, r, i]
+            states[out, r, i] = ends + w1 * states[half, r, i]
 
 
 @njit(
@@ -828,11 +897,14 @@ def run(  # type: ignore[no-untyped-def]
             since = end_base - states[now, GRIP, 0]
             before, now, end = now, end, before
         else:
-            error = largest_difference(states, end, full) / tolerance
+            twist = states[end, ANGLE, 0] - states[end, ANGLE, 1]
+            twist -= states[full, ANGLE, 0] - states[full, ANGLE, 1]
+            error = max(largest_difference(states, end, full), abs(twist) * stiffness[0] / TORQUE_PER_RAD)
+            error /= tolerance
             if error > 1.0 and dt > shortest:
                 length = dt * max(0.2, 0.85 / math.sqrt(error))
                 continue
-            extrapolate(states, half, end, full, flags)
+            extrapolate(states, half, end, full, flags, scalars[AGEING_TIME])
             growth = min(3.0, 0.85 / math.sqrt(max(error, 1e-4)))
             if target > row + 1 and gap > 0.0:
                 missed = missed_by_quadratic(states, before, now, half, end, gap, dt) / tolerance
@@ -841,8 +913,26 @@ def run(  # type: ignore[no-untyped-def]
                     length = dt * max(0.25, 0.85 / missed ** (1.0 / 3.0))
                     continue
                 growth = min(growth, max(1.0, 0.85 / max(missed, 1e-4) ** (1.0 / 3.0)))
+            if flags & HAS_DRY:
+                set_for = -1.0
+                if flags & HAS_BOND:
+                    set_limits(rod, scalars, states, end, end, 1.0 + LIMIT_TOLERANCE, work)
+                if not admit(rod, scalars, flags, laws, states, end, half, 0.5 * dt, stop, work, counts):
+                    if dt <= shortest:
+                        counts[FAILED_SAMPLE] = max(row, 0)
+                        return 1
+                    length = 0.5 * dt
+                    continue
+                if flags & HAS_BOND and target > row + 1:
+                    set_limits(rod, scalars, states, now, end, 1.0 + LIMIT_TOLERANCE, work)
             for k in range(row + 1, target):
-                blend(states, now, half, end, (times[k] - time) / dt, shown)
+                x = (times[k] - time) / dt
+                blend(states, now, half, end, x, 3 if flags & HAS_DRY else 1, shown)
+                if flags & HAS_DRY and not admit(
+                    rod, scalars, flags, laws, states, shown, now, x * dt, times[k], work, counts
+                ):
+                    counts[FAILED_SAMPLE] = k
+                    return 1
                 store(rod, flags, laws, stiffness, states, shown, times[k], k, sensors, outputs)
             gap = 0.5 * dt
             before, half = half, before

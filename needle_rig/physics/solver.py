@@ -165,7 +165,10 @@ def _run(
     if len(addresses):
         flags += kernel.HAS_LAWS
     if flags:
-        flags += kernel.ADAPTIVE
+        dry = (coefficients[kernel.VISCOUS] == 0) & (coefficients[[kernel.PLUS, kernel.MINUS]] > 0).any(
+            axis=0
+        )
+        flags += kernel.ADAPTIVE + kernel.HAS_DRY * bool(dry.any())
     scalars = np.array(
         [
             rod.base_compliance_rad_per_nm,

@@ -44,6 +44,15 @@ def rod(
     return replace(plain, **changes)
 
 
+def lumped(node_name, torque_nmm, **options):
+    """A rod with friction on one node."""
+    plain = rod(**options)
+    node = getattr(plain, node_name)
+    limit = plain.slip_plus_nm.copy()
+    limit[node] += torque_nmm * 1e-3
+    return replace(plain, slip_plus_nm=limit, slip_minus_nm=limit)
+
+
 def path(
     targets_deg: list[float], rate_deg_s: float = 45.0, settle_s: float = 3.0, sample_hz: float = 50.0
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -8,19 +8,10 @@ import pytest
 from needle_rig.physics.reference import KarnoppRod, largest_stable_step_s, paper_literal, simulate
 from needle_rig.physics.rod import TorqueLaw
 from needle_rig.physics.solver import solve
-from tests.physics.rods import EXPERIMENT, JG, MODEL, compensation, errors, path, refined, rod
+from tests.physics.rods import EXPERIMENT, JG, MODEL, compensation, errors, lumped, path, refined, rod
 
 WORST_DEG = 0.02
 WORST_NMM = 2e-4
-
-
-def lumped(node_name, torque_nmm, **options):
-    """A rod with friction on one node."""
-    plain = rod(**options)
-    node = getattr(plain, node_name)
-    limit = plain.slip_plus_nm.copy()
-    limit[node] += torque_nmm * 1e-3
-    return replace(plain, slip_plus_nm=limit, slip_minus_nm=limit)
 
 
 def one_sided(**options):
@@ -83,6 +74,16 @@ def test_default_settings_meet_a_much_finer_run(name, finer):
     angle_deg, torque_nmm = errors(solve(make(), time, base), exact, finer)
     assert angle_deg < WORST_DEG
     assert torque_nmm < WORST_NMM
+
+
+def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue():
+    """Angles hardly differ there while torques do."""
+    time, base = path([10.0, -5.0], settle_s=1.0)
+    plain = rod(creep=(0.3, 1.0))
+    stiff = replace(plain, stiffness_nm_per_rad=100.0 * plain.stiffness_nm_per_rad)
+    exact = solve(stiff, time, base, tolerance_rad=1e-7)
+    found = solve(stiff, time, base)
+    assert np.abs(found.torque_nm - exact.torque_nm).max() * 1e3 < WORST_NMM
 
 
 @pytest.mark.parametrize("inertia", [False, True])
