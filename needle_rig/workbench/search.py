@@ -91,6 +91,11 @@ def is_trace(found: Fit, effect: str) -> bool:
     return all(size < smallest for size, smallest in sizes)
 
 
+def refinable(problem: Problem, found: Fit) -> bool:
+    """Whether a first fit ended early: one that misses by far ends where a refined one would."""
+    return LOOSE * excess(problem, found.objective) < 10 * ROUGH
+
+
 def start_of(parent: Fit, start: Start) -> Point:
     """The parent's optimum with the added effect at a start."""
     return Point(
@@ -116,7 +121,7 @@ def try_effect(
         found = fit(problem, names, start_of(parent, start), nuisance=parent.nuisance, enough=ROUGH)
         if found is not None and (best is None or found.objective < best.objective):
             best = found
-    if best is not None and parent.objective - best.objective > PROMISING:
+    if best is not None and parent.objective - best.objective > PROMISING and refinable(problem, best):
         best = fit(problem, names, best.point, nuisance=best.nuisance) or best
     room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
     off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
