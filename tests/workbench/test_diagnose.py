@@ -73,22 +73,25 @@ def test_the_answer_does_not_depend_on_names_and_order(tmp_path):
     assert one == two
 
 
-def test_processes_give_the_same_answer():
+TWO = ("chuck_backlash", "torque_bias")
+
+
+@pytest.fixture(scope="module")
+def answer_here():
+    return diagnose(dataset(effect("chuck_backlash", play_deg=5.0)), few(*TWO)).as_json()
+
+
+def test_processes_give_the_same_answer(answer_here):
     data = dataset(effect("chuck_backlash", play_deg=5.0))
-    names = ("chuck_backlash", "torque_bias")
-    assert (
-        diagnose(data, few(*names), work=workers(2, None)).as_json() == diagnose(data, few(*names)).as_json()
-    )
+    assert diagnose(data, few(*TWO), work=workers(2, None)).as_json() == answer_here
 
 
-@pytest.mark.slow
-def test_a_dask_cluster_gives_the_same_answer():
+def test_a_dask_cluster_gives_the_same_answer(answer_here):
     distributed = pytest.importorskip("distributed")
     data = dataset(effect("chuck_backlash", play_deg=5.0))
-    names = ("chuck_backlash", "torque_bias")
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        there = diagnose(data, few(*names), work=workers(None, cluster.scheduler_address)).as_json()
-    assert there == diagnose(data, few(*names)).as_json()
+        there = diagnose(data, few(*TWO), work=workers(None, cluster.scheduler_address)).as_json()
+    assert there == answer_here
 
 
 def test_without_replicates_the_answer_says_so():
