@@ -14,6 +14,10 @@ from needle_rig.workbench.search import Search, score
 CLOSE = 10.0
 """Difference of scores (3σ) within which two explanations are a tie."""
 SURE_SHARE = 0.8
+ALL_UP_TO = 100.0
+"""Gain of what was found up to which every effect is refitted in its place: a preview says little there."""
+OUT_OF_REACH = 0.25
+"""Above it, share of that gain which a preview must promise: what fits as well promised 0.7 and more."""
 DRAWS = 400
 
 
@@ -67,7 +71,7 @@ def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
         rest = frozenset(best - {effect})
         if rest in search.fits and rest not in search.children:
             gain = search.fits[rest][0].objective - here.objective
-            search.expand(rest, worth=max(6.0, 0.5 * gain))
+            search.expand(rest, worth=OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
         rivals = []
         for candidate in search.children.get(rest, []):
             key = rest | {candidate.effect}

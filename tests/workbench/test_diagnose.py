@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needle_rig.dataset import in_series, write_dataset
+from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.work import workers
@@ -183,3 +183,30 @@ def test_a_tie_comes_with_the_trial_that_breaks_it():
     assert "guide_friction" in {*found.effects, *found.ranking[0].indistinguishable_from}
     if found.ranking[0].indistinguishable_from:
         assert found.next_experiment["separation_sigma"] > 1
+
+
+def test_what_was_not_refitted_is_said():
+    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
+    found = diagnose(data, few())
+    search = found.search
+    on_top = search.children[search.best]
+    assert on_top
+    assert all(c.fit is not None for c in on_top)
+    for name in found.effects:
+        rest = frozenset(search.best - {name})
+        left_out = [
+            c for c in search.children[rest] if c.fit is None and rest | {c.effect} not in search.fits
+        ]
+        left_out = [c for c in left_out if c.effect not in search.best]
+        said = [n for n in found.notes if n.startswith(f"In the place of {name}, {len(left_out)} effects")]
+        assert len(said) == bool(left_out)
+
+
+def test_the_seed_and_the_folder_change_no_verdict(tmp_path):
+    data = dataset(effect("torque_bias", bias_nmm=0.02))
+    names = few("torque_bias", "tip_friction")
+    answers = []
+    for folder, seed in (("one", 0), ("zwei", 7)):
+        read = read_dataset(write_dataset(data, tmp_path / folder))
+        answers.append(diagnose(dataclasses.replace(read, name="x"), names, seed=seed).as_json())
+    assert answers[0] == answers[1]
