@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from needle_rig.workbench.strategies_table import Foretold, Table
 
 PAIR = ("planned", "reed2008")
+EACH = "  {:<36}{:<24}{:>11}{:>13}{:>7}  {}"
 TARGETS = "15,-15,45,-45,90,-90,180,-180"
 
 
@@ -106,16 +107,21 @@ def command(
         return _contest(plant, noise, saved, strategies, angles, seeds, jobs)
 
     if each:
-        contests = [contest(bare.with_effects(*parse_effects((e,), library))) for e in effects]
+        plants = {e: bare.with_effects(*parse_effects((e,), library)) for e in effects}
         if as_json:
-            told = [{"effect": e} | _document(c) for e, c in zip(effects, contests, strict=True)]
+            told = [{"effect": e} | _document(contest(plant)) for e, plant in plants.items()]
             click.echo(json.dumps({"effects": told}, ensure_ascii=False, allow_nan=False))
             return
         click.echo(
             f"{parameters}: worst error of the shaft in °, medians (95 % quantiles) over {len(angles)}"
             f" targets, {seeds} × 2 starts"
         )
-        _show_each(effects, contests)
+        click.echo(
+            EACH.format("hidden effect", "in the model", "planned", "reed2008", "times", "said before")
+        )
+        sentences = [_show_one(effect, contest(plant)) for effect, plant in plants.items()]
+        for sentence in filter(None, sentences):
+            click.echo(sentence)
         return
     plant = bare.with_effects(*parse_effects(effects, library))
     found = contest(plant)
@@ -205,30 +211,22 @@ def _document(contest: Contest) -> dict[str, Any]:
     return document
 
 
-def _show_each(effects: tuple[str, ...], contests: list[Contest]) -> None:
-    """One line a hidden effect: what the model lacks or has, both errors, and what was said beforehand."""
-    click.echo(
-        f"  {'hidden effect':<38}{'in the model':<26}{'planned':>11}{'reed2008':>13}{'times':>7}"
-        "  said beforehand"
-    )
-    for effect, contest in zip(effects, contests, strict=True):
-        rows = {row["strategy"]: row for row in contest.table.overall()}
-        saved, told = contest.saved, contest.foretold
-        assert saved is not None
-        assert told is not None
-        names = ", ".join(e.name() for e in saved.model.effects) or "none"
-        errors = [rows[name]["worst_deg"] for name in PAIR if "worst_deg" in rows[name]]
-        cells = [f"{e['median']:.1f} ({e['q95']:.1f})" for e in errors]
-        times = f"{errors[1]['median'] / errors[0]['median']:.1f}" if len(errors) == 2 else ""
-        cells = ["refused", *cells] if len(cells) == 1 else cells
-        click.echo(
-            f"  {effect:<38}{names:<26}{cells[0]:>11}{cells[1]:>13}{times:>7}"
-            f"  {told.planned_deg:.1f} ({told.q95_deg:.1f}) against {told.reed2008_deg:.1f}"
-        )
-    for effect, contest in zip(effects, contests, strict=True):
-        assert contest.foretold is not None
-        if ": less than" in contest.foretold.sentence or not contest.foretold.planned_deg > 0:
-            click.echo(f"{effect}: {contest.foretold.sentence}")
+def _show_one(effect: str, contest: Contest) -> str:
+    """Print one line a hidden effect; the answer says why planning will not help much, or is empty."""
+    rows = {row["strategy"]: row for row in contest.table.overall()}
+    saved, told = contest.saved, contest.foretold
+    assert saved is not None
+    assert told is not None
+    names = ", ".join(e.name() for e in saved.model.effects) or "none"
+    errors = [rows[name]["worst_deg"] for name in PAIR if "worst_deg" in rows[name]]
+    cells = [f"{e['median']:.1f} ({e['q95']:.1f})" for e in errors]
+    if len(errors) < len(PAIR):
+        click.echo(EACH.format(effect, names, "refused", *cells, "", "refused"))
+        return f"{effect}: {told.sentence}"
+    times = f"{errors[1]['median'] / errors[0]['median']:.1f}"
+    before = f"{told.planned_deg:.1f} ({told.q95_deg:.1f}) against {told.reed2008_deg:.1f}"
+    click.echo(EACH.format(effect, names, *cells, times, before))
+    return f"{effect}: {told.sentence}" if told.little_gained else ""
 
 
 def _show(rows: list[dict[str, Any]], title: str) -> None:

@@ -229,6 +229,11 @@ class Foretold:
     reed2008_deg: float
     sentence: str
 
+    @property
+    def little_gained(self) -> bool:
+        """Whether planning will not be `MUCH_BETTER` times as good."""
+        return self.reed2008_deg < MUCH_BETTER * self.planned_deg
+
 
 def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = STARTS) -> Foretold:
     """What the two will leave on needles of the model, for the same targets and starts, medians in degrees.

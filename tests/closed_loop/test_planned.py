@@ -124,8 +124,9 @@ def test_backlash_is_turned_out() -> None:
     plant = load_parameters("rig_elastic").with_effects(ChuckBacklash(6.0))
     run = _run(plant, Planned(), _task(plant))
     assert deg(run.worst_rad(rad(45.0))) < 1.0
-    # the held end stands at the target, so the base is half of the play beyond
-    assert abs(deg(run.history[-1].base_angle_rad) - 45.0) == pytest.approx(3.0, abs=0.8)
+    # a planner that knows of no play leaves the held end about half of it from where it means to be
+    blind = _run(plant, Planned(), _task(plant.without("chuck_backlash")))
+    assert deg(blind.worst_rad(rad(45.0))) > 2.0
 
 
 def test_it_says_what_it_expects_and_keeps_its_word() -> None:

@@ -61,7 +61,7 @@ class Planned(Strategy):
     slow = True
 
     largest_overshoot_deg: float = 120.0
-    rotation_price_deg: float = 0.15
+    rotation_price_deg: float = 0.1
     quantile: float = 0.9
     friction_scatter: float = 0.05
     """Relative standard deviation of friction from run to run."""
