@@ -79,7 +79,8 @@ def solve(
 
     The first sample is the start: `state` (default: relaxed at 0) holds at time_s[0]; a base angle there that
     differs from the state's is reached within one sample. `tolerance_rad` bounds the error of one time step
-    where slip or creep depend on rate. A rod without viscosity, creep, static excess or torque laws depends
+    where slip or creep depend on rate, of all angles and, times 5e-4 N·m/rad, of the base torque; no dry node
+    is ever above its slip limit. A rod without viscosity, creep, static excess or torque laws depends
     on no rate: one implicit step a sample is exact. Raises BadInput before computing anything, and
     SolverError naming time and node when no solution was found.
     """
