@@ -14,6 +14,9 @@ from needle_rig.workbench.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
 
+UNSEEN = 1e-3
+"""Directions of less curvature than this, of parameters scaled alike, are not followed."""
+
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -52,7 +55,10 @@ def held_out(problem: Problem, fit: Fit) -> HeldOut:
     models, order = [], []
     for group in groups if len(groups) > 1 else []:
         left = whole - sum(blocks[t] for t in group)
-        move = -np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ sum(pushes[t] for t in group)
+        # what the rest does not see (friction against a factor on it) stays where the fit put it
+        scale = np.sqrt(np.diag(left))
+        seen = np.linalg.pinv(left / np.outer(scale, scale), rcond=UNSEEN, hermitian=True)
+        move = -seen @ (sum(pushes[t] for t in group) / scale) / scale
         move[0] = np.clip(move[0], -1.0, 1.0)
         move[1] = np.clip(move[1], -0.3, 0.3)
         x = np.clip(at + move, low, high)
