@@ -72,6 +72,8 @@ def test_time_that_the_machine_took_is_made_up_for_up_to_a_quarter_of_a_second(
         return float(bench.wait_for(lambda said: "base_deg" in said, 10)["behind_s"])
 
     before_s = behind_s()
+    while bench.heard(0.3) is not None or behind_s() != before_s:
+        before_s = behind_s()  # it still makes up for a pause before this test
     os.kill(bench.pid, signal.SIGSTOP)
     select.select([], [], [], away_s)
     os.kill(bench.pid, signal.SIGCONT)

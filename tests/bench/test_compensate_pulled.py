@@ -90,7 +90,7 @@ def test_a_link_pulled_in_mid_run(
     assert result["status"] == "fault"
     run = RunFile(result["run"])
     assert run.complete
-    assert len(run.table("ticks")) > 100
+    assert run.table("ticks")["time_s"][-1] > failed_s
     assert stopped["time_s"] - failed_s < 0.2
 
 
