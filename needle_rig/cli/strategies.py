@@ -106,16 +106,14 @@ def command(
                 saved = load_model(model_path, effects=directories)
         return _contest(plant, noise, saved, strategies, angles, seeds, jobs)
 
+    over = f"medians (95 % quantiles) over {len(angles)} targets, each {seeds} × relaxed and {seeds} × wound"
     if each:
         plants = {e: bare.with_effects(*parse_effects((e,), library)) for e in effects}
         if as_json:
             told = [{"effect": e} | _document(contest(plant)) for e, plant in plants.items()]
             click.echo(json.dumps({"effects": told}, ensure_ascii=False, allow_nan=False))
             return
-        click.echo(
-            f"{parameters}: worst error of the shaft in °, medians (95 % quantiles) over {len(angles)}"
-            f" targets, {seeds} × 2 starts"
-        )
+        click.echo(f"{parameters}: worst error of the shaft in °, {over}")
         click.echo(
             EACH.format("hidden effect", "in the model", "planned", "reed2008", "times", "said before")
         )
@@ -137,10 +135,7 @@ def command(
     if as_json:
         click.echo(json.dumps(_document(found), ensure_ascii=False, allow_nan=False))
         return
-    _show(
-        found.table.overall(),
-        f"{parameters}: medians (95 % quantiles) over {len(angles)} targets, {seeds} × 2 starts",
-    )
+    _show(found.table.overall(), f"{parameters}: {over}")
 
 
 @dataclass(frozen=True)

@@ -271,10 +271,12 @@ def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = S
 
 
 def figure(table: Table, title: str) -> Figure:
-    """Worst error of every strategy with its runs, and what it costs in time."""
+    """Worst error of every strategy with its runs, the straightest shaft first, and what it costs in time."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
-    shown = [s for s in table.strategies if table.chosen(s)]
+    medians = {row["strategy"]: row["worst_deg"]["median"] for row in table.overall() if "worst_deg" in row}
+    shown = sorted(medians, key=lambda name: medians[name])
     picture = Figure(figsize=(10.0, 1.6 + 0.42 * len(shown)), layout="constrained")
     left, right = picture.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     for place, name in enumerate(shown):
@@ -287,8 +289,12 @@ def figure(table: Table, title: str) -> Figure:
         left.plot([np.median(worst)] * 2, [place - 0.32, place + 0.32], color=colour, linewidth=2.5)
         right.barh(place, float(np.median(time)), color=colour, height=0.55)
         rotations = np.median([r.values["rotations"] for r in results])
-        right.annotate(f" {rotations:g} rotations", (float(np.median(time)), place), va="center", fontsize=8)
+        turns = "1 rotation" if rotations == 1 else f"{rotations:g} rotations"
+        right.annotate(f" {turns}", (float(np.median(time)), place), va="center", fontsize=8)
     left.set_xscale("log")
+    left.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    left.xaxis.set_major_formatter("{x:g}")
+    left.xaxis.set_minor_formatter(NullFormatter())
     left.set_xlabel("worst angle error along the shaft, degrees (line: median)")
     left.set_yticks(range(len(shown)), shown)
     left.invert_yaxis()
