@@ -27,6 +27,9 @@ ENOUGH = 0.05
 """A fit ends when the next step would lower the objective by less than this,"""
 LOOSE = 2e-3
 """or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
+MOST_SOLVES = 30.0
+"""Solves a sample beyond which a fit does not go: a needle that snaps from balance to balance, whose instants
+no derivative follows. Ageing friction takes ten, most effects one or two."""
 LEVEL = 1e6
 """Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level.
 Without it the two trade places along a direction that the data do not see, and damped steps creep."""
@@ -107,7 +110,7 @@ class _State:
         every = range(self.trials)
         try:
             models = [self.problem.model(self.axes, point, t) for t in every]
-            readings = self.problem.readings(models, list(every))
+            readings = self.problem.readings(models, list(every), MOST_SOLVES)
         except (SolverError, BadInput):
             return None
         rows = self.problem.residuals(readings, list(every))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig.errors import BadInput
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Effect, Reading
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
@@ -112,10 +113,13 @@ class Problem:
         one, other = (np.r_[r.slip_plus_nm, r.slip_minus_nm] for r in rods)
         return not np.allclose(one, other, rtol=1e-9, atol=0.0)
 
-    def readings(self, models: Sequence[NeedleModel], trials: Sequence[int]) -> list[Array]:
+    def readings(
+        self, models: Sequence[NeedleModel], trials: Sequence[int], most_solves: float = math.inf
+    ) -> list[Array]:
         """Bin means (C, K) that each model gives in each trial, solved side by side.
 
-        Models that differ in what the sensors make of it share one solution.
+        Models that differ in what the sensors make of it share one solution. Raises SolverError, also where a
+        trial took more than `most_solves` solves a sample.
         """
         keys: list[object] = []
         new: OrderedDict[object, int] = OrderedDict()
@@ -140,6 +144,8 @@ class Problem:
         solved = solve_batch(rods, inputs, threads=self.threads) if rods else []
         self.solves += len(rods)
         self._cache.update(zip(new, solved, strict=True))
+        if any(self._cache[k].solves > most_solves * self._cache[k].time_s.size for k in keys):
+            raise SolverError(f"{models[0].name}: the needle snaps through too many balances to follow")
         found = []
         for which, model, trial in zip(keys, models, trials, strict=True):
             binned = self.trials[trial]

@@ -29,6 +29,8 @@ ROUGH = 0.5
 PROMISING = 4.0
 """those that gain more than this are refined."""
 MOST_TRACES = 2
+FAINT = 0.1
+"""Share of a large error that an effect must promise to earn a fit."""
 TIMES_OURS = 3.0
 """Claims smaller than this many times our own numerical error are refused."""
 
@@ -198,7 +200,7 @@ class Search:
     def expand(self, key: frozenset[str], worth: float = -1.0) -> list[Candidate]:
         """All effects on top of the set `key`; with `worth` only those whose preview reaches it.
 
-        A preview orders the work on sets that may come to nothing; on the set where the search stands, every
+        A preview orders the work on sets that may come to nothing; on a set that comes near the noise, every
         effect is fitted.
         """
         known = {c.effect: c for c in self.children.get(key, [])}
@@ -327,12 +329,7 @@ class Search:
         """Search until nothing more passes; returns the best set."""
         frontier = [self.start]
         while True:
-            self._forward(frontier)
-            size = len(self.best)
-            options = [
-                k for k in self.fits if len(k) == size + 1 and self.start <= k and self.passes(self.best, k)
-            ]
-            options.sort(key=lambda k: (score(self.problem, self.fits[k][0]), sorted(k)))
+            options = self._forward(frontier)
             if not options:
                 break
             chosen = options[0]
@@ -353,21 +350,36 @@ class Search:
             self.steps.append(self.best)
             spread = score(self.problem, self.fits[self.start][0]) - lowest
             near = [k for k in options if score(self.problem, self.fits[k][0]) < lowest + 0.6 * spread]
-            frontier = [self.best, *[k for k in near if k != self.best][: FRONTIER - 1]]
+            others = (
+                [k for k in near if k != self.best] if len(self.named(self.best)) < self.max_effects else []
+            )
+            frontier = [self.best, *others[: FRONTIER - 1]]
         self.best = self._back(self.best)
-        self.expand(self.best)
+        self.expand(self.best, self._least(self.best))
         return self.best
 
-    def _forward(self, frontier: list[frozenset[str]]) -> None:
-        for place, key in enumerate(frontier):
-            if place == 0:
-                self.expand(key)
-                continue
-            best_child = min(
-                (c.fit.objective for c in self.children[frontier[0]] if c.fit is not None), default=np.inf
-            )
+    def _least(self, key: frozenset[str]) -> float:
+        """The preview gain that earns a fit on top of `key`: any at the start and where the noise is near.
+
+        As long as most of the error is not explained, what promises next to nothing of it cannot be the next.
+        """
+        left = excess(self.problem, self.fits[key][0].objective)
+        return FAINT * left if key != self.start and left > self.problem.size else -1.0
+
+    def _forward(self, frontier: list[frozenset[str]]) -> list[frozenset[str]]:
+        """Sets with one effect more than where the search stands that pass, best first."""
+        self.expand(frontier[0], self._least(frontier[0]))
+        best_child = min(
+            (c.fit.objective for c in self.children[frontier[0]] if c.fit is not None), default=np.inf
+        )
+        for key in frontier[1:]:
             needed = self.fits[key][0].objective - best_child
             self.expand(key, worth=max(12.0, 0.6 * needed))
+        size = len(self.best)
+        options = [
+            k for k in self.fits if len(k) == size + 1 and self.start <= k and self.passes(self.best, k)
+        ]
+        return sorted(options, key=lambda k: (score(self.problem, self.fits[k][0]), sorted(k)))
 
     def _sideways(self, key: frozenset[str]) -> frozenset[str]:
         """Each effect's relatives in its place, as long as that helps."""
