@@ -26,7 +26,7 @@ from needle_rig.cli._workbench import (
 )
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.diagnose import Answer
+    from needle_rig.workbench.answer import Answer
 
 
 @click.command("diagnose")
