@@ -11,6 +11,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.answer import Answer, Say
 from needle_rig.workbench.decisions import decide
 from needle_rig.workbench.experiment import best_experiment
+from needle_rig.workbench.held_out import HeldOut
 from needle_rig.workbench.lack_of_fit import lack_of_fit
 from needle_rig.workbench.leftover import find_leftover
 from needle_rig.workbench.prepare import Prepared, prepare
@@ -23,6 +24,8 @@ EXPLAINED = 0.8
 """Share of the explainable error below which a library model is never called an explanation."""
 WELL_EXPLAINED = 0.97
 """Share above which what is left may be the difference between two codes for the same law."""
+REACHED = 1.1
+"""Error on commands left out, in units of the noise, above which an answer leaves something to explain."""
 SIZE_THAT_MATTERS_DEG = 0.12
 SIZE_THAT_MATTERS_NMM = 0.0008
 
@@ -84,6 +87,8 @@ def _conclude(
         unexplained = explained_fraction < WELL_EXPLAINED
     if explained_fraction < EXPLAINED and left.significant and named:
         unexplained = True
+    if named and left.significant and held is not None and held.error > REACHED:
+        unexplained = True
     if not named and lack is not None and lack.significant and not _too_small(lack.size, lack.unit):
         unexplained = True
     verdict = "unknown" if unexplained else "effect" if named else "none"
@@ -116,6 +121,7 @@ def _conclude(
             *prepared.notes,
             *_trace_notes(search),
             *(_preview_notes(search, named) if verdict == "effect" else []),
+            *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),
         ),
         prepared=prepared,
         search=search,
@@ -141,6 +147,11 @@ def _preview_notes(search: Search, named: list[str]) -> list[str]:
                 f" at most {100 * most.preview.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
             )
     return notes
+
+
+def _partial_notes(named: list[str], share: float, held: HeldOut | None) -> list[str]:
+    left = f" and leaves {held.error:.2f} × the noise on commands left out" if held is not None else ""
+    return [f"{' with '.join(named)} removes {100 * share:.1f} % of the error{left}: not the whole truth."]
 
 
 def _trace_notes(search: Search) -> list[str]:

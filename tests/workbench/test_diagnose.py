@@ -49,6 +49,20 @@ def test_an_effect_in_no_library_is_unknown_and_described():
     assert found.as_json()["left_over"]["explained"] is False
 
 
+def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
+    creeping = effect(
+        "tissue_viscoelasticity",
+        relaxed_stiffness_nmm_per_rad_per_100mm=0.35,
+        relaxing_stiffness_nmm_per_rad_per_100mm=0.05,
+        relaxation_time_s=2.0,
+    )
+    found = diagnose(dataset(creeping), few("tissue_elasticity", "torque_bias", "hall_offset"))
+    assert found.explained_fraction > 0.99
+    assert found.verdict == "unknown"
+    assert "tissue_elasticity removes 99.8 % of the error and leaves 2.38 × the noise" in found.notes[-1]
+    assert "time since a stop" in found.left_over.patterns[0].sentence()
+
+
 def test_an_effect_too_small_to_matter_is_negligible():
     found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
     assert found.verdict == "none"
