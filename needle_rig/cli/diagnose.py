@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,18 +88,17 @@ def _show(found: Answer) -> None:
 
     console = Console(highlight=False, soft_wrap=False)
     console.print(f"[bold]{found.dataset}[/bold] against the model {found.model}: {_verdict(found)}")
+    before, after = _number(found.held_out_error_before), _number(found.held_out_error_after)
     console.print(
-        f"Error on {found.left_out} left out: {found.held_out_error_before:.2f}"
-        f" → {found.held_out_error_after:.2f} (noise is {found.noise_floor:.2f})"
+        f"Error on {found.left_out} left out: {before} → {after} (noise is {found.noise_floor:.2f})"
     )
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("effect", "held out", "removed"):
         table.add_column(heading, no_wrap=True)
     table.add_column("for and against")
     for row in found.ranking[: max(6, len(found.effects))]:
-        error = "—" if row.held_out_error is None else f"{row.held_out_error:.2f}"
         words = row.in_favour + (f"; against: {row.against}" if row.against else "")
-        table.add_row(row.effect, error, f"{100 * row.error_removed:.0f} %", words)
+        table.add_row(row.effect, _number(row.held_out_error), f"{100 * row.error_removed:.0f} %", words)
     console.print(table)
     for row in found.ranking[: len(found.effects)]:
         for v in row.values:
@@ -115,6 +115,11 @@ def _show(found: Answer) -> None:
         console.print(f"next: {found.next_experiment['sentence']}")
     for note in found.notes:
         console.print(f"note: {note}")
+
+
+def _number(error: float | None) -> str:
+    """An error, or a dash where nothing could be left out."""
+    return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
 
 
 def _verdict(found: Answer) -> str:

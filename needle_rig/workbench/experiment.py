@@ -153,7 +153,7 @@ def _proposal(
     columns = []
     for j in range(start.size):
         high = second.axes[j - 2].bounds[1] if j >= 2 else np.inf
-        step = STEP if start[j] + STEP <= high else -STEP
+        step = -STEP if j == 1 or start[j] + STEP > high else STEP
         moved = start.copy()
         moved[j] += step
         columns.append((seen(moved) - at) / step)

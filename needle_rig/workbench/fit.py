@@ -27,9 +27,9 @@ ENOUGH = 0.05
 """A fit ends when the next step would lower the objective by less than this,"""
 LOOSE = 2e-3
 """or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
-MOST_SOLVES = 30.0
+MOST_SOLVES = 150.0
 """Solves a sample beyond which a fit does not go: a needle that snaps from balance to balance, whose instants
-no derivative follows. Ageing friction takes ten, most effects one or two."""
+no derivative follows. Ageing friction takes up to ninety, most effects one or two."""
 LEVEL = 1e6
 """Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level.
 Without it the two trade places along a direction that the data do not see, and damped steps creep."""
@@ -155,12 +155,16 @@ class _State:
     def derivatives(
         self, x: Array, rows: list[Array], changed: Sequence[int] | None = None
     ) -> list[Array] | None:
-        """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound."""
+        """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound.
+
+        Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the
+        last bit, and what only the needle's stated constants tell is not told by the steps' own error.
+        """
         columns = []
         for j in range(max(self.p, self.own + 1)):
             which = slice(j, j + 1) if j < self.p else slice(self.p, self.p + self.trials)
-            step = STEP * max(1.0, abs(x[j])) if 2 <= j < self.p else STEP
-            if np.any(x[which] + step > self.high[which]):
+            step = STEP * max(1.0, abs(x[j])) if 2 <= j < self.p else -STEP if j == 1 else STEP
+            if np.any(x[which] + step > self.high[which]) or np.any(x[which] + step < self.low[which]):
                 step = -step
             moved = x.copy()
             moved[which] += step

@@ -93,7 +93,7 @@ def _single(search: Search, candidate: Candidate) -> Ranked:
     found = candidate.fit
     assert found is not None
     seen = chance(search.root, found, len(search.names)) < SIGNIFICANCE
-    foretells = held_gain(search.root_held, candidate.held) > 0
+    foretells = held_gain(search.root_held, candidate.held) > 0 or not np.isfinite(search.root_held.error)
     removed = _removed(search.problem, search.root, found)
     favour = (
         f"alone it removes {100 * removed:.0f} % of the error above the noise"
