@@ -131,8 +131,8 @@ def _favour(search: Search, found: Fit, effect: str, alone: float | None) -> str
         f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""
     )
     names = "it" if len(found.effects) - len(search.start) == 1 else "the model with it"
-    told = f"{names} removes {removed:.0f} % of the error above the noise and foretells commands left out"
-    return told + sigmas
+    told = " and foretells commands left out" if np.isfinite(search.root_held.error) else ""
+    return f"{names} removes {removed:.0f} % of the error above the noise{told}{sigmas}"
 
 
 def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
