@@ -60,11 +60,6 @@ class FirmwareRig:
         """Virtual time."""
         return self.plant.time_s
 
-    @property
-    def motor_rad_s(self) -> float:
-        """What the bridge asks of the motor."""
-        return self._velocity_rad_s
-
     def shaft_rad(self) -> Array:
         """True angle of every node of the shaft."""
         return self.plant.shaft_rad()
