@@ -21,9 +21,11 @@ PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION =
 # rows of a state: angle, grip, creep, bond, age, slip direction
 ANGLE, GRIP, CREEP, BOND, AGE, SLIP = range(6)
 # scalars
-BASE_COMPLIANCE, STRIBECK_RATE, WEAKENING, AGEING_TIME, TOLERANCE, LONGEST, SHORTEST = range(7)
+BASE_COMPLIANCE, STRIBECK_RATE, WEAKENING, AGEING_TIME, TOLERANCE, LONGEST, SHORTEST, MOST_SOLVES = range(8)
 # counts
 STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_WRONG, LAST_WRONG = range(6)
+# what `run` answers, beside 0 and 1
+TOO_MANY = 2
 # flags
 HAS_CREEP, HAS_VISCOUS, HAS_BOND, HAS_LAWS, HAS_DRY, ADAPTIVE = 1, 2, 4, 8, 16, 32
 # places in `states`
@@ -783,7 +785,9 @@ def run(  # type: ignore[no-untyped-def]
     out_shaft,
     counts,
 ):
-    """Follow the base path from the state in every slot of `states`; 0 when done, 1 when a step failed.
+    """Follow the base path from the state in every slot of `states`.
+
+    0 when done, 1 when a step failed, TOO_MANY when it takes more than MOST_SOLVES solves.
 
     The last state ends up in slot 0. `work` is scratch of zeros, of WORK_ROWS rows.
 
@@ -820,6 +824,9 @@ def run(  # type: ignore[no-untyped-def]
         store(rod, flags, laws, stiffness, states, now, time, 0, sensors, outputs)
 
     while row < samples - 1:
+        if counts[SOLVES] > scalars[MOST_SOLVES]:
+            counts[FAILED_SAMPLE] = max(row, 0)
+            return TOO_MANY
         target = row + 1
         single = not adaptive or row < 0
         middle_time = time

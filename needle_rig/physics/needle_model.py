@@ -8,6 +8,7 @@ does not matter. Effects at their off value are left out: the model is then bit 
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -120,16 +121,29 @@ class NeedleModel:
             left.append(float(path[-1]) if path.size else start or 0.0)
         return path, tuple(left)
 
-    def truth(self, trial: Trial, state: RodState | None = None, *, shaft: bool = False) -> Solution:
+    def truth(
+        self,
+        trial: Trial,
+        state: RodState | None = None,
+        *,
+        shaft: bool = False,
+        most_solves: float = math.inf,
+    ) -> Solution:
         """What the needle does, before the sensors' imperfections.
 
         A trial that continues an earlier piece takes that piece's `state`; its first sample is where that
-        piece ended. `shaft` also gives the angle of every node.
+        piece ended. `shaft` also gives the angle of every node. Raises SolverError, also past `most_solves`.
         """
         held = state.held_rad if isinstance(state, NeedleState) else ()
         path, left = self.held_path(trial, held)
         solution = solve(
-            self.rod(trial), trial.time_s, path, state=state, shaft=shaft, tolerance_rad=self.tolerance_rad
+            self.rod(trial),
+            trial.time_s,
+            path,
+            state=state,
+            shaft=shaft,
+            tolerance_rad=self.tolerance_rad,
+            most_solves=most_solves,
         )
         return _with_held(solution, left)
 

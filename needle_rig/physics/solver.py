@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -74,6 +75,7 @@ def solve(
     shaft: bool = False,
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
     longest_step_s: float = LONGEST_STEP_S,
+    most_solves: float = math.inf,
 ) -> Solution:
     """Turn the base along the line through (time_s, base_angle_rad), shapes (samples,).
 
@@ -82,10 +84,10 @@ def solve(
     where slip or creep depend on rate, of all angles and, times 5e-4 N·m/rad, of the base torque; no dry node
     is ever above its slip limit. A rod without viscosity, creep, static excess or torque laws depends
     on no rate: one implicit step a sample is exact. Raises BadInput before computing anything, and
-    SolverError naming time and node when no solution was found.
+    SolverError naming time and node when no solution was found, or the time where `most_solves` were spent.
     """
     time, base = _checked_path(time_s, base_angle_rad)
-    return _run(rod, time, base, state, shaft, tolerance_rad, longest_step_s)
+    return _run(rod, time, base, state, shaft, tolerance_rad, longest_step_s, most_solves)
 
 
 def solve_batch(
@@ -111,7 +113,7 @@ def solve_batch(
 
     def one(job: tuple[Rod, tuple[Array, Array]]) -> Solution:
         rod, (time, base) = job
-        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S)
+        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S, math.inf)
 
     workers = min(threads or os.cpu_count() or 1, count)
     if workers == 1:
@@ -151,6 +153,7 @@ def _run(
     shaft: bool,
     tolerance_rad: float,
     longest_step_s: float,
+    most_solves: float,
 ) -> Solution:
     # numba takes longer to import than most trials to solve
     from needle_rig.physics import kernel
@@ -181,6 +184,7 @@ def _run(
             longest_step_s,
             # a snap to a lower limit takes no time: shorter steps do not resolve it better
             SHORTEST_SNAP_S if bonds else SHORTEST_STEP_S,
+            most_solves,
         ]
     )
     states = np.repeat(packed[np.newaxis], kernel.SLOTS, axis=0)
@@ -210,9 +214,13 @@ def _run(
     )
     del keep
     packed = states[0].copy()
+    sample = int(counts[kernel.FAILED_SAMPLE])
+    if failed == kernel.TOO_MANY:
+        raise SolverError(
+            f"more than {most_solves:.0f} solves after {time[sample]:g} s: the needle snaps too often"
+        )
     if failed:
         node = int(counts[kernel.FAILED_NODE])
-        sample = int(counts[kernel.FAILED_SAMPLE])
         raise SolverError(
             f"no balance of torques found after {time[sample]:g} s at node {node}"
             f" ({rod.position_m[node] * 1e3:g} mm from the base); check the coefficients there"

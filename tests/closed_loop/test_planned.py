@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from needle_rig.control.planning.belief import World, first_belief, worlds
-from needle_rig.control.planning.search import Aim, Effort, carry_out, cheapest, likeliest_plans, rate
-from needle_rig.control.strategies.planned import Planned
-from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
-from needle_rig.errors import BadInput
+from needle_rig.control.planning.effort import CALL_SOLVES, MOST_SOLVES, Effort, Spent
+from needle_rig.control.planning.search import Aim, carry_out, cheapest, likeliest_plans, rate
+from needle_rig.control.strategies.planned import PLAN_SOLVES, Planned
+from needle_rig.control.strategy import Strategy, Task, Trust, Waypoint, make_strategy
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.effects.bending_torque import BendingTorque
 from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
+from needle_rig.physics.effects.stribeck import Stribeck
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.solver import Solution, relaxed
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.settled_rig import SettledRun, run_settled
@@ -106,7 +110,7 @@ def test_a_rigid_uniform_needle_ends_on_the_two_front_optimum() -> None:
     belief = first_belief(model, {}, 1e-6)
     history = _run_history(model, task)
     aim = Aim(task, history[-1].base_angle_rad, rad(120.0), 0.5, 0.9, rad(0.15))
-    needles = worlds(belief, task, history, 1)
+    needles = worlds(belief, task, history, 1, PLENTY)
     closed_form = rate(aim, needles, [task.target_rad + s * lag for s in (1.0, back, 0.0)], PLENTY)
     ours = likeliest_plans(aim, needles[0], 3, PLENTY)[2]
     assert len(ours.angles_rad) == 3
@@ -165,7 +169,7 @@ def test_friction_of_the_run_is_found_from_the_torque() -> None:
     for factor in (0.9, 1.1):
         needle = plant.with_effects(FrictionOfTrial(factor))
         run = run_settled(needle, Planned(), _task(plant), np.random.default_rng(3), Noise())
-        found, spread = Planned().belief(_task(plant), run.history[:2]).friction_factor()
+        found, spread = Planned().belief(_task(plant), run.history[:2], PLENTY).friction_factor()
         assert found == pytest.approx(factor, abs=0.03)
         assert 0.0 < spread < 0.05
 
@@ -180,7 +184,7 @@ def test_a_motion_more_is_taken_when_it_is_worth_its_price() -> None:
     plant = load_parameters("rig_elastic")
     task = _task(plant)
     history = _run_history(plant, task)
-    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1)
+    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)
     lengths = []
     for price_deg in (0.01, 0.15, 60.0):
         aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(price_deg))
@@ -196,7 +200,7 @@ def test_what_was_the_best_way_to_go_on_stays_so() -> None:
     plant = load_parameters("rig_rigid").with_effects(ChuckBacklash(4.0))
     task = _task(plant)
     history = _run_history(plant, task)
-    needle = worlds(first_belief(plant, {}, 1e-6), task, history, 1)[0]
+    needle = worlds(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)[0]
     aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(0.15))
     plan = cheapest(likeliest_plans(aim, needle, 5, PLENTY))
     assert len(plan.angles_rad) >= 4
@@ -213,13 +217,15 @@ def test_a_search_ends_when_its_effort_is_spent() -> None:
     plant = load_parameters("rig_rigid").with_effects(BendingTorque(0.05, 0.02))
     task = _task(plant)
     history = _run_history(plant, task)
-    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1)
+    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)
     aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(0.15))
     costs = []
-    for solves in (1.0, 2e4, 2e5):
+    with pytest.raises(Spent):
+        likeliest_plans(aim, needles[0], 5, Effort(1.0))
+    for solves in (5e2, 2e4, 2e5):
         effort = Effort(solves)
         plan = cheapest(likeliest_plans(aim, needles[0], 5, effort))
-        assert effort.left > -3e4
+        assert effort.left > -1e3
         costs.append(plan.cost_rad)
     assert costs[0] >= costs[1] >= costs[2]
     assert deg(costs[0]) > 10.0 > 3.0 > deg(costs[2])
@@ -230,3 +236,64 @@ def test_a_doubt_is_kept_to_the_end() -> None:
     names = [motion.name for motion in _run(plant, Planned(), _task(wrong)).history[1:]]
     first = names.index("overshoot")
     assert names[first:] == ["overshoot", "back", "forward", "final"]
+
+
+def _solves_of_each_plan(monkeypatch: pytest.MonkeyPatch, plant: NeedleModel) -> tuple[SettledRun, list[int]]:
+    """What `planned` does from a wound start, and the solves of each of its plans."""
+    spent: list[int] = []
+    truth, plan = NeedleModel.truth, Planned.next
+    planning = False
+
+    def counted(model: NeedleModel, *args: Any, **options: Any) -> Solution:
+        solution = truth(model, *args, **options)
+        if planning:
+            spent[-1] += solution.solves
+        return solution
+
+    def watched(strategy: Planned, *args: Any) -> Waypoint | None:
+        nonlocal planning
+        spent.append(0)
+        planning = True
+        waypoint = plan(strategy, *args)
+        planning = False
+        return waypoint
+
+    monkeypatch.setattr(NeedleModel, "truth", counted)
+    monkeypatch.setattr(Planned, "next", watched)
+    return _run(plant, Planned(motions=3), _task(plant), wound_deg=60.0), spent
+
+
+def test_no_plan_spends_more_solves_than_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = load_parameters("rig_rigid").with_effects(Stribeck(0.3, 6.0, 6.0))
+    run, spent = _solves_of_each_plan(monkeypatch, plant)
+    assert len(spent) >= 3
+    assert 0.5 * PLAN_SOLVES < max(spent) <= PLAN_SOLVES + 1e3
+    assert not any("reed2008" in note for note in run.notes)
+    assert deg(run.worst_rad(rad(45.0))) < 5.0
+
+
+def test_a_needle_that_snaps_too_often_is_left_to_reed2008(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = load_parameters("rig_rigid").with_effects(Stribeck(3.0, 6.0, 0.8))
+    run, spent = _solves_of_each_plan(monkeypatch, plant)
+    assert max(spent) <= PLAN_SOLVES + 1e3
+    assert any("snaps too often to be planned with" in note for note in run.notes)
+    assert [motion.name for motion in run.history[-4:]] == ["overshoot", "back", "forward", "final"]
+
+
+def test_a_sequence_that_takes_too_many_solves_counts_as_bad() -> None:
+    snapping = load_parameters("rig_rigid").with_effects(Stribeck(3.0, 6.0, 0.8))
+    task = _task(snapping)
+    model = first_belief(snapping, {}, 1e-6).model
+    state = relaxed(model.rod(Trial(np.empty(0), np.empty(0))))
+    aim = Aim(task, 0.0, rad(120.0), 3.0, 0.9, rad(0.15))
+    turns = [rad(a) for a in (90.0, 0.0, 90.0, 45.0)]
+    effort = Effort(10.0 * MOST_SOLVES)
+    plan = rate(aim, [World(model, state)], turns, effort)
+    assert not plan.followed
+    assert effort.left == 9.0 * MOST_SOLVES - CALL_SOLVES
+    time_s = np.array([0.0, 2.0])
+    with pytest.raises(SolverError, match=r"more than 100 solves after .* s: the needle snaps too often"):
+        model.truth(Trial(time_s, np.array([0.0, rad(90.0)])), state, most_solves=100.0)
+    # what the whole cannot afford is not a fault of the sequence
+    with pytest.raises(Spent):
+        rate(aim, [World(model, state)], turns, Effort(0.5 * MOST_SOLVES))

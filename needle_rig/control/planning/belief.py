@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +18,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.strategy import History, Task
+from needle_rig.errors import SolverError
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.physics.rod import Rod
@@ -34,8 +37,9 @@ STEP = 0.3
 ITERATIONS = 4
 READ_BEFORE_END_S = 0.25
 """Torques are means over the last half second: its middle stands for them."""
-RELAXED_NM = nm(0.002)
-FIRST_WIND_RAD, LONGEST_WIND_RAD, WIND_RAD = rad(20.0), rad(540.0), rad(0.02)
+RELAXED_NM, WOUND_NM = nm(0.002), nm(0.0005)
+LONGEST_WIND_RAD = rad(540.0)
+MOST_WINDS = 8
 
 
 @dataclass(frozen=True)
@@ -140,31 +144,45 @@ def first_belief(model: NeedleModel, uncertainties: Mapping[str, float], frictio
     return Belief(model, tuple(names), np.array(spreads), np.zeros(size), np.eye(size))
 
 
-def corrected(belief: Belief, task: Task, history: History, errors: Errors, use_hall: bool) -> Belief:
-    """The belief after the settled motions in `history`, from the first belief."""
-    told = _Told(task, history, errors, use_hall)
-    if not told.measured.size:
+def corrected(
+    belief: Belief, task: Task, history: History, errors: Errors, use_hall: bool, effort: Effort
+) -> Belief:
+    """The belief after the settled motions in `history`, from the first belief, as far as the effort goes."""
+    if len(history) == 1 and not use_hall:
+        # every needle is wound until it shows the torque at rest
         return belief
+    told = _Told(task, history, errors, effort, use_hall)
     size = len(belief.names)
     z, best = belief.mean.copy(), belief
     value = math.inf
-    for _ in range(ITERATIONS):
+    with suppress(Spent, SolverError):
         here = told.residuals(belief.model_at(z))
-        now = float(here @ here + z @ z)
-        if now >= value - 1e-3:
-            break
-        value = now
         slopes = [(told.residuals(belief.model_at(z + STEP * unit)) - here) / STEP for unit in np.eye(size)]
         jacobian = np.column_stack(slopes)
-        curvature = jacobian.T @ jacobian + np.eye(size)
-        covariance = np.linalg.inv(curvature).astype(np.float64)
-        best = dataclasses.replace(belief, mean=z, covariance=covariance)
-        z = np.clip(z - np.linalg.solve(curvature, jacobian.T @ here + z), -6.0, 6.0)
+        for _ in range(ITERATIONS):
+            now = float(here @ here + z @ z)
+            if now >= value - 1e-3:
+                break
+            value = now
+            curvature = jacobian.T @ jacobian + np.eye(size)
+            covariance = np.linalg.inv(curvature).astype(np.float64)
+            best = dataclasses.replace(belief, mean=z, covariance=covariance)
+            step = np.clip(z - np.linalg.solve(curvature, jacobian.T @ here + z), -6.0, 6.0) - z
+            there = told.residuals(belief.model_at(z + step))
+            # Broyden: the slopes that explain what this step showed; others would cost a trial for each
+            missed = there - here - jacobian @ step
+            jacobian = jacobian + np.outer(missed, step) / max(float(step @ step), 1e-12)
+            z, here = z + step, there
     return best
 
 
-def after_next(belief: Belief, task: Task, history: History, turned_rad: float, errors: Errors) -> Belief:
-    """The belief as sure as it will be when the torque after a turn to `turned_rad` has been read."""
+def after_next(
+    belief: Belief, task: Task, history: History, turned_rad: float, errors: Errors, effort: Effort
+) -> Belief:
+    """The belief as sure as it will be when the torque after a turn to `turned_rad` has been read.
+
+    Raises Spent, SolverError.
+    """
     last = history[-1]
     held = abs(turned_rad - last.base_angle_rad) / task.speed_rad_s + task.settle_s
     turned = dataclasses.replace(
@@ -174,7 +192,7 @@ def after_next(belief: Belief, task: Task, history: History, turned_rad: float, 
         time_s=last.time_s + held,
         base_angle_rad=turned_rad,
     )
-    told = _Told(task, (*history, turned), errors, use_hall=False, last_only=True)
+    told = _Told(task, (*history, turned), errors, effort, use_hall=False, last_only=True)
     here = told.residuals(belief.model_at(belief.mean))
     steps = STEP * np.eye(len(belief.names))
     slope = (np.array([told.residuals(belief.model_at(belief.mean + s)) for s in steps]) - here) / STEP
@@ -182,28 +200,33 @@ def after_next(belief: Belief, task: Task, history: History, turned_rad: float, 
     return dataclasses.replace(belief, covariance=np.linalg.inv(curvature).astype(np.float64))
 
 
-def worlds(belief: Belief, task: Task, history: History, count: int) -> list[World]:
-    """Needles that agree with the belief, each with its shaft where `history` brought it."""
-    return [world_at(belief.model_at(z), task, history) for z in belief.samples(count)]
+def worlds(belief: Belief, task: Task, history: History, count: int, effort: Effort) -> list[World]:
+    """Needles that agree with the belief, each with its shaft where `history` brought it.
+
+    Raises Spent, SolverError.
+    """
+    models = [belief.model_at(z) for z in belief.samples(count)]
+    return [World(model, follow(model, task, history, effort)[-1].state) for model in models]
 
 
-def world_at(model: NeedleModel, task: Task, history: History) -> World:
-    """The needle `model` after the motions of `history`."""
-    return World(model, follow(model, task, history)[-1].state)
+def misfit(belief: Belief, task: Task, history: History, errors: Errors, effort: Effort) -> tuple[float, str]:
+    """How far the last settled motion is from the corrected model, in standard deviations, and where.
 
-
-def misfit(belief: Belief, task: Task, history: History, errors: Errors) -> tuple[float, str]:
-    """How far the last settled motion is from the corrected model, in standard deviations, and where."""
-    told = _Told(task, history, errors, use_hall=True, last_only=True)
+    Raises Spent, SolverError.
+    """
+    told = _Told(task, history, errors, effort, use_hall=True, last_only=True)
     off = told.residuals(belief.model_at(belief.mean))
     worst = int(np.argmax(np.abs(off)))
     return float(abs(off[worst])), told.sentence(worst, off[worst])
 
 
-def follow(model: NeedleModel, task: Task, history: History) -> list[Solution]:
-    """What `model` does in each settled motion; the first entry is the rest. The last sample is the end."""
+def follow(model: NeedleModel, task: Task, history: History, effort: Effort) -> list[Solution]:
+    """What `model` does in each settled motion; the first entry is the rest. The last sample is the end.
+
+    Raises Spent, SolverError.
+    """
     start = history[0]
-    found = [_at_rest(model, task, start.base_angle_rad, start.torque_nm)]
+    found = [_at_rest(model, task, start.base_angle_rad, start.torque_nm, effort)]
     for before, motion in pairwise(history):
         turn = abs(motion.base_angle_rad - before.base_angle_rad)
         held = motion.time_s - motion.moved_s
@@ -213,11 +236,11 @@ def follow(model: NeedleModel, task: Task, history: History) -> list[Solution]:
             motion.moved_s + np.array([0.0, arrive, read, held]),
             np.array([before.base_angle_rad, *(motion.base_angle_rad,) * 3]),
         )
-        found.append(model.truth(path, found[-1].state))
+        found.append(effort.truth(model, path, found[-1].state))
     return found
 
 
-def _at_rest(model: NeedleModel, task: Task, base_rad: float, torque_nm: float) -> Solution:
+def _at_rest(model: NeedleModel, task: Task, base_rad: float, torque_nm: float, effort: Effort) -> Solution:
     """A shaft at rest, base at `base_rad`: relaxed, or wound by one turn until it shows `torque_nm`."""
     rod = model.rod(Trial(np.empty(0), np.empty(0)))
 
@@ -226,38 +249,55 @@ def _at_rest(model: NeedleModel, task: Task, base_rad: float, torque_nm: float) 
         path = Trial(
             np.append(times, times[-1] + task.settle_s), np.array([base_rad - turn, base_rad, base_rad])
         )
-        solution = model.truth(path, relaxed(rod, base_rad - turn))
+        solution = effort.truth(model, path, relaxed(rod, base_rad - turn))
         return solution, float(model.observed(path, solution).torque_nm[-1])
 
     here, shown = wound(0.0)
     missing = torque_nm - shown
     if abs(missing) < RELAXED_NM:
         return here
-    sign = math.copysign(1.0, missing)
-    low, high, short = 0.0, FIRST_WIND_RAD, abs(missing)
-    while True:
-        here, shown = wound(sign * high)
-        left = sign * (torque_nm - shown)
-        if left <= 0.0:
+    sign, missing = math.copysign(1.0, missing), abs(missing)
+    turn = _rigid_wind_rad(rod, missing)
+    before_rad, before_nm = 0.0, 0.0
+    low, high = 0.0, LONGEST_WIND_RAD
+    for _ in range(MOST_WINDS):
+        turn = min(turn, LONGEST_WIND_RAD)
+        here, shown = wound(sign * turn)
+        held = missing - sign * (torque_nm - shown)
+        if abs(missing - held) < WOUND_NM:
             break
-        slips = low > 0.0 and short - left < 0.1 * RELAXED_NM
-        if slips or high >= LONGEST_WIND_RAD:
-            return here
-        low, high, short = high, 3.0 * high, left
+        low, high = (turn, high) if held < missing else (low, turn)
+        gained = (held - before_nm) / (turn - before_rad)
+        # a needle that slips all along holds no more however far it is turned
+        if high == low or (held < missing and before_rad > 0.0 and abs(held - before_nm) < 0.1 * RELAXED_NM):
+            break
+        before_rad, before_nm = turn, held
+        turn += (missing - held) / gained if gained > 0.0 else 0.0
+        if not low < turn < high:
+            turn = 0.5 * (low + high) if high < LONGEST_WIND_RAD else 2.0 * low
+    return here
 
-    from scipy.optimize import brentq
 
-    turn = brentq(lambda turn: wound(sign * turn)[1] - torque_nm, low, high, xtol=WIND_RAD)
-    return wound(sign * turn)[0]
+def _rigid_wind_rad(rod: Rod, torque_nm: float) -> float:
+    """The turn after which the base of a needle in rigid tissue holds `torque_nm`: friction takes it."""
+    carried_nm = np.maximum(torque_nm - np.cumsum(rod.slip_plus_nm)[:-1], 0.0)
+    turn = float((carried_nm / rod.stiffness_nm_per_rad).sum())
+    return turn + torque_nm * rod.base_compliance_rad_per_nm
 
 
 class _Told:
     """What the settled motions measured, against what a model gives, in standard deviations."""
 
     def __init__(
-        self, task: Task, history: History, errors: Errors, use_hall: bool, last_only: bool = False
+        self,
+        task: Task,
+        history: History,
+        errors: Errors,
+        effort: Effort,
+        use_hall: bool,
+        last_only: bool = False,
     ) -> None:
-        self._task, self._history = task, history
+        self._task, self._history, self._effort = task, history, effort
         self._from = len(history) - 1 if last_only else 0
         self._hall = use_hall
         sensors = len(history[0].hall_rad) if use_hall else 0
@@ -273,7 +313,8 @@ class _Told:
     def residuals(self, model: NeedleModel) -> Array:
         """Model minus measured over the standard deviation, torques first, then Hall angles."""
         torques, halls = [], []
-        for motion, solution in zip(self._history, follow(model, self._task, self._history), strict=True):
+        followed = follow(model, self._task, self._history, self._effort)
+        for motion, solution in zip(self._history, followed, strict=True):
             if motion.index < self._from:
                 continue
             base = np.full(len(solution.time_s), motion.base_angle_rad)

@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from needle_rig.control.lag import effective_length_m, tissue_length_m
 from needle_rig.control.planning.belief import World
+from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.strategy import Task
+from needle_rig.errors import SolverError
 from needle_rig.physics.effect import Trial
 from needle_rig.units import rad
 
@@ -29,22 +31,12 @@ FIRST_SCAN, NEXT_SCAN = 31, 17
 SQUARES_EVALUATIONS = 6
 POLISH_EVALUATIONS, ROBUST_EVALUATIONS = 10, 12
 """A motion, in one world and in all."""
+SCAN_SHARE = 0.3
+"""Of the effort left: the rest is for descents from what a scan found."""
 STEP_RAD, SHIFT_RAD = rad(1.0), 100.0
 """Of the slopes; the shift makes relative steps absolute."""
-CALL_SOLVES = 100.0
-LAW_SOLVES = 2.0
-"""What a call of the solver costs besides its solves, and what a solve with torque laws costs, in solves."""
-
-
-class Effort:
-    """Solves that a search may still spend: it ends in time without looking at a clock."""
-
-    def __init__(self, solves: float) -> None:
-        self.left = solves
-
-    def spend(self, solves: int, laws: bool) -> None:
-        """Take off one call of the solver."""
-        self.left -= CALL_SOLVES + solves * (LAW_SOLVES if laws else 1.0)
+CUT_RAD = 100.0
+"""What every angle is said to be off where a sequence could not be followed."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +78,14 @@ class Plan:
     cost_rad: float
     ends: Ends
 
+    @property
+    def followed(self) -> bool:
+        """Whether every world could be followed to its end."""
+        return float(self.ends.worst_rad.max()) < CUT_RAD
+
 
 def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float], effort: Effort) -> Ends:
-    """What turning the base through `angles_rad` leaves in each world."""
+    """What turning the base through `angles_rad` leaves in each world. Raises Spent."""
     times, path = [0.0], [aim.base_rad]
     last = len(angles_rad) - 1
     for place, angle in enumerate(angles_rad):
@@ -100,9 +97,11 @@ def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float], ef
     worst, torque = np.empty(len(worlds)), np.empty(len(worlds))
     for k, world in enumerate(worlds):
         if angles_rad:
-            solution = world.model.truth(Trial(time_s, base_rad), world.state)
-            effort.spend(solution.solves, bool(world.rod.laws))
-            shaft, torque[k] = solution.state.angle_rad, solution.torque_nm[-1]
+            try:
+                solution = effort.truth(world.model, Trial(time_s, base_rad), world.state)
+                shaft, torque[k] = solution.state.angle_rad, solution.torque_nm[-1]
+            except SolverError:
+                shaft, torque[k] = np.full_like(world.state.angle_rad, aim.task.target_rad + CUT_RAD), 0.0
         else:
             shaft, torque[k] = world.state.angle_rad, _held_torque(world)
         off = shaft[world.tissue] - aim.task.target_rad
@@ -131,7 +130,7 @@ def _lag(aim: Aim, torque_nm: Array) -> Array:
 
 
 def rate(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float] | Array, effort: Effort) -> Plan:
-    """The plan `angles_rad` with what it leaves."""
+    """The plan `angles_rad` with what it leaves. Raises Spent."""
     angles = tuple(float(a) for a in angles_rad)
     ends = carry_out(aim, worlds, angles, effort)
     return Plan(angles, cost(aim, angles, ends), ends)
@@ -146,24 +145,45 @@ def likeliest_plans(aim: Aim, world: World, most: int, effort: Effort) -> list[P
     """The best sequence of 1, 2, … motions in one world, until one more motion is not worth its price.
 
     Each is a descent in all angles, from the sequence before with one more turn before its first or its last
-    motion, and for two reversals from those of a rigid needle as well.
+    motion, and for two reversals from those of a rigid needle as well. Raises Spent when not one was tried.
     """
     target = aim.task.target_rad
     found = [_descend(aim, world, (target,), effort)]
-    while len(found) < most and effort.left > 0.0:
+    while len(found) < most:
         *turns, last = found[-1].angles_rad
         # one more reversal comes to the end from the other side, where play is to be taken up the other way
         axis = _denser_at(target, *aim.reach, NEXT_SCAN if turns else FIRST_SCAN)
         scans = [[(*turns, x, 2.0 * target - last) for x in axis]]
         if turns:
             scans.append([(x, *turns, last) for x in _denser_at(aim.base_rad, *aim.reach, NEXT_SCAN)])
-        starts = [cheapest([rate(aim, [world], a, effort) for a in scan]).angles_rad for scan in scans]
-        if len(turns) == 1:
-            starts += _two_fronts(aim, world)
-        found.append(cheapest([_descend(aim, world, start, effort) for start in starts]))
+        tried: list[Plan] = []
+        try:
+            tried += [_scan(aim, world, scan, effort.part(SCAN_SHARE)) for scan in scans]
+            starts: list[tuple[float, ...]] = [plan.angles_rad for plan in tried]
+            if len(turns) == 1:
+                starts += _two_fronts(aim, world)
+            for start in starts:
+                tried.append(_descend(aim, world, start, effort))
+        except Spent:
+            return [*found, cheapest(tried)] if tried else found
+        found.append(cheapest(tried))
         if len(found) > 2 and found[-1].cost_rad > found[-2].cost_rad:
             break
     return found
+
+
+def _scan(aim: Aim, world: World, scan: Sequence[tuple[float, ...]], effort: Effort) -> Plan:
+    """The best of `scan` in one world. Raises Spent when not one was tried."""
+    rated: list[Plan] = []
+    # golden steps: a scan cut short has looked everywhere, if less closely
+    golden = (math.sqrt(5.0) - 1.0) / 2.0
+    order = np.argsort(np.argsort((golden * np.arange(len(scan))) % 1.0))
+    with suppress(Spent):
+        for place in order:
+            rated.append(rate(aim, [world], scan[place], effort))
+    if not rated:
+        raise Spent
+    return cheapest(rated)
 
 
 def _two_fronts(aim: Aim, world: World) -> list[tuple[float, float, float]]:
@@ -183,14 +203,15 @@ def _two_fronts(aim: Aim, world: World) -> list[tuple[float, float, float]]:
 
 
 def _descend(aim: Aim, world: World, start_rad: Sequence[float], effort: Effort) -> Plan:
-    """The best plan near `start_rad` in one world: least squares of all nodes first, for speed."""
+    """The best plan near `start_rad` in one world: least squares of all nodes first, for speed.
+
+    Raises Spent when not one was tried.
+    """
     from scipy.optimize import Bounds, least_squares
 
     seen: list[Plan] = []
 
     def off(shifted: Array) -> Array:
-        if seen and effort.left <= 0.0:
-            raise _Spent
         plan = rate(aim, [world], shifted - SHIFT_RAD, effort)
         seen.append(plan)
         ends = plan.ends
@@ -199,7 +220,7 @@ def _descend(aim: Aim, world: World, start_rad: Sequence[float], effort: Effort)
         return np.concatenate([ends.off_rad / math.sqrt(len(ends.off_rad)), torque, [BASE_WEIGHT * base]])
 
     start, bounds = _bounded(aim, start_rad)
-    with suppress(_Spent):
+    try:
         least_squares(
             off,
             start + SHIFT_RAD,
@@ -209,17 +230,20 @@ def _descend(aim: Aim, world: World, start_rad: Sequence[float], effort: Effort)
             xtol=1e-3 / SHIFT_RAD,
             ftol=1e-2,
         )
-    return refine(aim, [world], cheapest(seen).angles_rad, POLISH_EVALUATIONS, effort)
-
-
-class _Spent(Exception):
-    """Ends a descent."""
+        return refine(aim, [world], cheapest(seen).angles_rad, POLISH_EVALUATIONS, effort)
+    except Spent:
+        if not seen:
+            raise
+        return cheapest(seen)
 
 
 def refine(
     aim: Aim, worlds: Sequence[World], start_rad: Sequence[float], evaluations: int, effort: Effort
 ) -> Plan:
-    """The best plan near `start_rad`, by Nelder and Mead's simplex, in `evaluations` a motion."""
+    """The best plan near `start_rad`, by Nelder and Mead's simplex, in `evaluations` a motion.
+
+    Raises Spent when not one was tried.
+    """
     from scipy.optimize import Bounds, minimize
 
     start, bounds = _bounded(aim, start_rad)
@@ -229,12 +253,10 @@ def refine(
     def value(angles: Array) -> float:
         key = tuple(angles.tolist())
         if key not in seen:
-            if seen and effort.left <= 0.0:
-                raise _Spent
             seen[key] = rate(aim, worlds, key, effort)
         return seen[key].cost_rad
 
-    with suppress(_Spent):
+    with suppress(Spent):
         minimize(
             value,
             start,
@@ -247,6 +269,8 @@ def refine(
                 "fatol": rad(0.01),
             },
         )
+    if not seen:
+        raise Spent
     return cheapest(list(seen.values()))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,11 +17,11 @@ from needle_rig.control.planning.belief import (
     misfit,
     worlds,
 )
+from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.planning.fallback import doubted_at, reed_remaining
 from needle_rig.control.planning.search import (
     ROBUST_EVALUATIONS,
     Aim,
-    Effort,
     Plan,
     cheapest,
     likeliest_plans,
@@ -28,14 +29,16 @@ from needle_rig.control.planning.search import (
     refine,
 )
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
-from needle_rig.errors import BadInput
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.units import deg, nmm, rad
 
 SAMPLES = 8
 MOST_AHEAD = 5
-LIKELY_SOLVES, ROBUST_SOLVES = 160_000, 100_000
-"""What the search may spend in the likeliest needle, and in all: about 0.15 s of one core each."""
+PLAN_SOLVES = 400_000.0
+"""What one plan may spend, belief and all: at most 0.4 s of one core."""
+CORRECTION_SHARE, LIKELY_SHARE = 0.4, 0.55
+"""What correcting the belief may take of it, and the search in the likeliest needle of what is then left."""
 FRICTION_SIGMA = 1.64
 """Before friction was seen, also a needle is planned for of which one in twenty slips easier."""
 QUICK_SETTLE_S = 0.5
@@ -106,13 +109,20 @@ class Planned(Strategy):
         """The next motion of the newest plan, or None when nothing is to be gained."""
         self.check(task)
         task = _in_this_rig(task)
-        belief = self.belief(task, history)
-        doubt = self.doubt(task, history, belief)
-        if doubt is not None:
-            return reed_remaining(task, history, *doubt)
-        if len(history) > self.motions:
-            return None
-        plan, note = self.plan(task, history, belief)
+        before = doubted_at(history)
+        if before is not None:
+            return reed_remaining(task, history, before, "")
+        effort = Effort(PLAN_SOLVES)
+        try:
+            belief = self.belief(task, history, effort)
+            doubt = self.doubt(task, history, belief, effort)
+            if doubt:
+                return reed_remaining(task, history, len(history) - 1, doubt)
+            if len(history) > self.motions:
+                return None
+            plan, note = self.plan(task, history, belief, effort)
+        except (Spent, SolverError):
+            return _unplanned(task, history)
         if not plan.angles_rad:
             return None
         last = len(plan.angles_rad) == 1
@@ -127,27 +137,28 @@ class Planned(Strategy):
         """The turn in two parts, and the way back."""
         return 3
 
-    def belief(self, task: Task, history: History) -> Belief:
+    def belief(self, task: Task, history: History, effort: Effort) -> Belief:
         """What is known of the needle after `history`."""
         assert task.model is not None
         first = first_belief(task.model, task.trust.uncertainties, self.friction_scatter)
-        return corrected(first, task, history, Errors(), self.use_hall)
+        return corrected(first, task, history, Errors(), self.use_hall, effort.part(CORRECTION_SHARE))
 
-    def doubt(self, task: Task, history: History, belief: Belief) -> tuple[int, str] | None:
-        """The settled motion that no likely needle explained, and a sentence if it is the last, or None."""
-        before = doubted_at(history)
-        if before is not None:
-            return before, ""
+    def doubt(self, task: Task, history: History, belief: Belief, effort: Effort) -> str:
+        """A sentence if no likely needle explains the last settled motion. Raises Spent, SolverError."""
         if len(history) == 1:
-            return None
-        sigma, told = misfit(belief, task, history, Errors())
+            return ""
+        sigma, told = misfit(belief, task, history, Errors(), effort)
         if sigma <= self.doubt_sigma:
-            return None
-        return len(history) - 1, (f"{told}, {sigma:.0f}σ: the model does not hold here, going on as reed2008")
+            return ""
+        return f"{told}, {sigma:.0f}σ: the model does not hold here, going on as reed2008"
 
-    def plan(self, task: Task, history: History, belief: Belief) -> tuple[Plan, str]:
-        """The best rest of the sequence (angles may be none), and what is expected of it."""
-        samples = worlds(belief, task, history, SAMPLES)
+    def plan(self, task: Task, history: History, belief: Belief, effort: Effort) -> tuple[Plan, str]:
+        """The best rest of the sequence (angles may be none), and what is expected of it.
+
+        Every plan is judged in all samples. Raises Spent when the effort does not suffice for that, and
+        SolverError when a sample cannot be followed.
+        """
+        samples = worlds(belief, task, history, SAMPLES, effort)
         aim = Aim(
             task,
             history[-1].base_angle_rad,
@@ -157,33 +168,42 @@ class Planned(Strategy):
             rad(self.rotation_price_deg),
         )
         left = min(MOST_AHEAD, self.motions + 1 - len(history))
-        likely = likeliest_plans(aim, samples[0], left, Effort(LIKELY_SOLVES))
-        robust = Effort(ROBUST_SOLVES)
+        likely = likeliest_plans(aim, samples[0], left, effort.part(LIKELY_SHARE))
         if len(history) == 1:
-            plan = self._careful(
-                task, history, aim, belief, rate(aim, samples, cheapest(likely).angles_rad, robust)
-            )
+            plan = rate(aim, samples, cheapest(likely).angles_rad, effort)
+            with suppress(Spent, SolverError):
+                plan = self._careful(task, history, aim, belief, plan, effort)
             # planning anew may spare a rotation that is not worth its price any more
-            return plan, _expectation(plan, belief, aim.rotation_price_rad, unseen=True)
-        plans = [rate(aim, samples, (), robust)]
-        for chosen in {likely[0].angles_rad, cheapest(likely).angles_rad}:
-            plans.append(refine(aim, samples, chosen, ROBUST_EVALUATIONS, robust))
-        plan = cheapest(plans)
-        return plan, _expectation(plan, belief, 0.0, unseen=False)
+            slack_rad, unseen = aim.rotation_price_rad, True
+        else:
+            plans = [rate(aim, samples, (), effort)]
+            # the best first: a search cut short has no use for the shortest alone
+            for chosen in dict.fromkeys([cheapest(likely).angles_rad, likely[0].angles_rad]):
+                with suppress(Spent):
+                    plans.append(refine(aim, samples, chosen, ROBUST_EVALUATIONS, effort))
+            if len(plans) == 1:
+                raise Spent
+            plan = cheapest(plans)
+            slack_rad, unseen = 0.0, False
+        if not plan.followed:
+            raise Spent
+        return plan, _expectation(plan, belief, slack_rad, unseen)
 
-    def _careful(self, task: Task, history: History, aim: Aim, belief: Belief, plan: Plan) -> Plan:
+    def _careful(
+        self, task: Task, history: History, aim: Aim, belief: Belief, plan: Plan, effort: Effort
+    ) -> Plan:
         """The plan, its first motion cut to what the needle that slips easiest needs, where that pays.
 
         Going on in the same direction later loses nothing; having gone too far would cost a reversal. What
         it will leave is judged by needles as alike as they will be when the torque has been read.
         """
-        effort = Effort(ROBUST_SOLVES)
         easy = belief.mean.copy()
         easy[belief.names.index(FRICTION)] -= FRICTION_SIGMA
-        light = worlds(replace(belief, mean=easy), task, history, 1)
+        light = worlds(replace(belief, mean=easy), task, history, 1, effort)
         near = refine(aim, light, plan.angles_rad, ROBUST_EVALUATIONS, effort).angles_rad[0]
         near = min((near, plan.angles_rad[0]), key=lambda angle: abs(angle - aim.base_rad))
-        sure = worlds(after_next(belief, task, history, near, Errors()), task, history, SAMPLES)
+        surer = after_next(belief, task, history, near, Errors(), effort)
+        sure = worlds(surer, task, history, SAMPLES, effort)
         known = refine(aim, sure, plan.angles_rad, ROBUST_EVALUATIONS, effort)
         if plan.cost_rad <= known.cost_rad + aim.rotation_price_rad:
             return plan
@@ -192,6 +212,14 @@ class Planned(Strategy):
     def _settle_s(self, task: Task) -> float:
         assert task.model is not None
         return task.settle_s if _takes_time(task.model) else min(QUICK_SETTLE_S, task.settle_s)
+
+
+def _unplanned(task: Task, history: History) -> Waypoint | None:
+    """How to go on when the model took more solves than a plan may spend."""
+    why = f"the model snaps too often to be planned with in {PLAN_SOLVES:.0f} solves, going on as reed2008"
+    if len(history) == 1:
+        return Waypoint(task.target_rad, "rotate", note=why)
+    return reed_remaining(task, history, len(history) - 1, why)
 
 
 def _in_this_rig(task: Task) -> Task:
