@@ -35,7 +35,7 @@ from needle_rig.units import deg, nmm, rad
 
 SAMPLES = 8
 MOST_AHEAD = 5
-PLAN_SOLVES = 400_000.0
+PLAN_SOLVES = 350_000.0
 """What one plan may spend, belief and all: at most 0.4 s of one core."""
 CORRECTION_SHARE, LIKELY_SHARE = 0.4, 0.55
 """What correcting the belief may take of it, and the search in the likeliest needle of what is then left."""
