@@ -21,7 +21,10 @@ PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION =
 # rows of a state: angle, grip, creep, bond, age, slip direction
 ANGLE, GRIP, CREEP, BOND, AGE, SLIP = range(6)
 # scalars
-BASE_COMPLIANCE, STRIBECK_RATE, WEAKENING, AGEING_TIME, TOLERANCE, LONGEST, SHORTEST, MOST_SOLVES = range(8)
+(
+    BASE_COMPLIANCE, STRIBECK_RATE, WEAKENING, AGEING_TIME, TOLERANCE, LONGEST, SHORTEST, MOST_SOLVES,
+    LONGEST_SLIP,
+) = range(9)  # fmt: skip
 # counts
 STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_WRONG, LAST_WRONG = range(6)
 # what `run` answers, beside 0 and 1
@@ -33,14 +36,18 @@ SLOTS = 6
 # rows of the work array
 (
     SPRING, C_ALG, DAMP, GRIP0, UP, DOWN, SCALE, DIAGONAL, GIVEN, PIVOT, RATIO, VALUE, MOVE,
-    FORCE, SLOPE, RHS, ALPHA, TORQUE, NEXT, C_KEPT, DAMP_KEPT, SLIP_KEPT,
-) = range(22)  # fmt: skip
-WORK_ROWS = 22
+    FORCE, SLOPE, RHS, ALPHA, TORQUE, NEXT, C_KEPT, DAMP_KEPT, SLIP_KEPT, FACTOR, FALL, FACTOR_SET, FALL_SET,
+    MOVE_SET, RATE,
+) = range(28)  # fmt: skip
+WORK_ROWS = 28
 
 EPS = 2.220446049250313e-16
 MOVE_TOLERANCE_RAD = 1e-11
 MOST_BLOCK_FLIPS = 60
 MOST_NEWTON = 20
+MOST_NEWTON_LIMITS = 8
+"""Solves of a step in which slip limits with memory may fall with the slip; later ones stand still."""
+PER_DECADE = 1.0 / math.log(10.0)
 SOFTENED_RAD = 1e-8
 NO_TIME_S = 1e-12
 LIMIT_TOLERANCE = 1e-6
@@ -217,7 +224,7 @@ def reach(work, i):  # type: ignore[no-untyped-def]
     1 in rigid tissue, near 0 where the compliance of stuck or the viscosity of slipping tissue spreads it.
     """
     k = max(work[SPRING, i - 1], work[SPRING, i])
-    q = work[DAMP, i] / k
+    q = max(0.0, work[DAMP, i] / k)
     slipping = 1.0 + 0.5 * q - math.sqrt(q + 0.25 * q * q)
     ck = work[C_ALG, i] * k
     sticking = 2.0 * ck / (2.0 * ck + 1.0 + math.sqrt(4.0 * ck + 1.0))
@@ -376,7 +383,7 @@ def set_length(rod, flags, dt, work):  # type: ignore[no-untyped-def]
             creeps = k < np.inf and eta < np.inf
             work[ALPHA, i] = eta / (eta + dt * k) if creeps else 0.0
             work[C_ALG, i] = rod[COMPLIANCE, i] + (dt / (eta + dt * k) if creeps else 0.0)
-    if flags & HAS_VISCOUS:
+    if flags & HAS_VISCOUS or flags & HAS_BOND:
         for i in range(rod.shape[1]):
             work[DAMP, i] = rod[VISCOUS, i] / (dt + work[C_ALG, i] * rod[VISCOUS, i])
 
@@ -451,15 +458,25 @@ def step(  # type: ignore[no-untyped-def]
     work[GRIP0, 0] = base
     counts[STEPS] += 1
     if flags & HAS_BOND:
-        states[new, BOND] = states[old, BOND]
-        states[new, AGE] = states[old, AGE]
-        for _ in range(60):
-            set_limits(rod, scalars, states, new, new, 1.0, work)
-            if not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts):
+        for i in range(1, n):
+            work[MOVE, i] = dt * work[RATE, i]
+        follow_bond(rod, scalars, states, old, new, dt, work)
+        newton = True
+        for tried in range(60):
+            newton = newton and tried < MOST_NEWTON_LIMITS
+            expect_limits(rod, dt, newton, work)
+            attempts = 1 if newton else 3
+            if balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts, attempts):
+                if follow_bond(rod, scalars, states, old, new, dt, work) < LIMIT_TOLERANCE:
+                    break
+            elif newton:
+                newton = False
+                states[new, SLIP] = states[guess, SLIP]
+            else:
                 return False
-            if follow_bond(rod, scalars, states, old, new, dt, work) < LIMIT_TOLERANCE:
-                break
-    elif not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts):
+        for i in range(1, n):
+            work[RATE, i] = work[MOVE, i] / dt
+    elif not balance(rod, flags, laws, states, old, new, guess, dt, time, work, counts, 3):
         return False
     finish(rod, flags, states, old, new, work)
     states[new, GRIP, 0] = base
@@ -513,7 +530,7 @@ def admit(rod, scalars, flags, laws, states, slot, before, elapsed, time, work, 
         if states[slot, SLIP, i] != 2.0:
             after = states[slot, ANGLE, min(i + 1, last)]
             states[slot, SLIP, i] = overloaded(rod, states, slot, work, i, after)
-    solved = balance(rod, flags, laws, states, before, slot, slot, elapsed, time, work, counts)
+    solved = balance(rod, flags, laws, states, before, slot, slot, elapsed, time, work, counts, 3)
     if solved:
         finish(rod, flags, states, slot, slot, work)
     for i in range(1, n):
@@ -528,7 +545,7 @@ def set_limits(rod, scalars, states, one, other, slack, work):  # type: ignore[n
         factor = 1.0 + rod[EXCESS, i] * max(states[one, BOND, i], states[other, BOND, i])
         if rod[AGEING, i] > 0.0:
             age = max(states[one, AGE, i], states[other, AGE, i])
-            factor += rod[AGEING, i] * math.log10(1.0 + age / scalars[AGEING_TIME])
+            factor += rod[AGEING, i] * PER_DECADE * math.log(1.0 + age / scalars[AGEING_TIME])
         factor *= slack
         work[UP, i] = rod[PLUS, i] * factor
         work[DOWN, i] = rod[MINUS, i] * factor
@@ -536,38 +553,66 @@ def set_limits(rod, scalars, states, one, other, slack, work):  # type: ignore[n
 
 @_jit
 def follow_bond(rod, scalars, states, old, new, dt, work):  # type: ignore[no-untyped-def]
-    """Bond and age at the end of a step with the slip MOVE; returns the largest change of the limit."""
-    change = 0.0
+    """Bond and age at the end of a step with the slip MOVE, and FACTOR of the limits, which FALL with it.
+
+    Returns the largest error of a factor that was expected.
+    """
+    rate, weakening, rest = scalars[STRIBECK_RATE], scalars[WEAKENING], scalars[AGEING_TIME]
+    largest = 0.0
     for i in range(1, states.shape[2]):
         moved = abs(work[MOVE, i])
+        factor, fall = 1.0, 0.0
         if rod[EXCESS, i] > 0.0:
-            ratio = moved / (dt * scalars[STRIBECK_RATE])
-            gain = (moved + dt * scalars[STRIBECK_RATE]) / scalars[WEAKENING]
+            ratio = moved / (dt * rate)
+            gain = (moved + dt * rate) / weakening
             target = math.exp(-ratio * ratio)
             bond = (states[old, BOND, i] + gain * target) / (1.0 + gain)
-            change = max(change, rod[EXCESS, i] * abs(bond - states[new, BOND, i]))
+            slope = (target - bond) / weakening - 2.0 * gain * ratio * target / (dt * rate)
+            factor += rod[EXCESS, i] * bond
+            fall += rod[EXCESS, i] * slope / (1.0 + gain)
             states[new, BOND, i] = bond
         if rod[AGEING, i] > 0.0:
-            age = (states[old, AGE, i] + dt) / (1.0 + moved / scalars[WEAKENING])
-            shift = math.log10((scalars[AGEING_TIME] + age) / (scalars[AGEING_TIME] + states[new, AGE, i]))
-            change = max(change, rod[AGEING, i] * abs(shift))
+            age = (states[old, AGE, i] + dt) * weakening / (weakening + moved)
+            factor += rod[AGEING, i] * PER_DECADE * math.log(1.0 + age / rest)
+            fall -= rod[AGEING, i] * PER_DECADE * age / ((weakening + moved) * (rest + age))
             states[new, AGE, i] = age
-    return change
+        work[FACTOR, i], work[FALL, i] = factor, fall
+        error = abs(factor - work[FACTOR_SET, i] - work[FALL_SET, i] * moved)
+        # a fall expected in one direction says nothing of the other
+        largest = max(largest, error if work[MOVE, i] * work[MOVE_SET, i] >= 0.0 else 1.0)
+    return largest
+
+
+@_jit
+def expect_limits(rod, dt, newton, work):  # type: ignore[no-untyped-def]
+    """Set the slip limits to FACTOR, by Newton's method falling with the slip: a viscosity below zero."""
+    for i in range(1, rod.shape[1]):
+        move = work[MOVE, i]
+        fall = work[FALL, i] if newton and move != 0.0 else 0.0
+        factor = work[FACTOR, i] - fall * abs(move)
+        work[FACTOR_SET, i], work[FALL_SET, i], work[MOVE_SET, i] = factor, fall, move
+        work[UP, i] = rod[PLUS, i] * factor
+        work[DOWN, i] = rod[MINUS, i] * factor
+        damp = rod[VISCOUS, i] / dt
+        if fall != 0.0:
+            damp += fall * (rod[PLUS, i] if move > 0.0 else rod[MINUS, i])
+        work[DAMP, i] = damp / (1.0 + work[C_ALG, i] * damp)
 
 
 @_jit
 def balance(  # type: ignore[no-untyped-def]
-    rod, flags, laws, states, old, new, guess, dt, time, work, counts
+    rod, flags, laws, states, old, new, guess, dt, time, work, counts, attempts
 ):
     """Solve the step's complementarity problem for fixed slip limits; False when it did not converge.
 
-    Where the active set in `new` leads nowhere, that of `guess` is tried. In rigid tissue the correction of
-    the active set can go in circles where nodes are about to slip: a pre-sliding give of `SOFTENED_RAD`
-    at the limit, in this step alone, breaks them; no grip moves by it.
+    Where the active set in `new` leads nowhere, the second of at most three attempts starts from that of
+    `guess`. In rigid tissue the correction of the active set can go in circles where nodes are about to slip:
+    in the third a pre-sliding give of `SOFTENED_RAD` at the limit, in this step alone, breaks them; no grip
+    moves by it.
     """
     n = states.shape[2]
     solved = False
-    for attempt in range(3):
+    for attempt in range(attempts):
         if attempt == 1:
             states[new, SLIP] = states[guess, SLIP]
             if flags & HAS_LAWS:
@@ -850,9 +895,8 @@ def run(  # type: ignore[no-untyped-def]
                 gap = -1.0
                 length = min(length, times[row + 1] - times[row])
             if flags & HAS_BOND:
-                # over a slip of the weakening length the limit changes by as much as it can
                 turn = abs(base[row + 1] - base[row]) / (times[row + 1] - times[row])
-                length = min(length, scalars[WEAKENING] / (8.0 * turn + 1e-12))
+                length = min(length, scalars[LONGEST_SLIP] / (turn + 1e-12))
             to_next = times[target] - time
             if length >= to_next * (1.0 - 1e-9):
                 target = furthest_sample(times, base, time, length, row, next_kink, gap > 0.0, tolerance)

@@ -185,6 +185,8 @@ def _run(
             # a snap to a lower limit takes no time: shorter steps do not resolve it better
             SHORTEST_SNAP_S if bonds else SHORTEST_STEP_S,
             most_solves,
+            # over a slip of the weakening length a bond breaks, while an age only halves
+            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 3.0),
         ]
     )
     states = np.repeat(packed[np.newaxis], kernel.SLOTS, axis=0)

@@ -297,3 +297,18 @@ def test_a_state_of_another_rod_is_refused():
         solve(rod(), np.zeros(1), np.zeros(1), tolerance_rad=0.0)
     with pytest.raises(BadInput, match="2 rods and 3 inputs"):
         solve_batch([rod()] * 2, [(np.zeros(1), np.zeros(1))] * 3)
+
+
+@pytest.mark.parametrize(
+    "memory",
+    [
+        {"ageing_per_decade": 0.18, "weakening_rad": 0.02},
+        {"ageing_per_decade": 0.1, "stiffness": 0.278},
+        {"static_excess": 0.3, "stribeck_rate_rad_s": 0.1, "weakening_rad": 0.1},
+        {"static_excess": 0.3, "viscous": 0.05, "weakening_rad": 0.2},
+    ],
+)
+def test_limits_with_memory_are_found_in_few_solves(memory):
+    """By substitution alone the hardest of these takes more than four solves a step."""
+    solution = solve(rod(**memory), *path(compensation()))
+    assert solution.solves < 2.5 * solution.steps
