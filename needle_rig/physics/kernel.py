@@ -588,14 +588,15 @@ def expect_limits(rod, dt, newton, work):  # type: ignore[no-untyped-def]
     """Set the slip limits to FACTOR, by Newton's method falling with the slip: a viscosity below zero."""
     for i in range(1, rod.shape[1]):
         move = work[MOVE, i]
-        fall = work[FALL, i] if newton and move != 0.0 else 0.0
+        damp, fall = rod[VISCOUS, i] / dt, 0.0
+        steep = work[FALL, i] * (rod[PLUS, i] if move > 0.0 else rod[MINUS, i])
+        # tissue whose limit falls faster than it unloads snaps: no slope to go by
+        if newton and move != 0.0 and 1.0 + work[C_ALG, i] * (damp + steep) > 0.5:
+            damp, fall = damp + steep, work[FALL, i]
         factor = work[FACTOR, i] - fall * abs(move)
         work[FACTOR_SET, i], work[FALL_SET, i], work[MOVE_SET, i] = factor, fall, move
         work[UP, i] = rod[PLUS, i] * factor
         work[DOWN, i] = rod[MINUS, i] * factor
-        damp = rod[VISCOUS, i] / dt
-        if fall != 0.0:
-            damp += fall * (rod[PLUS, i] if move > 0.0 else rod[MINUS, i])
         work[DAMP, i] = damp / (1.0 + work[C_ALG, i] * damp)
 
 
@@ -858,7 +859,8 @@ def run(  # type: ignore[no-untyped-def]
     gap = -1.0  # that time where both lie on one line of the base path, else negative
     set_for = -1.0
     tolerance = scalars[TOLERANCE]
-    shortest = scalars[SHORTEST]
+    # steps that divide the way to a sample are longer by rounding
+    shortest = scalars[SHORTEST] * (1.0 + 1e-6)
     adaptive = flags & ADAPTIVE != 0
     row = -1  # last sample stored
     time = times[0]
@@ -953,7 +955,7 @@ def run(  # type: ignore[no-untyped-def]
             error = max(largest_difference(states, end, full), abs(twist) * stiffness[0] / TORQUE_PER_RAD)
             error /= tolerance
             if error > 1.0 and dt > shortest:
-                length = dt * max(0.2, 0.85 / math.sqrt(error))
+                length = max(scalars[SHORTEST], dt * max(0.2, 0.85 / math.sqrt(error)))
                 continue
             extrapolate(states, half, end, full, flags, scalars[AGEING_TIME])
             growth = min(3.0, 0.85 / math.sqrt(max(error, 1e-4)))
@@ -988,7 +990,7 @@ def run(  # type: ignore[no-untyped-def]
             gap = 0.5 * dt
             before, half = half, before
             now, end = end, now
-            length = min(scalars[LONGEST], dt * growth)
+            length = max(scalars[SHORTEST], min(scalars[LONGEST], dt * growth))
         if target > row:
             store(rod, flags, laws, stiffness, states, now, stop, target, sensors, outputs)
         row = target

@@ -186,7 +186,7 @@ def _run(
             SHORTEST_SNAP_S if bonds else SHORTEST_STEP_S,
             most_solves,
             # over a slip of the weakening length a bond breaks, while an age only halves
-            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 3.0),
+            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0),
         ]
     )
     states = np.repeat(packed[np.newaxis], kernel.SLOTS, axis=0)
