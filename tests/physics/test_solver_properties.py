@@ -312,3 +312,12 @@ def test_limits_with_memory_are_found_in_few_solves(memory):
     """By substitution alone the hardest of these takes more than four solves a step."""
     solution = solve(rod(**memory), *path(compensation()))
     assert solution.solves < 2.5 * solution.steps
+
+
+def test_a_snap_does_not_shrink_the_steps_to_nothing():
+    """Its error is the same at any length; far shorter steps would end in angles that are no numbers."""
+    time, base = refined(*path(compensation()), 4)
+    snapping = rod(ageing_per_decade=0.3, weakening_rad=0.02, stiffness=0.278, element_length_m=0.125e-3)
+    solution = solve(snapping, time, base, tolerance_rad=1e-5)
+    assert np.isfinite(solution.torque_nm).all()
+    assert solution.steps < 1.5 * time.size
