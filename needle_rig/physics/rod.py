@@ -71,11 +71,13 @@ class TorqueLaw:
     its `weight_m` (`Rod.tissue_length_m` for a law that acts along the tissue). Positive turns the needle
     counter-clockwise. `law` is plain arithmetic and `math`: a Python or numba function (compiled here, once
     a function) or a numba cfunc of signature `laws.LAW_SIGNATURE`. Other parameters need no compilation.
+    A `steady` law reads neither rate nor time: it alone does not make a rod depend on them.
     """
 
     law: Callable[[Any, float, float, float, float], float]
     parameters: Array
     weight_m: Array
+    steady: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,8 +82,8 @@ def solve(
     The first sample is the start: `state` (default: relaxed at 0) holds at time_s[0]; a base angle there that
     differs from the state's is reached within one sample. `tolerance_rad` bounds the error of one time step
     where slip or creep depend on rate, of all angles and, times 5e-4 N·m/rad, of the base torque; no dry node
-    is ever above its slip limit. A rod without viscosity, creep, static excess or torque laws depends
-    on no rate: one implicit step a sample is exact. Raises BadInput before computing anything, and
+    is ever above its slip limit. A rod without viscosity, creep, slip limits with memory and laws other than
+    steady ones depends on no rate: one implicit step a sample is exact. Raises BadInput before computing anything, and
     SolverError naming time and node when no solution was found, or the time where `most_solves` were spent.
     """
     time, base = _checked_path(time_s, base_angle_rad)
@@ -166,9 +166,10 @@ def _run(
     addresses, parameters, weights, keep = _packed_laws(rod)
     creeps, viscous, bonds = rod.depends_on_rate
     flags = kernel.HAS_CREEP * creeps + kernel.HAS_VISCOUS * viscous + kernel.HAS_BOND * bonds
+    adaptive = flags > 0 or not all(law.steady for law in rod.laws)
     if len(addresses):
         flags += kernel.HAS_LAWS
-    if flags:
+    if adaptive:
         dry = (coefficients[kernel.VISCOUS] == 0) & (coefficients[[kernel.PLUS, kernel.MINUS]] > 0).any(
             axis=0
         )

@@ -79,6 +79,17 @@ def test_other_values_need_no_compilation(model):
     assert laws[0].parameters[0] != laws[1].parameters[0]
 
 
+@pytest.mark.parametrize(
+    ("law", "steady"),
+    [("2.0 * angle_rad", True), ("rate_rad_s", False), ("angle_rad + time_s", False)],
+)
+def test_a_law_is_steady_unless_it_reads_rate_or_time(model, folder, law, steady):
+    assert "2.0 * angle_rad" in GOOD
+    (folder / "mine.py").write_text(GOOD.replace("2.0 * angle_rad", law))
+    mine = find_effects([folder])["mine"](torque_nmm=0.02)
+    assert model.with_effects(mine).rod(SHORT).laws[0].steady is steady
+
+
 def test_taking_the_name_of_a_built_in_effect(folder):
     sentence = broken(folder, GOOD, "tip_friction")
     assert "the name tip_friction is taken by a built-in effect; rename the file" in sentence

@@ -31,9 +31,9 @@ def bend(parameters, angle_rad, rate_rad_s, time_s, position_m):
     return parameters[0] * np.sin(angle_rad - parameters[1])
 
 
-def bent(**options):
+def bent(steady=False, **options):
     plain = rod(**options)
-    law = TorqueLaw(bend, np.array([0.03e-2, 0.5]), plain.tissue_length_m)
+    law = TorqueLaw(bend, np.array([0.03e-2, 0.5]), plain.tissue_length_m, steady)
     return replace(plain, laws=(law,))
 
 
@@ -59,6 +59,7 @@ CASES = (
         "one-sided": one_sided,
         "layered": layered,
         "bending": bent,
+        "bending, known to be steady": lambda **o: bent(steady=True, **o),
         "bending, viscous": lambda **o: bent(viscous=0.2, **o),
     }
 )
