@@ -83,8 +83,10 @@ def solve(
     differs from the state's is reached within one sample. `tolerance_rad` bounds the error of one time step
     where slip or creep depend on rate, of all angles and, times 5e-4 N·m/rad, of the base torque; no dry node
     is ever above its slip limit. A rod without viscosity, creep, slip limits with memory and laws other than
-    steady ones depends on no rate: one implicit step a sample is exact. Raises BadInput before computing anything, and
-    SolverError naming time and node when no solution was found, or the time where `most_solves` were spent.
+    steady ones depends on no rate: one implicit step a sample is exact.
+
+    Raises BadInput before computing anything, and SolverError naming time and node when no solution was
+    found, or the time where `most_solves` were spent.
     """
     time, base = _checked_path(time_s, base_angle_rad)
     return _run(rod, time, base, state, shaft, tolerance_rad, longest_step_s, most_solves)
