@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -110,6 +111,11 @@ def worker(jobs: int | None, cluster: str | None) -> Work:
 def say(text: str) -> None:
     """One line of progress on stderr."""
     click.echo(f"{text} …", err=True)
+
+
+def left_out_error(error: float | None) -> str:
+    """An error on commands left out, or a dash where there was only one command."""
+    return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
 
 
 def number(value: Any) -> str:

@@ -11,6 +11,7 @@ import click
 from needle_rig.cli._workbench import (
     effects_option,
     json_option,
+    left_out_error,
     library,
     model_option,
     one_thread_each,
@@ -88,10 +89,13 @@ def command(
     if take_back:
         click.echo(f"{out}: took back {', '.join(told['undone'])}")
         return
-    click.echo(
-        f"{out}: added {told['added']}; error on commands left out"
-        f" {told['held_out_error_before']:.2f} → {told['held_out_error']:.2f} × the noise"
-    )
+    before, after = (left_out_error(told[f"held_out_error{when}"]) for when in ("_before", ""))
+    click.echo(f"{out}: added {told['added']}; error on commands left out {before} → {after} × the noise")
+    if told["held_out_error"] is None:
+        click.echo(
+            "note: all trials are of one command, so that none could be left out to check what the effect"
+            " foretells; add trials with another target, speed or dwell"
+        )
     for name, value in result.model.values().items():
         error = result.uncertainties.get(name)
         click.echo(

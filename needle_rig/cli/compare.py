@@ -12,6 +12,7 @@ from needle_rig.cli._workbench import (
     data_argument,
     effects_option,
     json_option,
+    left_out_error,
     library,
     model_option,
     number,
@@ -94,7 +95,7 @@ def _show(found: Comparison) -> None:
     model = found.prepared.problem.base.name
     console.print(
         f"[bold]{found.prepared.dataset.name}[/bold] against the model {model}: error on commands left out"
-        f" {found.held_out_error:.2f} × the noise, reduced χ² {found.reduced_chi2:.2f}"
+        f" {left_out_error(found.held_out_error)} × the noise, reduced χ² {found.reduced_chi2:.2f}"
     )
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("channel", "rmse", "noise", "in units of the noise"):
@@ -122,7 +123,7 @@ def _show_settled(found: SettledComparison) -> None:
     console = Console(highlight=False)
     console.print(
         f"[bold]{found.dataset}[/bold] against the model {found.model}: error on motions left out"
-        f" {found.held_out_error:.2f} × the scatter, reduced χ² {found.reduced_chi2:.2f}"
+        f" {left_out_error(found.held_out_error)} × the scatter, reduced χ² {found.reduced_chi2:.2f}"
     )
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("value", "measured", "model", "apart"):

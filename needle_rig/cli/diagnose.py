@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +14,7 @@ from needle_rig.cli._workbench import (
     effects_option,
     jobs_option,
     json_option,
+    left_out_error,
     library,
     model_option,
     one_thread_each,
@@ -88,7 +88,7 @@ def _show(found: Answer) -> None:
 
     console = Console(highlight=False, soft_wrap=False)
     console.print(f"[bold]{found.dataset}[/bold] against the model {found.model}: {_verdict(found)}")
-    before, after = _number(found.held_out_error_before), _number(found.held_out_error_after)
+    before, after = left_out_error(found.held_out_error_before), left_out_error(found.held_out_error_after)
     console.print(
         f"Error on {found.left_out} left out: {before} → {after} (noise is {found.noise_floor:.2f})"
     )
@@ -98,7 +98,9 @@ def _show(found: Answer) -> None:
     table.add_column("for and against")
     for row in found.ranking[: max(6, len(found.effects))]:
         words = row.in_favour + (f"; against: {row.against}" if row.against else "")
-        table.add_row(row.effect, _number(row.held_out_error), f"{100 * row.error_removed:.0f} %", words)
+        table.add_row(
+            row.effect, left_out_error(row.held_out_error), f"{100 * row.error_removed:.0f} %", words
+        )
     console.print(table)
     for row in found.ranking[: len(found.effects)]:
         for v in row.values:
@@ -115,11 +117,6 @@ def _show(found: Answer) -> None:
         console.print(f"next: {found.next_experiment['sentence']}")
     for note in found.notes:
         console.print(f"note: {note}")
-
-
-def _number(error: float | None) -> str:
-    """An error, or a dash where nothing could be left out."""
-    return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
 
 
 def _verdict(found: Answer) -> str:

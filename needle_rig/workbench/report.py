@@ -217,12 +217,13 @@ def write_html(found: Comparison, drawn: Sequence[Picture], path: Path) -> None:
     notes = "".join(
         f"<li>{html.escape(n)}</li>" for n in (*found.prepared.dataset.notes, *found.prepared.notes)
     )
+    left_out = f"{found.held_out_error:.2f}" if np.isfinite(found.held_out_error) else "—"
     path.write_text(
         f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>{name}</title>
 <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:80rem;margin:2rem auto;padding:0 1rem}}
 td,th{{text-align:left;padding:.15rem 1rem .15rem 0}}img{{max-width:100%}}</style>
 <h1>{name} against the model {html.escape(found.prepared.problem.base.name)}</h1>
-<p>Error on commands left out: {found.held_out_error:.2f} in units of the noise (noise alone: 1.00);
+<p>Error on commands left out: {left_out} in units of the noise (noise alone: 1.00);
 reduced χ² {found.reduced_chi2:.2f}.</p>
 <table><tr><th>channel</th><th>rmse</th><th>noise</th><th>in units of the noise</th></tr>{rows}</table>
 <h2>Worst places</h2><ul>{worst or "<li>none above 3 × the noise</li>"}</ul>{images}

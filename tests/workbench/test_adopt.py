@@ -1,11 +1,13 @@
+import dataclasses
 import json
 
 import pytest
 from click.testing import CliRunner
 
 from needle_rig.cli import adopt as adopt_cli
+from needle_rig.cli.compare import command as compare_command
 from needle_rig.cli.history import command as history_command
-from needle_rig.dataset import write_dataset
+from needle_rig.dataset import in_series, write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.model import load_model
 from needle_rig.workbench.adopt import Refused, adopt, undo
@@ -57,6 +59,19 @@ def test_unknown_and_double_effects_are_refused():
     one = adopt(data, "tissue_elasticity", few())
     with pytest.raises(BadInput, match="already"):
         adopt(data, "tissue_elasticity", few(), one)
+
+
+def test_one_command_alone_is_fitted_and_said_to_prove_nothing(tmp_path):
+    data = dataset(*TWO)
+    one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
+    folder = write_dataset(one, tmp_path / "data")
+    model = tmp_path / "mine.yaml"
+    made = CliRunner().invoke(adopt_cli.command, [str(folder), "tissue_elasticity", "--out", str(model)])
+    assert made.exit_code == 0, made.output
+    assert "left out — → — × the noise" in made.stdout
+    assert "all trials are of one command" in made.stdout
+    shown = CliRunner().invoke(compare_command, [str(folder)])
+    assert "error on commands left out — × the noise" in " ".join(shown.stdout.split())
 
 
 def test_the_commands_write_show_and_undo(tmp_path, monkeypatch):
