@@ -32,7 +32,7 @@ TOO_MANY = 2
 # flags
 HAS_CREEP, HAS_VISCOUS, HAS_BOND, HAS_LAWS, HAS_DRY, ADAPTIVE = 1, 2, 4, 8, 16, 32
 # places in `states`
-SLOTS = 6
+SLOTS = 8
 # rows of the work array
 (
     SPRING, C_ALG, DAMP, GRIP0, UP, DOWN, SCALE, DIAGONAL, GIVEN, PIVOT, RATIO, VALUE, MOVE,
@@ -40,6 +40,11 @@ SLOTS = 6
     MOVE_SET, RATE,
 ) = range(28)  # fmt: skip
 WORK_ROWS = 28
+
+GAMMA = 1.0 - math.sqrt(0.5)
+"""Length of each of the two stages of a step, as a part of it."""
+ONWARD = math.sqrt(0.5) / GAMMA
+"""The second stage sets out where a rod gets that goes on as in the first one, this many times as long."""
 
 EPS = 2.220446049250313e-16
 MOVE_TOLERANCE_RAD = 1e-11
@@ -732,21 +737,58 @@ def end_of_line(times, base, row):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def furthest_sample(times, base, time, length, row, next_kink, has_earlier, tolerance):  # type: ignore[no-untyped-def]
+def furthest_sample(times, base, time, length, row, next_kink, has_earlier, flags, tolerance):  # type: ignore[no-untyped-def]
     """The last sample that a step of `length` may reach.
 
-    While the base moves a sensor can start or stop between two samples, so that no sample may lie inside a
-    step, save in its middle, where a half step ends.
+    While the base moves a sensor that dry friction holds can start or stop between two samples, so that no
+    sample may lie inside a step then, save in its middle, where a half step ends.
     """
+    dry = flags & (HAS_DRY | HAS_BOND) != 0
     target = row + 1
     while target < next_kink and times[target + 1] - time <= length * (1.0 + 1e-9):
         still = abs(base[target + 1] - base[row]) <= 10.0 * tolerance
-        if not (has_earlier and still):
-            if target == row + 1 and abs(times[row + 2] + time - 2.0 * times[row + 1]) <= 1e-6 * length:
+        if not has_earlier or (dry and not still):
+            middle = abs(times[row + 2] + time - 2.0 * times[row + 1]) <= 1e-6 * length
+            if flags & HAS_BOND and target == row + 1 and middle:
                 target += 1
             break
         target += 1
     return target
+
+
+@_jit
+def go_onward(rod, states, now, stage, start, flags):  # type: ignore[no-untyped-def]
+    """The state from which the second stage of a step sets out.
+
+    What changes at a rate goes on as in the first stage; dry friction, which knows no rate, is followed.
+    """
+    for r in range(3 if flags & HAS_CREEP else 2):
+        for i in range(states.shape[2]):
+            states[start, r, i] = states[now, r, i] + ONWARD * (states[stage, r, i] - states[now, r, i])
+    states[start, SLIP] = states[stage, SLIP]
+    if flags & HAS_DRY:
+        for i in range(states.shape[2]):
+            states[start, GRIP, i] = states[start if rod[VISCOUS, i] > 0.0 else stage, GRIP, i]
+
+
+@_jit
+def conclude(states, now, stage, half, end, full, rate, dt, rows):  # type: ignore[no-untyped-def]
+    """After both stages: the rate at the end, the state in the middle, and `full`, to compare with the end.
+
+    The middle lies on the parabola with the rate at the end; `full` lacks half of what the rate changed by.
+    """
+    for i in range(states.shape[2]):
+        first = states[stage, ANGLE, i] - states[now, ANGLE, i]
+        second = states[end, ANGLE, i] - states[now, ANGLE, i] - ONWARD * first
+        states[rate, ANGLE, i] = second / (GAMMA * dt)
+        states[full, ANGLE, i] = states[end, ANGLE, i] - 0.5 * (second - first)
+        states[half, SLIP, i] = states[stage, SLIP, i]
+    for r in range(rows):
+        for i in range(states.shape[2]):
+            first = states[stage, r, i] - states[now, r, i]
+            gone = states[end, r, i] - states[now, r, i]
+            bent = 0.25 / GAMMA * (gone - ONWARD * first)
+            states[half, r, i] = states[now, r, i] + (0.75 * gone - bent)
 
 
 @_jit
@@ -794,6 +836,17 @@ def missed_by_quadratic(states, before, now, half, end, gap, dt):  # type: ignor
 
 
 @_jit
+def missed_by_parabola(states, now, stage, last_rate, rate, dt, i):  # type: ignore[no-untyped-def]
+    """Error at node i between the ends of a step in two stages.
+
+    1.5 times the distance of the rate in the first stage from the line between the rates at the ends bounds
+    the error where a rate jumps, wherever in the step that is.
+    """
+    line = (1.0 - GAMMA) * states[last_rate, ANGLE, i] + GAMMA * states[rate, ANGLE, i]
+    return 1.5 * (dt * line - (states[stage, ANGLE, i] - states[now, ANGLE, i]) / GAMMA)
+
+
+@_jit
 def blend(states, now, half, end, x, rows, out):  # type: ignore[no-untyped-def]
     """The first `rows` rows of a state at the fraction x of a step, on a quadratic through the step."""
     w0, w1, w2 = (2.0 * x - 1.0) * (x - 1.0), 4.0 * x * (1.0 - x), x * (2.0 * x - 1.0)
@@ -838,9 +891,12 @@ def run(  # type: ignore[no-untyped-def]
     The last state ends up in slot 0. `work` is scratch of zeros, of WORK_ROWS rows.
 
     Rods that depend on no rate take one implicit step a sample, and none while the base holds still. The
-    others take two half steps and a full one: their difference is the error of the step, and extrapolating
-    it away keeps what is exact and gives second order to the rest. Steps end at samples, or divide the way
-    to the next one; samples inside a step are read off a quadratic, whose error counts too.
+    others take two implicit stages, a diagonally implicit Runge–Kutta method of second order (Alexander,
+    SIAM J. Numer. Anal. 14, 1977); what it adds to first order sets the length of the steps. Where slip
+    limits have a memory, setting out from an extrapolated state would change what dry friction remembers:
+    there two half steps and a full one are taken, and their difference is extrapolated away. Steps end at
+    samples, or divide the way to the next one; samples inside a step are read off a quadratic, whose error
+    counts too.
     """
     n = states.shape[2]
     samples = times.size
@@ -854,14 +910,17 @@ def run(  # type: ignore[no-untyped-def]
     work[UP] = rod[PLUS]
     work[DOWN] = rod[MINUS]
     # `before` is the middle of the last step, or its start where steps are single
-    now, before, half, end, full, shown = 0, 1, 2, 3, 4, 5
+    now, before, half, end, full, shown, rate, last_rate = 0, 1, 2, 3, 4, 5, 6, 7
     since = -1.0  # what the base turned or, in a rod that depends on rates, the time from `before` to `now`
     gap = -1.0  # that time where both lie on one line of the base path, else negative
     set_for = -1.0
     tolerance = scalars[TOLERANCE]
     # steps that divide the way to a sample are longer by rounding
     shortest = scalars[SHORTEST] * (1.0 + 1e-6)
-    adaptive = flags & ADAPTIVE != 0
+    adaptive, dry, halved = flags & ADAPTIVE != 0, flags & HAS_DRY != 0, flags & HAS_BOND != 0
+    parts = 3 if halved else 2 if adaptive else 1
+    gamma = 0.5 if halved else GAMMA
+    shown_nodes = np.append(sensors, n - 1) if out_shaft.shape[0] == 0 else np.arange(n)
     row = -1  # last sample stored
     time = times[0]
     length = min(scalars[LONGEST], 1e-3)
@@ -878,6 +937,7 @@ def run(  # type: ignore[no-untyped-def]
         single = not adaptive or row < 0
         middle_time = time
         middle_base = 0.0
+        stage = half
         if single:
             if row < 0:
                 # the record starts elsewhere than the state: the base turned there within one sample
@@ -901,7 +961,9 @@ def run(  # type: ignore[no-untyped-def]
                 length = min(length, scalars[LONGEST_SLIP] / (turn + 1e-12))
             to_next = times[target] - time
             if length >= to_next * (1.0 - 1e-9):
-                target = furthest_sample(times, base, time, length, row, next_kink, gap > 0.0, tolerance)
+                target = furthest_sample(
+                    times, base, time, length, row, next_kink, gap > 0.0, flags, tolerance
+                )
                 stop = times[target]
                 dt = stop - time
                 end_base = base[target]
@@ -910,23 +972,28 @@ def run(  # type: ignore[no-untyped-def]
                 dt = to_next / math.ceil(to_next / length - 1e-9)
                 stop = time + dt
                 end_base = angle_of_base(times, base, row, stop)
-            middle_time = time + 0.5 * dt
+            stage = half if halved else shown
+            middle_time = time + gamma * dt
             middle_base = angle_of_base(times, base, row, middle_time)
 
         solved = True
-        for part in range(1 if single else 3):
+        for part in range(1 if single else parts):
             # the halves first: their active set is a good first guess for the full step
             if single:
                 old, new, guess, h, b, t = now, end, now, dt, end_base, stop
                 turn = end_base - states[now, GRIP, 0]
                 earlier, ratio = before, turn / since
             elif part == 0:
-                old, new, guess, h, b, t = now, half, now, 0.5 * dt, middle_base, middle_time
+                old, new, guess, h, b, t = now, stage, now, gamma * dt, middle_base, middle_time
                 # longer ago is better: fronts are known to the node only; `end` is still the step's before
-                earlier, ratio = end, 0.5 * h / gap
+                earlier, ratio = end, (1.0 - gamma) * h / gap
             elif part == 1:
-                old, new, guess, h, b, t = half, end, half, 0.5 * dt, end_base, stop
-                earlier, ratio = (before, h / (gap + h)) if gap > 0.0 else (now, 1.0)
+                old, new, guess, b, t = stage, end, stage, end_base, stop
+                rest = dt - h
+                earlier, ratio = (before, rest / (gap + h)) if gap > 0.0 else (now, rest / h)
+                if not halved:
+                    go_onward(rod, states, now, stage, full, flags)
+                    old = full
             else:
                 old, new, guess, h, b, t = now, full, end, dt, end_base, stop
                 earlier, ratio = end, -1.0
@@ -950,6 +1017,8 @@ def run(  # type: ignore[no-untyped-def]
             since = end_base - states[now, GRIP, 0]
             before, now, end = now, end, before
         else:
+            if not halved:
+                conclude(states, now, stage, half, end, full, rate, dt, 3 if dry else 1)
             twist = states[end, ANGLE, 0] - states[end, ANGLE, 1]
             twist -= states[full, ANGLE, 0] - states[full, ANGLE, 1]
             error = max(largest_difference(states, end, full), abs(twist) * stiffness[0] / TORQUE_PER_RAD)
@@ -957,38 +1026,49 @@ def run(  # type: ignore[no-untyped-def]
             if error > 1.0 and dt > shortest:
                 length = max(scalars[SHORTEST], dt * max(0.2, 0.85 / math.sqrt(error)))
                 continue
-            extrapolate(states, half, end, full, flags, scalars[AGEING_TIME])
-            growth = min(3.0, 0.85 / math.sqrt(max(error, 1e-4)))
+            if halved:
+                extrapolate(states, half, end, full, flags, scalars[AGEING_TIME])
+            growth = min(3.0 if halved else 5.0, 0.85 / math.sqrt(max(error, 1e-4)))
             if target > row + 1 and gap > 0.0:
-                missed = missed_by_quadratic(states, before, now, half, end, gap, dt) / tolerance
+                if halved:
+                    missed = missed_by_quadratic(states, before, now, half, end, gap, dt)
+                else:
+                    base_missed = missed_by_parabola(states, now, stage, last_rate, rate, dt, 0)
+                    base_missed -= missed_by_parabola(states, now, stage, last_rate, rate, dt, 1)
+                    missed = abs(base_missed) * stiffness[0] / TORQUE_PER_RAD
+                    for node in shown_nodes:
+                        miss = missed_by_parabola(states, now, stage, last_rate, rate, dt, node)
+                        missed = max(missed, abs(miss))
+                missed /= tolerance
                 needed = target > row + 2 or abs(times[row + 1] - middle_time) > 1e-6 * dt
                 if missed > 1.0 and needed:
                     length = dt * max(0.25, 0.85 / missed ** (1.0 / 3.0))
                     continue
                 growth = min(growth, max(1.0, 0.85 / max(missed, 1e-4) ** (1.0 / 3.0)))
-            if flags & HAS_DRY:
+            if dry and (halved or target > row + 1):
                 set_for = -1.0
-                if flags & HAS_BOND:
-                    set_limits(rod, scalars, states, end, end, 1.0 + LIMIT_TOLERANCE, work)
+            if dry and halved:
+                set_limits(rod, scalars, states, end, end, 1.0 + LIMIT_TOLERANCE, work)
                 if not admit(rod, scalars, flags, laws, states, end, half, 0.5 * dt, stop, work, counts):
                     if dt <= shortest:
                         counts[FAILED_SAMPLE] = max(row, 0)
                         return 1
                     length = 0.5 * dt
                     continue
-                if flags & HAS_BOND and target > row + 1:
+                if target > row + 1:
                     set_limits(rod, scalars, states, now, end, 1.0 + LIMIT_TOLERANCE, work)
             for k in range(row + 1, target):
                 x = (times[k] - time) / dt
-                blend(states, now, half, end, x, 3 if flags & HAS_DRY else 1, shown)
-                if flags & HAS_DRY and not admit(
+                blend(states, now, half, end, x, 3 if dry else 1, shown)
+                if dry and not admit(
                     rod, scalars, flags, laws, states, shown, now, x * dt, times[k], work, counts
                 ):
                     counts[FAILED_SAMPLE] = k
                     return 1
                 store(rod, flags, laws, stiffness, states, shown, times[k], k, sensors, outputs)
-            gap = 0.5 * dt
+            gap = dt - gamma * dt
             before, half = half, before
+            rate, last_rate = last_rate, rate
             now, end = end, now
             length = max(scalars[SHORTEST], min(scalars[LONGEST], dt * growth))
         if target > row:

@@ -134,7 +134,7 @@ def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(targets, stif
 
 
 def node_torques(needle, solution):
-    """Torque of the tissue on every node, shape (samples, nodes), and what rounding makes of it."""
+    """Torque of the tissue on every node, shape (samples, nodes), and what rounding makes of it, (nodes,)."""
     angle = solution.shaft_rad
     pull = np.zeros_like(angle)
     flow = needle.stiffness_nm_per_rad * np.diff(angle, axis=1)
@@ -144,7 +144,8 @@ def node_torques(needle, solution):
     stiffness = np.zeros(angle.shape[1])
     stiffness[:-1] += needle.stiffness_nm_per_rad
     stiffness[1:] += needle.stiffness_nm_per_rad
-    return pull, 100 * np.finfo(float).eps * stiffness * (np.abs(angle) + 1e-3)
+    # samples inside a step lie between the angles at its ends, whose rounding they have
+    return pull, 100 * np.finfo(float).eps * stiffness * (np.abs(angle).max(axis=0) + 1e-3)
 
 
 @settings(max_examples=60, deadline=None)
@@ -193,7 +194,7 @@ def test_a_limit_that_falls_with_slip_is_obeyed_in_every_final_state():
         state = solution.state
         grown = needle.ageing_per_decade * np.log10(1 + state.age_s / needle.ageing_time_s)
         limit = needle.slip_plus_nm * (1 + needle.static_excess * state.bond + grown)
-        assert (np.abs(pull[-1]) <= limit * (1 + 5e-6) + rounding[-1])[1:].all()
+        assert (np.abs(pull[-1]) <= limit * (1 + 5e-6) + rounding)[1:].all()
 
 
 @pytest.mark.parametrize(
