@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.bins import BinnedTrial
@@ -124,7 +124,7 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
         statistic,
         shared_dof,
         differing_dof,
-        float(f_distribution.sf(statistic, shared_dof, differing_dof)),
+        float(fdtrc(shared_dof, differing_dof, statistic)),
         where,
         size,
         unit,

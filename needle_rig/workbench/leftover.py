@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.bins import BinnedTrial
@@ -130,7 +130,7 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
     usable = lengths > 0.02 * np.sqrt((columns**2).sum(0)) + 1e-9
     projected, columns = projected[:, usable] / lengths[usable], columns[:, usable] / lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
-    limit = float(norm.isf(SIGNIFICANCE / 2 / max(1, len(names))))
+    limit = float(-ndtri(SIGNIFICANCE / 2 / max(1, len(names))))
     picked: list[tuple[int, float]] = []
     left, basis = residual.copy(), projected.copy()
     for _ in range(MOST):

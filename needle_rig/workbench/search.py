@@ -10,7 +10,7 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from needle_rig.workbench.fit import LOOSE, Fit, excess, fit, fit_without_derivatives
 from needle_rig.workbench.held_out import HeldOut, held_out
@@ -60,7 +60,7 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
     gain = max(parent.objective - child.objective, 0.0)
     freedom = max(1, child.rank - parent.rank)
     new = [a for a in child.axes if a.effect not in parent.effects and not a.info.shapes]
-    p = float(chi2_distribution.sf(gain, freedom))
+    p = float(chdtrc(freedom, gain))
     if all(a.one_sided for a in new):
         p *= 0.5
     return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from needle_rig.control.strategy import History, Strategy, Task, make_strategy
 from needle_rig.dataset.settled import Seen, SettledData, SettledValue
@@ -160,7 +160,7 @@ class SettledFit:
     @property
     def p_value(self) -> float:
         """Probability that scatter alone leaves a χ² like this; 0 when nothing is left to test."""
-        return float(chi2_distribution.sf(self.chi2, self.freedom)) if self.freedom > 0 else 0.0
+        return float(chdtrc(self.freedom, self.chi2)) if self.freedom > 0 else 0.0
 
     @property
     def error(self) -> Array:

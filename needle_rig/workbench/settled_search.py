@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from needle_rig.dataset.settled import SettledData
 from needle_rig.errors import BadInput
@@ -102,7 +102,7 @@ def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: in
     if found is None:
         return Candidate(name, None, 1.0)
     gain = max(root.objective - found.objective, 0.0)
-    p = float(chi2_distribution.sf(gain, max(1.0, root.freedom - found.freedom)))
+    p = float(chdtrc(max(1.0, root.freedom - found.freedom), gain))
     return Candidate(name, found, float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16)))))
 
 
