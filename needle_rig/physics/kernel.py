@@ -93,28 +93,50 @@ def assemble(states, new, flags, work):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def eliminate(work, rhs, first, towards, rows):  # type: ignore[no-untyped-def]
-    """Leading minors, and what goes with them, of `rows` rows of the linear system from the row `first` on.
+def minor_of(work, rhs, i, spring, onward, minor, before, value, coupled):  # type: ignore[no-untyped-def]
+    """Row i of the elimination: its leading minor, the one before, what goes with it and its coupling on."""
+    scale = work[SCALE, i]
+    outward, inward = scale * spring, scale * onward
+    after = work[DIAGONAL, i] * minor - outward * coupled * before
+    value = outward * value + work[rhs, i] * minor
+    work[RATIO, i] = inward * minor
+    work[PIVOT, i] = after
+    work[VALUE, i] = value
+    return after, minor, value, inward
+
+
+@_jit
+def eliminate(work, rhs, n):  # type: ignore[no-untyped-def]
+    """Leading minors, and what goes with them, of the rows of the linear system on both sides of the middle.
 
     A pivot is the ratio of two minors, whose recurrence needs no division. They start anew from 1 every
-    eighth row, so that they neither overflow nor vanish.
+    eighth row, so that they neither overflow nor vanish. Both sides go on at a time, as neither waits for the
+    other; where the lower one has a row more, it is the first.
     """
-    minor, before, value, coupled, spring = 1.0, 0.0, 0.0, 0.0, 0.0
-    for start in range(0, rows, 8):
-        for k in range(start, min(start + 8, rows)):
-            i = np.uintp(first + towards * k)
-            scale = work[SCALE, i]
-            outward = scale * spring
-            spring = work[SPRING, i] if towards > 0 else work[SPRING, i - np.uintp(1)]
-            inward = scale * spring
-            work[RATIO, i] = inward * minor
-            after = work[DIAGONAL, i] * minor - outward * coupled * before
-            value = work[rhs, i] * minor + outward * value
-            before, minor, coupled = minor, after, inward
-            work[PIVOT, i] = minor
-            work[VALUE, i] = value
-        inverse = 1.0 / minor
-        before, minor, value = before * inverse, 1.0, value * inverse
+    middle = n // 2
+    low, low_before, low_value, low_in, low_spring = 1.0, 0.0, 0.0, 0.0, 0.0
+    high, high_before, high_value, high_in, high_spring = 1.0, 0.0, 0.0, 0.0, 0.0
+    first = 2 * middle - n + 1
+    if first > 0:
+        low_spring = work[SPRING, 0]
+        low, low_before, low_value, low_in = minor_of(work, rhs, 0, 0.0, low_spring, 1.0, 0.0, 0.0, 0.0)
+    for start in range(first, middle, 8):
+        for k in range(start, min(start + 8, middle)):
+            i, j = np.uintp(k), np.uintp(n - 1 - k + first)
+            spring = work[SPRING, i]
+            low, low_before, low_value, low_in = minor_of(
+                work, rhs, i, low_spring, spring, low, low_before, low_value, low_in
+            )
+            low_spring = spring
+            spring = work[SPRING, j - np.uintp(1)]
+            high, high_before, high_value, high_in = minor_of(
+                work, rhs, j, high_spring, spring, high, high_before, high_value, high_in
+            )
+            high_spring = spring
+        inverse = 1.0 / low
+        low_before, low, low_value = low_before * inverse, 1.0, low_value * inverse
+        inverse = 1.0 / high
+        high_before, high, high_value = high_before * inverse, 1.0, high_value * inverse
 
 
 @_jit
@@ -124,8 +146,7 @@ def sweep(states, new, flags, work):  # type: ignore[no-untyped-def]
     assemble(states, new, flags, work)
     rhs = RHS if flags & HAS_LAWS else GIVEN
     middle = n // 2
-    eliminate(work, rhs, 0, 1, middle)
-    eliminate(work, rhs, n - 1, -1, n - 1 - middle)
+    eliminate(work, rhs, n)
     work[PIVOT, middle] = 1.0
     for i in range(n):
         inverse = 1.0 / work[PIVOT, i]
