@@ -813,7 +813,7 @@ def conclude(states, now, stage, half, end, full, rate, dt, rows):  # type: igno
 
 
 @_jit
-def extrapolate(states, half, end, full, flags, ageing_time):  # type: ignore[no-untyped-def]
+def extrapolate(rod, states, half, end, full, flags, ageing_time):  # type: ignore[no-untyped-def]
     """Take the error of first order out of the states after one and two half steps."""
     n = states.shape[2]
     for r in range(3 if flags & HAS_CREEP else 2):
@@ -824,9 +824,11 @@ def extrapolate(states, half, end, full, flags, ageing_time):  # type: ignore[no
     if flags & HAS_BOND:
         for i in range(n):
             states[end, BOND, i] = min(1.0, max(0.0, 2.0 * states[end, BOND, i] - states[full, BOND, i]))
-            # of the logarithm, to which the limit is proportional
-            grown = (ageing_time + states[end, AGE, i]) ** 2 / (ageing_time + states[full, AGE, i])
-            states[end, AGE, i] = max(0.0, grown - ageing_time)
+            # other ages are not set by steps: rounding would double each time
+            if rod[AGEING, i] > 0.0:
+                # of the logarithm, to which the limit is proportional
+                grown = (ageing_time + states[end, AGE, i]) ** 2 / (ageing_time + states[full, AGE, i])
+                states[end, AGE, i] = max(0.0, grown - ageing_time)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -1048,7 +1050,7 @@ def run(  # type: ignore[no-untyped-def]
                 length = max(scalars[SHORTEST], dt * max(0.2, 0.85 / math.sqrt(error)))
                 continue
             if halved:
-                extrapolate(states, half, end, full, flags, scalars[AGEING_TIME])
+                extrapolate(rod, states, half, end, full, flags, scalars[AGEING_TIME])
             growth = min(3.0 if halved else 5.0, 0.85 / math.sqrt(max(error, 1e-4)))
             if target > row + 1 and gap > 0.0:
                 if halved:

@@ -322,3 +322,15 @@ def test_a_snap_does_not_shrink_the_steps_to_nothing():
     solution = solve(snapping, time, base, tolerance_rad=1e-5)
     assert np.isfinite(solution.torque_nm).all()
     assert solution.steps < 1.5 * time.size
+
+
+@pytest.mark.parametrize("rest_s", [0.2, 0.71, 3.2])
+def test_only_tissue_that_remembers_its_rest_ages(rest_s):
+    """Rounding would double from step to step, and end in ages without bound."""
+    needle = rod(ageing_per_decade=0.17, weakening_rad=0.02, element_length_m=5e-3, ageing_time_s=rest_s)
+    time, base = refined(*path(compensation()), 2)
+    age_s = solve(needle, time, base).state.age_s
+    remembers = needle.ageing_per_decade > 0.0
+    assert (age_s[~remembers] == 0.0).all()
+    assert (age_s[remembers] > 1.0).all()
+    assert (age_s <= time[-1]).all()
