@@ -54,16 +54,17 @@ class Solution:
 
 def relaxed(rod: Rod, angle_rad: float = 0.0) -> RodState:
     """The state of a rod at rest without any twist, base and needle at `angle_rad`."""
-    nodes = len(rod.position_m)
+    return RodState(*_relaxed_rows(rod, angle_rad))
+
+
+def _relaxed_rows(rod: Rod, angle_rad: float) -> Array:
+    """The rows of `RodState` as one array, shape (6, nodes)."""
     plus, minus = rod.coefficients[:2]
-    return RodState(
-        angle_rad=np.full(nodes, angle_rad),
-        grip_rad=np.full(nodes, angle_rad),
-        creep_rad=np.zeros(nodes),
-        bond=np.ones(nodes),
-        age_s=np.zeros(nodes),
-        slip=np.where((plus == 0) & (minus == 0), 2.0, 0.0),
-    )
+    rows = np.zeros((6, len(plus)))
+    rows[:2] = angle_rad
+    rows[3] = 1.0
+    rows[5, (plus == 0) & (minus == 0)] = 2.0
+    return rows
 
 
 def solve(
@@ -164,7 +165,8 @@ def _run(
     nodes = coefficients.shape[1]
     if not (np.isfinite(tolerance_rad) and tolerance_rad > 0 and longest_step_s > 0):
         raise BadInput(f"tolerance {tolerance_rad} rad and longest step {longest_step_s} s must be above 0")
-    packed = _packed_state(rod, relaxed(rod) if state is None else state)
+    packed = _relaxed_rows(rod, 0.0) if state is None else _packed_state(rod, state)
+    packed[5, 0] = 0.0
     addresses, parameters, weights, keep = _packed_laws(rod)
     creeps, viscous, bonds = rod.depends_on_rate
     flags = kernel.HAS_CREEP * creeps + kernel.HAS_VISCOUS * viscous + kernel.HAS_BOND * bonds
@@ -263,7 +265,6 @@ def _packed_state(rod: Rod, state: RodState) -> Array:
     plus, minus = rod.coefficients[:2]
     free = (plus == 0) & (minus == 0)
     packed[5] = np.where(free, 2.0, np.where(np.abs(packed[5]) == 2.0, 0.0, packed[5]))
-    packed[5, 0] = 0.0
     return packed
 
 
