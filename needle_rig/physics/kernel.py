@@ -952,6 +952,8 @@ def run(  # type: ignore[no-untyped-def]
         row = 0
         store(rod, flags, laws, stiffness, states, now, time, 0, sensors, outputs)
 
+    # torque laws move the needle at a base that stands still, once
+    at_rest = flags & HAS_LAWS == 0
     while row < samples - 1:
         if counts[SOLVES] > scalars[MOST_SOLVES]:
             counts[FAILED_SAMPLE] = max(row, 0)
@@ -965,7 +967,7 @@ def run(  # type: ignore[no-untyped-def]
             if row < 0:
                 # the record starts elsewhere than the state: the base turned there within one sample
                 dt = times[1] - times[0] if samples > 1 else 1e-3
-            elif base[target] == base[row]:
+            elif base[target] == base[row] and at_rest:
                 store(rod, flags, laws, stiffness, states, now, times[target], target, sensors, outputs)
                 row = target
                 time = times[row]
@@ -1037,7 +1039,9 @@ def run(  # type: ignore[no-untyped-def]
             length = 0.5 * dt
             continue
         if single:
-            since = end_base - states[now, GRIP, 0]
+            at_rest = True
+            turned = end_base - states[now, GRIP, 0]
+            since = turned if turned != 0.0 else -1.0
             before, now, end = now, end, before
         else:
             if not halved:

@@ -334,3 +334,14 @@ def test_only_tissue_that_remembers_its_rest_ages(rest_s):
     assert (age_s[~remembers] == 0.0).all()
     assert (age_s[remembers] > 1.0).all()
     assert (age_s <= time[-1]).all()
+
+
+@pytest.mark.parametrize("steady", [False, True])
+def test_a_torque_law_turns_the_needle_before_the_base_moves(steady):
+    """Elastic tissue gives way to it at once, and no further."""
+    plain = rod(stiffness=0.278)
+    law = TorqueLaw(pull_up, np.array([0.01e-2, 0.3, 0.0]), plain.tissue_length_m, steady)
+    time, base = np.linspace(0.0, 3.0, 61), np.concatenate([np.zeros(40), np.linspace(0.0, 0.5, 21)])
+    solution = solve(replace(plain, laws=(law,)), time, base)
+    assert np.degrees(solution.sensor_rad[1, -1]) < -0.1
+    assert solution.sensor_rad[39] == pytest.approx(solution.sensor_rad[1], abs=1e-5)
