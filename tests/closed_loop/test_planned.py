@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from needle_rig.control.planning import effort as effort_module
 from needle_rig.control.planning.belief import World, first_belief, worlds
-from needle_rig.control.planning.effort import CALL_SOLVES, MOST_SOLVES, Effort, Spent
+from needle_rig.control.planning.effort import CALL_SOLVES, Effort, Spent
 from needle_rig.control.planning.search import Aim, carry_out, cheapest, likeliest_plans, rate
 from needle_rig.control.strategies.planned import PLAN_SOLVES, Planned
 from needle_rig.control.strategy import Strategy, Task, Trust, Waypoint, make_strategy
@@ -280,20 +281,22 @@ def test_a_needle_that_snaps_too_often_is_left_to_reed2008(monkeypatch: pytest.M
     assert [motion.name for motion in run.history[-4:]] == ["overshoot", "back", "forward", "final"]
 
 
-def test_a_sequence_that_takes_too_many_solves_counts_as_bad() -> None:
+def test_a_sequence_that_takes_too_many_solves_counts_as_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+    most = 1000.0
+    monkeypatch.setattr(effort_module, "MOST_SOLVES", most)
     snapping = load_parameters("rig_rigid").with_effects(Stribeck(3.0, 6.0, 0.8))
     task = _task(snapping)
     model = first_belief(snapping, {}, 1e-6).model
     state = relaxed(model.rod(Trial(np.empty(0), np.empty(0))))
     aim = Aim(task, 0.0, rad(120.0), 3.0, 0.9, rad(0.15))
     turns = [rad(a) for a in (90.0, 0.0, 90.0, 45.0)]
-    effort = Effort(10.0 * MOST_SOLVES)
+    effort = Effort(10.0 * most)
     plan = rate(aim, [World(model, state)], turns, effort)
     assert not plan.followed
-    assert effort.left == 9.0 * MOST_SOLVES - CALL_SOLVES
+    assert effort.left == 9.0 * most - CALL_SOLVES
     time_s = np.array([0.0, 2.0])
     with pytest.raises(SolverError, match=r"more than 100 solves after .* s: the needle snaps too often"):
         model.truth(Trial(time_s, np.array([0.0, rad(90.0)])), state, most_solves=100.0)
     # what the whole cannot afford is not a fault of the sequence
     with pytest.raises(Spent):
-        rate(aim, [World(model, state)], turns, Effort(0.5 * MOST_SOLVES))
+        rate(aim, [World(model, state)], turns, Effort(0.5 * most))
