@@ -8,9 +8,9 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.solver import RodState, Solution
 
 CALL_SOLVES = 150.0
-LAW_SOLVES = 5.0
+LAW_SOLVES = 2.0
 """What a call of the solver costs besides its solves, and what a solve with torque laws costs, in solves of
-1 µs. Both with room: a solve with laws took two to four times as long."""
+1 µs: one with laws takes 1.8 µs."""
 MOST_SOLVES = 30_000.0
 """Of one sequence: above all but those of needles that snap all the way."""
 
