@@ -232,9 +232,10 @@ def _run(
             f"no balance of torques found after {time[sample]:g} s at node {node}"
             f" ({rod.position_m[node] * 1e3:g} mm from the base); check the coefficients there"
         )
-    if not (np.isfinite(torque).all() and np.isfinite(packed[kernel.ANGLE]).all()):
+    finite = np.isfinite(packed).all(axis=0)
+    if not (np.isfinite(torque).all() and finite.all()):
         sample = int(np.argmin(np.isfinite(torque)))
-        node = int(np.argmin(np.isfinite(packed[kernel.ANGLE])))
+        node = int(np.argmin(finite))
         raise SolverError(
             f"angles stopped being finite at {time[sample]:g} s near node {node}"
             f" ({rod.position_m[node] * 1e3:g} mm from the base); check the torque laws there"
