@@ -12,7 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtrc
 
-from needle_rig.workbench.fit import LOOSE, Fit, excess, fit, fit_without_derivatives
+from needle_rig.workbench.fit import (
+    LOOSE,
+    Fit,
+    excess,
+    fit,
+    fit_without_derivatives,
+    through_valleys,
+)
 from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.preview import Preview, Start, preview
 from needle_rig.workbench.problem import Point, Problem
@@ -125,6 +132,8 @@ def try_effect(
             best = found
     if best is not None and parent.objective - best.objective > PROMISING and refinable(problem, best):
         best = fit(problem, names, best.point, nuisance=best.nuisance) or best
+    if best is not None:
+        best = through_valleys(problem, best)
     room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
     off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
     if starts and not off and (best is None or best.objective > parent.objective + room):

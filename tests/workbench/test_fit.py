@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from needle_rig.physics.library import find_effects
 from needle_rig.workbench.coordinates import coordinates, make_effects, positions_of
+from needle_rig.workbench.fit import STEP
 from needle_rig.workbench.held_out import held_out
 from needle_rig.workbench.prepare import prepare
 from needle_rig.workbench.search import chance, held_gain, try_effect
@@ -123,13 +124,13 @@ def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
     problem = prepared.problem
     found = try_effect(problem, prepared.present, "tip_friction").fit
     every = list(range(len(problem.trials)))
-    moved = dataclasses.replace(found.point, trial_friction=found.point.trial_friction + 0.01)
+    moved = dataclasses.replace(found.point, trial_friction=found.point.trial_friction + STEP)
     readings = [
         problem.readings([problem.model(found.axes, p, t) for t in every], every)
         for p in (found.point, moved)
     ]
     for t in every:
-        change = problem.whiteners[t](readings[1][t] - readings[0][t]) / 0.01
+        change = problem.whiteners[t](readings[1][t] - readings[0][t]) / STEP
         assert found.jacobians[t][:, -1] == pytest.approx(change, rel=1e-6, abs=1e-6)
     shared = np.concatenate([j[:, 0] for j in found.jacobians])
     own = np.concatenate([j[:, -1] for j in found.jacobians])
@@ -143,6 +144,16 @@ def test_commands_left_out_are_foretold_at_their_own_friction():
     found = try_effect(prepared.problem, prepared.present, "tip_friction")
     assert np.abs(found.fit.point.trial_friction).max() > 0.1
     assert found.held.error < 1.1
+
+
+def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
+    """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
+    noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
+    data = dataset(effect("friction_wear", loss_per_turn=0.06), noise=noise, seed=3)
+    prepared = prepare(data, None, few("friction_wear"))
+    found = try_effect(prepared.problem, prepared.present, "friction_wear").fit
+    assert prepared.present.objective - found.objective > 9.0
+    assert found.point.positions[0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
