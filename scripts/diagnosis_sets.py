@@ -154,7 +154,6 @@ def spoiled(dataset, impostor: str, seed: int):
                 given,
                 trial=dataclasses.replace(given.trial, time_s=time_s[keep], base_angle_rad=base),
                 base_measured_rad=given.base_measured_rad[keep],
-                base_residual_rad=given.base_residual_rad[keep],
                 torque_nm=torque[keep],
                 hall_rad=hall[keep],
                 phase=given.phase[keep],

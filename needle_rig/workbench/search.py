@@ -311,16 +311,16 @@ class Search:
         self.problem = dataclasses.replace(self.problem, nuisance=joined, _cache=self.problem._cache)
         self.work.share(self.problem)
         again = {c.effect for c in self.children.get(self.best, []) if self._worth_again(c)}
-        names, at = self.fits[self.best][0].effects, self.fits[self.best][0].point
-        root, root_at = self.root.effects, self.root.point
         stale = self.children.get(self.best, [])
+        kept_fits = {self.start: (self.root, self.root_held), self.best: self.fits[self.best]}
         self.fits, self.children = {}, {}
-        self.keep(*refit(self.problem, root, root_at))
-        self.root, held = self.fits[self.start]
-        assert held is not None
-        self.root_held = held
-        if self.best != self.start:
-            self.keep(*refit(self.problem, names, at))
+        for key, (old, old_held) in kept_fits.items():
+            new, new_held = refit(self.problem, old.effects, old.point)
+            if new is None:
+                new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
+            self.fits[key] = new, new_held
+        self.root, root_held = self.fits[self.start]
+        self.root_held = root_held or self.root_held
         parent = self.fits[self.best][0]
         redone = {
             c.effect: c for c in self.work.run(try_effect, [(parent, n) for n in sorted(again - {trace})])

@@ -7,6 +7,7 @@ import pytest
 
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
+from needle_rig.workbench import search
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.work import workers
 from tests.workbench.hidden import dataset, effect, few
@@ -61,6 +62,13 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
     assert found.verdict == "unknown"
     assert "tissue_elasticity removes 99.8 % of the error and leaves 2.38 × the noise" in found.notes[-1]
     assert "time since a stop" in found.left_over.patterns[0].sentence()
+
+
+def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(search, "refit", lambda *_: (None, None))
+    found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
+    assert found.verdict == "none"
+    assert found.decisions["torque_bias"].decision == "negligible"
 
 
 def test_an_effect_too_small_to_matter_is_negligible():
