@@ -180,7 +180,7 @@ def test_a_torque_with_a_value_per_sensor_is_refused(folder, model):
         (["tissue_elasticity=0.35"], {"stiffness_nmm_per_rad_per_100mm": 0.35}),
         (["tissue_elasticity"], {"stiffness_nmm_per_rad_per_100mm": 0.35}),
         (["tissue_elasticity=inf"], {"stiffness_nmm_per_rad_per_100mm": float("inf")}),
-        (["stribeck=0.4,10"], {"static_excess": 0.4, "rate_deg_s": 10, "weakening_deg": 6}),
+        (["stribeck=0.4,10"], {"static_excess": 0.4, "rate_deg_s": 10, "weakening_deg": 8}),
         (["stribeck=0.4", "stribeck:weakening_deg=2"], {"static_excess": 0.4, "weakening_deg": 2}),
         (["layered_friction=0.3,0.8,1.3,1.6"], {"factor": (0.3, 0.8, 1.3, 1.6)}),
         (["hall_offset=2"], {"offset_deg": 2}),

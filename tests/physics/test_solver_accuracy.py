@@ -50,7 +50,11 @@ CASES = (
         "stribeck": lambda **o: rod(static_excess=0.3, stribeck_rate_rad_s=0.2, weakening_rad=0.2, **o),
         "stribeck, elastic": lambda **o: rod(static_excess=0.3, stiffness=0.278, weakening_rad=0.2, **o),
         "stribeck, viscous": lambda **o: rod(static_excess=0.3, viscous=0.05, weakening_rad=0.03, **o),
+        "stribeck, as the effect is": lambda **o: rod(
+            static_excess=0.3, stribeck_rate_rad_s=np.radians(6.0), weakening_rad=np.radians(8.0), **o
+        ),
         "ageing": lambda **o: rod(ageing_per_decade=0.1, weakening_rad=0.03, **o),
+        "ageing, as the effect is": lambda **o: rod(ageing_per_decade=0.2, weakening_rad=0.02, **o),
         "ageing, elastic": lambda **o: rod(ageing_per_decade=0.1, stiffness=0.278, weakening_rad=0.03, **o),
         "soft chuck": lambda **o: rod(base_compliance_rad_per_nm=1 / 0.256e-3, **o),
         "tip": lambda **o: lumped("tip", 0.02, **o),

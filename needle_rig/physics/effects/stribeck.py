@@ -55,7 +55,7 @@ class Stribeck(Effect):
         off=0.0,
         lower=0.8,
         upper=30.0,
-        typical=6.0,
+        typical=8.0,
         smallest=1.0,
         literature=(1.0, 10.0),
         unit="°",
