@@ -29,9 +29,9 @@ LOOSE = 2e-3
 """or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
 MOST_SOLVES = 150.0
 """Solves a sample beyond which a fit does not go: a needle that snaps from balance to balance, whose instants
-no derivative follows. Ageing friction takes up to ninety, most effects one or two."""
-MOST_WALKS, MOST_VALLEYS = 4, 1
-"""How often a fit goes on from a lower place along a valley, and how many valleys it looks along."""
+no derivative follows. Ageing friction takes about ten, most effects one or two."""
+MOST_WALKS = 4
+"""How often a fit goes on from a lower place along its least certain direction."""
 LEVEL = 1e6
 """Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level.
 Without it the two trade places along a direction that the data do not see, and damped steps creep."""
@@ -266,13 +266,13 @@ def fit(
 
 
 def through_valleys(problem: Problem, found: Fit) -> Fit:
-    """A fit, or the one that goes on from lower places along the directions that the data hardly tell apart.
+    """A fit, or the one that goes on from lower places along the direction that the data hardly see.
 
     There the objective falls by less than its derivatives err, and a fit stops far from its minimum with a
     spread that knows nothing of it.
     """
     for _ in range(MOST_WALKS):
-        lower = _along_valleys(problem, found)
+        lower = _along_valley(problem, found)
         if lower is None:
             break
         again = fit(problem, found.effects, lower[0], nuisance=lower[1])
@@ -282,8 +282,8 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
     return found
 
 
-def _along_valleys(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
-    """The lowest place on the least certain directions of a fit if it is lower than the fit, else None.
+def _along_valley(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
+    """The lowest place on the least certain direction of a fit if it is lower than the fit, else None.
 
     All other parameters follow as the fit's derivatives say: the trials' own friction, too.
     """
@@ -299,15 +299,14 @@ def _along_valleys(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
         return None
     spread, directions = np.linalg.eigh(own / np.outer(size, size))
     lowest, lower = found.chi2 + state.prior(at) - ENOUGH, None
-    for i in range(len(places))[: -1 - MOST_VALLEYS : -1]:
-        along = np.sqrt(max(spread[i], 0.0)) * size * directions[:, i]
-        move = inverse[:, places] @ np.linalg.lstsq(own, along, rcond=1e-12)[0]
-        for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
-            moved = np.clip(at + sigmas * move, state.low, state.high)
-            rows = state.rows(moved)
-            value = np.inf if rows is None else _sum(rows) + state.prior(moved)
-            if value < lowest:
-                lowest, lower = value, moved
+    along = np.sqrt(max(spread[-1], 0.0)) * size * directions[:, -1]
+    move = inverse[:, places] @ np.linalg.lstsq(own, along, rcond=1e-12)[0]
+    for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
+        moved = np.clip(at + sigmas * move, state.low, state.high)
+        rows = state.rows(moved)
+        value = np.inf if rows is None else _sum(rows) + state.prior(moved)
+        if value < lowest:
+            lowest, lower = value, moved
     return None if lower is None else (state.point(lower), lower[state.p + state.trials :])
 
 
