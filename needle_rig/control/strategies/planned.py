@@ -36,7 +36,7 @@ from needle_rig.units import deg, nmm, rad
 SAMPLES = 8
 MOST_AHEAD = 5
 PLAN_SOLVES = 350_000.0
-"""What one plan may spend, belief and all: at most 0.4 s of one core."""
+"""What one plan may spend, belief and all: half a second of a core that does nothing else."""
 CORRECTION_SHARE, LIKELY_SHARE = 0.4, 0.55
 """What correcting the belief may take of it, and the search in the likeliest needle of what is then left."""
 FRICTION_SIGMA = 1.64
