@@ -74,12 +74,16 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
 
 
 def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
-    """Whether what the child changes is under three times our solver's own error along it."""
+    """Whether what the child changes is under three times our solver's own error along it.
+
+    The pull on the needle's constants is a part of the change that our error has none of.
+    """
     if not problem.nuisance[0].shape[1]:
         return False
     change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
     ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
-    return bool(change @ change < TIMES_OURS * abs(change @ ours))
+    pull = parent.pull_rigidity - child.pull_rigidity
+    return bool(change @ change + pull**2 < TIMES_OURS * abs(change @ ours))
 
 
 def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:

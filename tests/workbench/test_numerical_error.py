@@ -43,6 +43,8 @@ def test_a_claim_under_three_times_our_own_error_is_refused():
     assert may_be_ours(problem, parent, child(2.9))
     assert may_be_ours(problem, parent, child(-1.0))
     assert not may_be_ours(problem, parent, child(3.1))
+    freed = dataclasses.replace(child(1.0), pull_rigidity=parent.pull_rigidity + 12.0)
+    assert not may_be_ours(problem, parent, freed)
 
 
 def test_a_finer_solver_leaves_less_of_our_own_error():
