@@ -7,6 +7,7 @@ import json
 import random
 import time
 import traceback
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -36,6 +37,7 @@ PAIRS = (
     ("hall_gain", "tissue_elasticity"),
 )
 OTHER_LAYOUT = Layout(0.31, ((0.12, 0.16), (0.18, 0.24), (0.255, 0.30)), (0.17, 0.247, 0.309))
+STANDARD = load_protocol("standard")
 FEWER_TRIALS = Protocol(
     "fewer",
     (
@@ -47,14 +49,37 @@ FEWER_TRIALS = Protocol(
         compensation(90.0, 90.0, 8.0),
     ),
 )
-SETUPS = (
-    (None, Noise(friction_scatter=0.02, rigidity_error=0.02)),
-    (None, Noise(hall_deg=0.12, torque_nmm=0.0004, friction_scatter=0.01, rigidity_error=0.02)),
-    (None, Noise(friction_scatter=0.05, rigidity_error=0.02)),
-    (None, Noise(hall_deg=0.5, torque_nmm=0.0016, friction_scatter=0.03, rigidity_error=0.02)),
-    (OTHER_LAYOUT, Noise(friction_scatter=0.02, rigidity_error=0.02)),
+FEWEST_TRIALS = Protocol(
+    "fewest", (compensation(45.0), compensation(-60.0), compensation(45.0), compensation(-60.0))
 )
-"""Layout (None: the experiment's, with the standard series) and noise; the last has fewer trials too."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a dataset is measured with, and how; without a layout it is the experiment's."""
+
+    noise: Noise
+    layout: Layout | None = None
+    protocol: Protocol = STANDARD
+    rate_hz: float = 50.0
+
+
+SETUPS = (
+    Setup(Noise(friction_scatter=0.02, rigidity_error=0.02)),
+    Setup(Noise(hall_deg=0.12, torque_nmm=0.0004, friction_scatter=0.01, rigidity_error=0.02)),
+    Setup(Noise(friction_scatter=0.05, rigidity_error=0.02)),
+    Setup(Noise(hall_deg=0.5, torque_nmm=0.0016, friction_scatter=0.03, rigidity_error=0.02)),
+    Setup(Noise(friction_scatter=0.02, rigidity_error=0.02), OTHER_LAYOUT, FEWER_TRIALS),
+)
+POOR = len(SETUPS)
+SETUPS += (
+    Setup(
+        Noise(hall_deg=4.0, torque_nmm=0.016, friction_scatter=0.1, rigidity_error=0.02),
+        protocol=FEWEST_TRIALS,
+        rate_hz=10.0,
+    ),
+)
+"""The last hides much that matters: it asks whether that is admitted, at half the limit."""
 
 
 def plan(seeds: int) -> list[dict]:
@@ -64,31 +89,36 @@ def plan(seeds: int) -> list[dict]:
 
     def one(strength: float) -> list[dict]:
         return [
-            {"kind": "one", "effects": [n], "strength": strength, "setup": (i + s) % len(SETUPS), "seed": s}
+            {"kind": "one", "effects": [n], "strength": strength, "setup": (i + s) % POOR, "seed": s}
             for i, n in enumerate(names)
             for s in every
         ]
 
     parts = [(0.7, one(3.0)), (1.0, one(10.0)), (1.0, one(1.0)), (1.0, one(5.0)), (0.9, one(0.5))]
-    parts.append((0.7, [{"kind": "none", "setup": s % len(SETUPS), "seed": s} for s in range(12 * seeds)]))
+    admitted = [
+        {"kind": "one", "effects": [n], "strength": 0.5, "setup": POOR, "seed": s}
+        for n in names
+        for s in range((seeds + 1) // 2)
+    ]
+    parts.append((0.7, [{"kind": "none", "setup": s % POOR, "seed": s} for s in range(12 * seeds)]))
     for strength in (3.0, 10.0):
         pairs = [
-            {"kind": "pair", "effects": p, "strength": strength, "setup": (i + s) % len(SETUPS), "seed": s}
+            {"kind": "pair", "effects": p, "strength": strength, "setup": (i + s) % POOR, "seed": s}
             for i, p in enumerate(map(list, PAIRS))
             for s in every
         ]
         parts.append((1.0, pairs))
     removed = [
-        {"kind": "removed", "effects": [n], "strength": 10.0, "setup": (i + s + 1) % len(SETUPS), "seed": s}
+        {"kind": "removed", "effects": [n], "strength": 10.0, "setup": (i + s + 1) % POOR, "seed": s}
         for i, n in enumerate(names)
         for s in range((seeds + 1) // 2)
     ]
     spoilt = [
-        {"kind": "impostor", "impostor": i, "setup": s % len(SETUPS), "seed": s}
+        {"kind": "impostor", "impostor": i, "setup": s % POOR, "seed": s}
         for i in IMPOSTORS
         for s in range(4 * seeds)
     ]
-    parts += [(0.8, removed), (0.9, spoilt)]
+    parts += [(0.8, removed), (0.9, spoilt), (1.0, admitted)]
     placed = []
     for number, (weight, tasks) in enumerate(parts):
         random.Random(number).shuffle(tasks)
@@ -104,17 +134,16 @@ def key(task: dict) -> str:
 
 def simulated(setup: int, effects, seed: int, finer: float = 1.0):
     """A dataset of a setup with these effects hidden."""
-    layout, noise = SETUPS[setup]
+    given = SETUPS[setup]
     model = load_parameters("rig_rigid").with_effects(*effects)
-    if layout is not None:
-        model = dataclasses.replace(model, layout=layout)
+    if given.layout is not None:
+        model = dataclasses.replace(model, layout=given.layout)
     model = dataclasses.replace(
         model,
         element_length_m=model.element_length_m / finer,
         tolerance_rad=model.tolerance_rad / finer,
     )
-    protocol = load_protocol("standard") if layout is None else FEWER_TRIALS
-    return simulate_dataset(model, protocol, seed, noise, name="x")
+    return simulate_dataset(model, given.protocol, seed, given.noise, name="x", rate_hz=given.rate_hz)
 
 
 _PREPARED: dict[int, object] = {}
@@ -173,7 +202,7 @@ def judge(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
 def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
     """The answer to one dataset."""
     library = dict(find_effects())
-    layout = SETUPS[task["setup"]][0] or load_parameters("rig_rigid").layout
+    layout = SETUPS[task["setup"]].layout or load_parameters("rig_rigid").layout
     turn = -1.0 if task["seed"] % 2 else 1.0
     hidden, truth, limits = [], {}, {}
     for name in task.get("effects", ()):

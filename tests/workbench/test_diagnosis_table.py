@@ -47,9 +47,12 @@ def line(text, begins):
 def test_the_plan_is_as_large_as_asked_and_names_no_dataset_twice(script):
     tasks = script.plan(5)
     assert len({script.key(t) for t in tasks}) == len(tasks)
-    one = Counter((t["effects"][0], t["strength"]) for t in tasks if t["kind"] == "one")
+    poor = len(script.SETUPS) - 1
+    usual = [t for t in tasks if t["kind"] == "one" and t["setup"] != poor]
+    one = Counter((t["effects"][0], t["strength"]) for t in usual)
     assert len({name for name, _ in one}) >= 20
     assert set(one.values()) == {5}
+    assert {t["strength"] for t in tasks if t["setup"] == poor} == {0.5}
     kinds = Counter(t["kind"] for t in tasks)
     assert kinds["none"] >= 60
     for name in {name for name, _ in one}:
