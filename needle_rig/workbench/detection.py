@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -9,9 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.workbench.coordinates import Coordinate
+from needle_rig.workbench.fit import Fit, fit
 from needle_rig.workbench.prepare import Prepared
-from needle_rig.workbench.preview import Projector, forms, signature
+from needle_rig.workbench.preview import forms
+from needle_rig.workbench.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
@@ -45,21 +49,16 @@ def smallest_strength(axes: Sequence[Coordinate]) -> float:
 def detection_limit(prepared: Prepared, effect: str, turn: float = 1.0) -> float:
     """Strength, in typical sizes, at which `effect` would lower the objective by 16 on average.
 
-    From the noise-free change of the model, with what the present model's parameters could take up projected
-    out. Infinite where not even thirty typical sizes show.
+    From readings without noise of the model with the effect: what the present model, all its parameters
+    fitted again, cannot take up. Infinite where not even thirty typical sizes show.
     """
     problem, parent = prepared.problem, prepared.present
     axes = problem.axes([effect])
-    project = Projector(problem, parent)
+    idle = _missed(problem, parent, axes, np.zeros(len(axes)))
 
     def above(log_strength: float) -> float:
-        change = signature(
-            problem, parent, (*parent.axes, *axes), at_strength(axes, math.exp(log_strength), turn)
-        )
-        if change is None:
-            return -math.log(EXPECTED_GAIN)
-        left = project(change)
-        return math.log(max(float(left @ left), 1e-6) / EXPECTED_GAIN)
+        missed = _missed(problem, parent, axes, at_strength(axes, math.exp(log_strength), turn))
+        return math.log(max(missed - idle, 1e-6) / EXPECTED_GAIN)
 
     low, high = math.log(smallest_strength(axes)), math.log(smallest_strength(axes))
     while above(high) < 0:
@@ -71,3 +70,20 @@ def detection_limit(prepared: Prepared, effect: str, turn: float = 1.0) -> float
         if low < math.log(WEAKEST):
             return WEAKEST
     return math.exp(float(brentq(above, low, high, xtol=0.05)))
+
+
+def _missed(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> float:
+    """Objective of the present model, fitted to what it would read without noise with an effect in it.
+
+    0 where the model cannot be solved.
+    """
+    point = dataclasses.replace(parent.point, positions=np.r_[parent.point.positions, positions])
+    every = list(range(len(problem.trials)))
+    try:
+        models = [problem.model((*parent.axes, *axes), point, t) for t in every]
+        readings = problem.readings(models, every)
+    except (SolverError, BadInput):
+        return 0.0
+    trials = tuple(dataclasses.replace(b, mean=r) for b, r in zip(problem.trials, readings, strict=True))
+    found = fit(dataclasses.replace(problem, trials=trials), parent.effects, parent.point)
+    return found.objective if found is not None else 0.0

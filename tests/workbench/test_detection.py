@@ -30,3 +30,14 @@ def test_signs_alternate_over_sensors_and_follow_the_turn():
     assert offsets.tolist() == [-2.0, 2.0, -2.0, 2.0]
     assert at_strength(problem.axes(["chuck_backlash"]), 2.0, turn=-1.0).tolist() == [2.0]
     assert smallest_strength(problem.axes(["hall_offset"])) > 0
+
+
+def test_what_the_trials_own_friction_can_take_up_shows_only_above_its_scatter():
+    wear = few("friction_wear")
+    prepared = prepare(dataset(noise=Noise(friction_scatter=0.05)), None, wear)
+    turns = prepared.problem.trials[-1].trial.travel_before_rad / math.tau
+    limit = (
+        detection_limit(prepared, "friction_wear")
+        * wear["friction_wear"].parameters()["loss_per_turn"].typical
+    )
+    assert limit * turns > 2 * 0.05
