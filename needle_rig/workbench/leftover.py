@@ -123,7 +123,6 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
     project = Projector(problem, found)
     every = list(range(len(problem.trials)))
     readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
-    residual = project(np.concatenate(found.residuals))
     columns, names = _signatures(problem, readings, sensors)
     projected = project(columns)
     lengths = np.sqrt((projected**2).sum(0))
@@ -132,7 +131,7 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
     names = [n for n, u in zip(names, usable, strict=True) if u]
     limit = float(-ndtri(SIGNIFICANCE / 2 / max(1, len(names))))
     picked: list[tuple[int, float]] = []
-    left, basis = residual.copy(), projected.copy()
+    left, basis = project.missed, projected.copy()
     for _ in range(MOST):
         seen = basis.T @ left
         best = int(np.argmax(np.abs(seen)))

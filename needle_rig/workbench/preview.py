@@ -6,6 +6,7 @@ of what dry friction does; all parameters of the present fit are projected out.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -57,7 +58,11 @@ class Preview:
 
 
 class Projector:
-    """Projects the parameters of a fit out of whitened vectors over all trials."""
+    """Projects the parameters of a fit out of whitened vectors over all trials.
+
+    `missed` is what the fit leaves, with the pulls on its parameters as rows of their own: an effect may be
+    seen by nothing but what it relieves them of.
+    """
 
     def __init__(self, problem: Problem, fit: Fit) -> None:
         trials = len(problem.trials)
@@ -81,12 +86,24 @@ class Projector:
         ]
         matrix[total:, :] = np.diag(tight)
         self.total = total
+        self._own = slice(total + p, total + p + trials)
+        self._scatter = fit.scatter
         self._basis, _ = np.linalg.qr(matrix)
+        point, widths = fit.point, np.array([a.width for a in fit.axes])
+        own = point.trial_friction / fit.scatter
+        pulls = np.r_[0.0, fit.pull_rigidity, point.positions / widths, own, fit.nuisance]
+        left = np.r_[np.concatenate(fit.residuals), -pulls]
+        self.missed: Array = left - self._basis @ (self._basis.T @ left)
 
-    def __call__(self, vectors: Array) -> Array:
-        """(n,) or (n, m) over all trials to what the fit's parameters cannot make; n becomes longer."""
+    def __call__(self, vectors: Array, own: Array | None = None) -> Array:
+        """(n,) or (n, m) over all trials to what the fit's parameters cannot make; n becomes longer.
+
+        `own` (T,) is what goes with it of the trials' own friction, of which their prior tells.
+        """
         padded = np.zeros((self._basis.shape[0], *vectors.shape[1:]))
         padded[: self.total] = vectors
+        if own is not None:
+            padded[self._own] = own / self._scatter
         return np.asarray(padded - self._basis @ (self._basis.T @ padded))
 
 
@@ -126,7 +143,7 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     project = Projector(problem, parent)
     own = problem.axes([effect])
     axes = (*parent.axes, *own)
-    residual = project(np.concatenate(parent.residuals))
+    residual = project.missed
     patterns = _patterns(own)
     asked = max(worth, excess(problem, parent.objective))
     starts: list[Start] = []
@@ -147,7 +164,7 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
                 change = signature(problem, parent, axes, positions)
                 if change is None:
                     continue
-                projected = project(change)
+                projected = project(*change)
                 signatures.append((positions, projected))
                 size = float(projected @ projected)
                 along = float(residual @ projected)
@@ -231,14 +248,33 @@ def _apart(a: Array, b: Array, own: Sequence[Coordinate]) -> bool:
     return max(gap, default=0.0) > 1.0
 
 
-def signature(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Array | None:
-    """Whitened change of the model (n,) over all trials when the effect is put at `positions`."""
-    point = Point(
-        parent.point.log_friction,
-        parent.point.log_rigidity,
-        np.r_[parent.point.positions, positions],
-        parent.point.trial_friction,
-    )
+def beside(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Point:
+    """The parent's optimum with an effect at `positions`, each trial's slip limits as large as they were.
+
+    Otherwise what the parent took for the trials' own friction would be there twice.
+    """
+    point = dataclasses.replace(parent.point, positions=np.r_[parent.point.positions, positions])
+    try:
+        before, after = _slip_limits(problem, parent.axes, parent.point), _slip_limits(problem, axes, point)
+    except BadInput:
+        return point
+    scale = np.log(np.where((before > 0) & (after > 0), before / np.maximum(after, 1e-300), 1.0))
+    return dataclasses.replace(point, trial_friction=point.trial_friction + scale)
+
+
+def _slip_limits(problem: Problem, axes: Sequence[Coordinate], point: Point) -> Array:
+    """Sum of both slip limits of all nodes in each trial (T,), N·m."""
+    trials = enumerate(problem.trials)
+    rods = [problem.model(axes, point, t).rod(binned.trial) for t, binned in trials]
+    return np.array([float(rod.slip_plus_nm.sum() + rod.slip_minus_nm.sum()) for rod in rods])
+
+
+def signature(
+    problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array
+) -> tuple[Array, Array] | None:
+    """Whitened change of the model (n,) over all trials when the effect is put at `positions`, and what it
+    moves in the trials' own friction (T,)."""
+    point = beside(problem, parent, axes, positions)
     trials = list(range(len(problem.trials)))
     try:
         readings = problem.readings([problem.model(axes, point, t) for t in trials], trials)
@@ -248,5 +284,5 @@ def signature(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positio
     change = []
     for t in trials:
         change.append(parent.residuals[t] + problem.nuisance[t] @ parent.nuisance - after[t])
-    found = np.concatenate(change)
-    return found if np.all(np.isfinite(found)) else None
+    found, moved = np.concatenate(change), point.trial_friction - parent.point.trial_friction
+    return (found, moved - moved.mean()) if np.all(np.isfinite(found)) else None

@@ -21,7 +21,7 @@ from needle_rig.workbench.fit import (
     through_valleys,
 )
 from needle_rig.workbench.held_out import HeldOut, held_out
-from needle_rig.workbench.preview import Preview, Start, preview
+from needle_rig.workbench.preview import Preview, Start, beside, preview
 from needle_rig.workbench.problem import Point, Problem
 from needle_rig.workbench.work import Work
 
@@ -76,14 +76,16 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
 def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
     """Whether what the child changes is under three times our solver's own error along it.
 
-    The pull on the needle's constants is a part of the change that our error has none of.
+    What the needle's constants and the trials' own friction are relieved of is a part of the change that our
+    error has none of.
     """
     if not problem.nuisance[0].shape[1]:
         return False
     change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
     ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
     pull = parent.pull_rigidity - child.pull_rigidity
-    return bool(change @ change + pull**2 < TIMES_OURS * abs(change @ ours))
+    own = (parent.point.trial_friction - child.point.trial_friction) / child.scatter
+    return bool(change @ change + pull**2 + own @ own < TIMES_OURS * abs(change @ ours))
 
 
 def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
@@ -109,16 +111,6 @@ def refinable(problem: Problem, found: Fit) -> bool:
     return LOOSE * excess(problem, found.objective) < 10 * ROUGH
 
 
-def start_of(parent: Fit, start: Start) -> Point:
-    """The parent's optimum with the added effect at a start."""
-    return Point(
-        parent.point.log_friction,
-        parent.point.log_rigidity,
-        np.r_[parent.point.positions, start.positions],
-        parent.point.trial_friction,
-    )
-
-
 def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
@@ -127,11 +119,18 @@ def try_effect(
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     names = (*parent.effects, effect)
+    axes = problem.axes(names)
     starts = [*more, *ahead.starts[:1]]
     starts += [s for s in ahead.starts[1:3] if s.gain > max(0.5 * ahead.gain, PROMISING)]
     best: Fit | None = None
     for start in starts:
-        found = fit(problem, names, start_of(parent, start), nuisance=parent.nuisance, enough=ROUGH)
+        found = fit(
+            problem,
+            names,
+            beside(problem, parent, axes, start.positions),
+            nuisance=parent.nuisance,
+            enough=ROUGH,
+        )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
     if best is not None and parent.objective - best.objective > PROMISING and refinable(problem, best):
@@ -142,11 +141,14 @@ def try_effect(
     off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
     if starts and not off and (best is None or best.objective > parent.objective + room):
         # from the parent's optimum with the effect off nothing can become worse
-        idle = Start(np.zeros(len(starts[0].positions)), 0.0)
-        retry = fit(problem, names, start_of(parent, idle), nuisance=parent.nuisance)
+        idle = np.zeros(len(starts[0].positions))
+        retry = fit(problem, names, beside(problem, parent, axes, idle), nuisance=parent.nuisance)
         hoped = parent.objective - 0.5 * ahead.gain
         if ahead.gain > PROMISING and (retry is None or retry.objective > hoped):
-            retry = fit_without_derivatives(problem, names, start_of(parent, starts[0])) or retry
+            retry = (
+                fit_without_derivatives(problem, names, beside(problem, parent, axes, starts[0].positions))
+                or retry
+            )
         if retry is not None and (best is None or retry.objective < best.objective):
             best = retry
     return Candidate(effect, best, held_out(problem, best) if best is not None else None, ahead)

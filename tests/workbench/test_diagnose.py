@@ -85,6 +85,15 @@ def test_a_torque_gain_is_known_by_the_needle_s_stated_constants():
     assert found.ranking[0].values[0].value == pytest.approx(0.7, abs=0.06)
 
 
+def test_friction_that_wears_is_not_taken_for_scatter():
+    found = diagnose(
+        dataset(effect("friction_wear", loss_per_turn=0.5)),
+        few("friction_wear", "torque_bias", "tip_friction"),
+    )
+    assert found.effects == ("friction_wear",)
+    assert found.ranking[0].values[0].value == pytest.approx(0.5, abs=0.1)
+
+
 def test_the_answer_does_not_depend_on_names_and_order(tmp_path):
     data = dataset(ELASTIC)
     shuffled = tuple(data.trials[i] for i in (3, 0, 4, 2, 1))

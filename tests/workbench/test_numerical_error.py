@@ -45,6 +45,9 @@ def test_a_claim_under_three_times_our_own_error_is_refused():
     assert not may_be_ours(problem, parent, child(3.1))
     freed = dataclasses.replace(child(1.0), pull_rigidity=parent.pull_rigidity + 12.0)
     assert not may_be_ours(problem, parent, freed)
+    own = parent.point.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
+    steadied = dataclasses.replace(child(1.0), point=dataclasses.replace(parent.point, trial_friction=own))
+    assert not may_be_ours(problem, parent, steadied)
 
 
 def test_a_finer_solver_leaves_less_of_our_own_error():
