@@ -54,7 +54,9 @@ class Fit:
     pull_rigidity: float
     """Rigidity's distance from its stated value in prior standard deviations."""
     scatter: float
-    """Relative scatter of friction from trial to trial that this fit sees."""
+    """Relative scatter of friction from trial to trial that this fit sees,"""
+    scatter_dof: float
+    """and its degrees of freedom, those of its prior included."""
     covariance: Array
     """Of the global parameters (p, p), all others marginalised."""
     residuals: tuple[Array, ...]
@@ -421,6 +423,7 @@ def _finish(
         trial_loss=loss,
         pull_rigidity=float((x[1] - state.stated) / problem.rigidity_prior),
         scatter=scatter,
+        scatter_dof=noise.scatter_dof + trials,
         covariance=np.asarray(covariance, dtype=np.float64),
         residuals=tuple(rows),
         jacobians=tuple(jacobians),

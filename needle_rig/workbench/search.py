@@ -10,7 +10,7 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri, fdtrc
 
 from needle_rig.workbench.fit import (
     LOOSE,
@@ -63,9 +63,19 @@ def score(problem: Problem, found: Fit) -> float:
 
 
 def chance(parent: Fit, child: Fit, library: int) -> float:
-    """Probability, adjusted over the library, that noise makes a gain like this."""
+    """Probability, adjusted over the library, that noise makes a gain like this.
+
+    The share of the gain that comes from trials whose own friction scatters less counts as that of an F-test:
+    over a few trials chance alone makes a trend.
+    """
     gain = max(parent.objective - child.objective, 0.0)
     freedom = max(1, child.rank - parent.rank)
+    steadier = 2.0 * parent.scatter_dof * float(np.log(parent.scatter / child.scatter))
+    if steadier > 0.0:
+        left = max(1.0, parent.scatter_dof - 1.0 - freedom)
+        ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
+        worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300)))
+        gain = max(gain - steadier + min(worth, steadier), 0.0)
     new = [a for a in child.axes if a.effect not in parent.effects and not a.info.shapes]
     p = float(chdtrc(freedom, gain))
     if all(a.one_sided for a in new):

@@ -1,4 +1,5 @@
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -62,6 +63,17 @@ def test_a_hidden_stiffness_is_found_within_its_error():
     assert abs(at - axis.position(0.45)) < 4 * error
     assert chance(prepared.present, found.fit, 5) < 1e-6
     assert held_gain(prepared.held, found.held) > 0
+
+
+def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
+    parent = prepare(dataset(), None, few()).present
+    gain = 2.0 * parent.scatter_dof * math.log(2.0)
+    seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
+    steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
+    assert parent.scatter_dof == 9.0
+    assert chance(parent, seen, 22) < 0.01
+    # t² = (2² - 1) · 7 of 7 degrees of freedom: 0.2 % for one effect
+    assert chance(parent, steadier, 22) == pytest.approx(22 * 0.0026 / 2, rel=0.5)
 
 
 def test_a_child_is_never_worse_than_its_parent():
