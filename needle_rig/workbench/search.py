@@ -36,6 +36,8 @@ ROUGH = 0.5
 PROMISING = 4.0
 """those that gain more than this are refined."""
 MOST_TRACES = 2
+IDLE = 1e-3
+"""Share of the smallest size that matters below which an effect has no size."""
 FAINT = 0.1
 """Share of a large error that an effect must promise to earn a fit."""
 TIMES_OURS = 3.0
@@ -108,12 +110,14 @@ def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
 
 def is_trace(found: Fit, effect: str) -> bool:
     """Whether an effect's fitted size is below the smallest that matters."""
-    sizes = [
-        (abs(x), a.smallest)
-        for a, x in zip(found.axes, found.point.positions, strict=True)
-        if a.effect == effect and not a.info.shapes
-    ]
-    return all(size < smallest for size, smallest in sizes)
+    return _size(found, effect) < 1.0
+
+
+def _size(found: Fit, effect: str) -> float:
+    """Largest fitted size of an effect, in units of the smallest that matters."""
+    own = [a.effect == effect and not a.info.shapes for a in found.axes]
+    every = zip(found.axes, found.point.positions, own, strict=True)
+    return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, is_own in every if is_own), default=0.0)
 
 
 def refinable(problem: Problem, found: Fit) -> bool:
@@ -300,6 +304,12 @@ class Search:
         found = self.fits[key][0]
         return [e for e in found.effects if e not in self.start and not is_trace(found, e)]
 
+    def _take_over(self, key: frozenset[str], idle: str) -> None:
+        """A fit with an effect of no size in it is a better fit of the others."""
+        found, _ = self.fits.pop(key)
+        names = tuple(e for e in found.effects if e != idle)
+        self.keep(*refit(self.problem, names, without(found, idle)))
+
     def _set_aside(self, key: frozenset[str], trace: str) -> None:
         """Turn an effect that is seen but too small to matter into a nuisance direction of that small size.
 
@@ -311,11 +321,10 @@ class Search:
         every = list(range(len(self.problem.trials)))
         positions = point.positions.copy()
         off = positions.copy()
-        largest = 0.0
         for i, axis in enumerate(found.axes):
             if axis.effect == trace and not axis.info.shapes:
                 off[i] = 0.0
-                largest = max(largest, abs(positions[i]) / max(axis.smallest, 1e-12))
+        largest = _size(found, trace)
         on = self.problem.readings([self.problem.model(found.axes, point, t) for t in every], every)
         bare = dataclasses.replace(point, positions=off)
         gone = self.problem.readings([self.problem.model(found.axes, bare, t) for t in every], every)
@@ -365,6 +374,10 @@ class Search:
                     chosen = other
                     break
             trace = [e for e in chosen - self.best if is_trace(self.fits[chosen][0], e)]
+            if trace and _size(self.fits[chosen][0], trace[0]) < IDLE:
+                self._take_over(chosen, trace[0])
+                frontier = [self.best]
+                continue
             if trace and self.best <= chosen and len(self.traces) < MOST_TRACES:
                 self._set_aside(chosen, trace[0])
                 frontier = [self.best]

@@ -9,7 +9,9 @@ from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
 from needle_rig.workbench import search
 from needle_rig.workbench.diagnose import diagnose
-from needle_rig.workbench.work import workers
+from needle_rig.workbench.prepare import prepare
+from needle_rig.workbench.search import try_effect
+from needle_rig.workbench.work import Here, workers
 from tests.workbench.hidden import dataset, effect, few
 
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
@@ -241,3 +243,18 @@ def test_the_seed_and_the_folder_change_no_verdict(tmp_path):
         read = read_dataset(write_dataset(data, tmp_path / folder))
         answers.append(diagnose(dataclasses.replace(read, name="x"), names, seed=seed).as_json())
     assert answers[0] == answers[1]
+
+
+def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
+    prepared = prepare(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
+    problem, names = prepared.problem, ("tissue_elasticity", "torque_bias")
+    good = try_effect(problem, prepared.present, "tissue_elasticity")
+    worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
+    idle = dataclasses.replace(good.fit.point, positions=np.r_[good.fit.point.positions, 0.0])
+    hunt = search.Search(problem, names, Here(), 3, prepared.present, prepared.held)
+    hunt.keep(worse, good.held)
+    both = frozenset(names)
+    hunt.keep(*search.refit(problem, names, idle))
+    hunt._take_over(both, "torque_bias")
+    assert both not in hunt.fits
+    assert hunt.fits[frozenset(names[:1])][0].objective == pytest.approx(good.fit.objective, abs=0.1)
