@@ -16,9 +16,9 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.fit import Fit
-from needle_rig.workbench.held_out import HeldOut
+from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.noise import covariance
-from needle_rig.workbench.prepare import Prepared, null_model, prepare
+from needle_rig.workbench.prepare import Prepared, at_own_error, null_model, prepare
 from needle_rig.workbench.problem import Problem
 from needle_rig.workbench.search import held_gain, try_effect
 
@@ -70,7 +70,8 @@ def adopt(
             f" ({before.error:.3f} → {after.error:.3f} × the noise);"
             " it was not added. Add it all the same with --force."
         )
-    problem = prepared.problem
+    # our own error as it is at the new model, where the next comparison will measure it
+    problem, found = at_own_error(prepared.problem, found, dataset.trials, prepared.fine_m)
     model = dataclasses.replace(
         problem.model(found.axes, found.point),
         name=name or (present.name if saved else dataset.name),
@@ -80,7 +81,7 @@ def adopt(
         added=(effect,),
         dataset=dataset.name,
         date=today or datetime.datetime.now(datetime.UTC).date().isoformat(),
-        errors=ladder_errors(prepared, found, held),
+        errors=ladder_errors(prepared, found, held_out(problem, found)),
         values_before=_values(prepared),
         note="" if foretold else "added by force: the error on commands left out did not fall",
     )

@@ -6,15 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from needle_rig.dataset import Dataset
+from needle_rig.errors import SolverError
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.answer import Answer, Say
 from needle_rig.workbench.decisions import decide
 from needle_rig.workbench.experiment import best_experiment
-from needle_rig.workbench.held_out import HeldOut
+from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.lack_of_fit import lack_of_fit
 from needle_rig.workbench.leftover import find_leftover
-from needle_rig.workbench.prepare import Prepared, prepare
+from needle_rig.workbench.prepare import Prepared, at_own_error, prepare
+from needle_rig.workbench.problem import Problem
 from needle_rig.workbench.ranking import order, rank, values_of
 from needle_rig.workbench.rivals import Rival, find_rivals
 from needle_rig.workbench.search import Search
@@ -72,12 +75,11 @@ def diagnose(
 def _conclude(
     prepared: Prepared, search: Search, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
 ) -> Diagnosis:
-    problem = search.problem
-    best, held = search.fits[search.best]
     root, root_held = search.root, search.root_held
     named = search.named(search.best)
+    gain = max(0.0, root.objective - search.fits[search.best][0].objective)
+    problem, best, held = _adopted(prepared, search) if named else (search.problem, root, root_held)
     left = find_leftover(problem, best, sensors)
-    gain = max(0.0, root.objective - best.objective)
     explained_fraction = gain / (gain + left.gain) if gain + left.gain > 0 else 1.0
     if not named:
         explained_fraction = 1.0 if not left.significant else 0.0
@@ -87,7 +89,7 @@ def _conclude(
         unexplained = explained_fraction < WELL_EXPLAINED
     if explained_fraction < EXPLAINED and left.significant and named:
         unexplained = True
-    if named and left.significant and held is not None and held.error > REACHED:
+    if named and left.significant and held.error > REACHED:
         unexplained = True
     if not named and lack is not None and lack.significant and not _too_small(lack.size, lack.unit):
         unexplained = True
@@ -98,8 +100,8 @@ def _conclude(
     experiment = None
     if ties and verdict == "effect":
         effect, rival = ties[0]
-        experiment = best_experiment(problem, best, search.fits[rival.key][0], effect, rival.effect, sensors)
-    assert held is not None
+        mine, other = search.fits[search.best][0], search.fits[rival.key][0]
+        experiment = best_experiment(search.problem, mine, other, effect, rival.effect, sensors)
     return Diagnosis(
         dataset=prepared.dataset.name,
         model=problem.base.name,
@@ -128,6 +130,17 @@ def _conclude(
     )
 
 
+def _adopted(prepared: Prepared, search: Search) -> tuple[Problem, Fit, HeldOut]:
+    """What the search ended at, with our solver's error as it is there and not at the present model."""
+    found, held = search.fits[search.best]
+    try:
+        problem, best = at_own_error(search.problem, found, prepared.dataset.trials, prepared.fine_m)
+    except SolverError:
+        assert held is not None
+        return search.problem, found, held
+    return problem, best, held_out(problem, best)
+
+
 def _preview_notes(search: Search, named: list[str]) -> list[str]:
     """What was not fitted in the place of an effect, since its preview gains too little."""
     notes = []
@@ -149,9 +162,11 @@ def _preview_notes(search: Search, named: list[str]) -> list[str]:
     return notes
 
 
-def _partial_notes(named: list[str], share: float, held: HeldOut | None) -> list[str]:
-    left = f" and leaves {held.error:.2f} × the noise on commands left out" if held is not None else ""
-    return [f"{' with '.join(named)} removes {100 * share:.1f} % of the error{left}: not the whole truth."]
+def _partial_notes(named: list[str], share: float, held: HeldOut) -> list[str]:
+    return [
+        f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
+        f" {held.error:.2f} × the noise on commands left out: not the whole truth."
+    ]
 
 
 def _trace_notes(search: Search) -> list[str]:

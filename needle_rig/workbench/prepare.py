@@ -37,6 +37,8 @@ class Prepared:
     present: Fit
     held: HeldOut
     notes: tuple[str, ...]
+    fine_m: float
+    """Element length of the present model as it was given."""
 
 
 def null_model(dataset: Dataset) -> NeedleModel:
@@ -86,13 +88,27 @@ def prepare(dataset: Dataset, model: NeedleModel | None, library: Mapping[str, t
         noise = with_replicate_scatter(noise, binned, left, problem.groups)
         problem = problem.with_noise(noise)
         first = _again(problem, first)
-    problem.nuisance = solver_error(problem, first, dataset.trials, present.element_length_m)
-    final = _again(problem, first)
-    return Prepared(dataset, problem, final, held_out(problem, final), tuple(notes))
+    fine_m = present.element_length_m
+    problem, final = at_own_error(problem, first, dataset.trials, fine_m)
+    return Prepared(dataset, problem, final, held_out(problem, final), tuple(notes), fine_m)
+
+
+def at_own_error(
+    problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float
+) -> tuple[Problem, Fit]:
+    """The problem with the solver's error at a fit as its first nuisance, and the fit to that problem.
+
+    Raises SolverError where the model cannot be solved finely.
+    """
+    others = tuple(n[:, 1:] for n in problem.nuisance)
+    error = solver_error(problem, found, trials, fine_m)
+    nuisance = tuple(np.hstack([e, o]) for e, o in zip(error, others, strict=True))
+    suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
+    return suspect, _again(suspect, found)
 
 
 def _again(problem: Problem, old: Fit) -> Fit:
-    found = fit(problem, old.effects, old.point)
+    found = fit(problem, old.effects, old.point, nuisance=old.nuisance)
     if found is None:
         raise SolverError(f"{problem.name}: the present model could not be solved where it had been before")
     return found

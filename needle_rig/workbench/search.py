@@ -104,8 +104,8 @@ def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
     """Fall of −2 log predictive density on commands left out."""
     if parent is None or child is None:
         return 0.0
-    with np.errstate(invalid="ignore"):
-        return float(np.nan_to_num(parent.loss.sum() - child.loss.sum(), nan=0.0))
+    gain = parent.loss - child.loss
+    return 0.0 if np.isnan(gain) else gain
 
 
 def is_trace(found: Fit, effect: str) -> bool:

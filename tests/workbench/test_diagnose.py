@@ -62,7 +62,7 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
     found = diagnose(dataset(creeping), few("tissue_elasticity", "torque_bias", "hall_offset"))
     assert found.explained_fraction > 0.99
     assert found.verdict == "unknown"
-    assert "tissue_elasticity removes 99.8 % of the error and leaves 2.38 × the noise" in found.notes[-1]
+    assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
     assert "time since a stop" in found.left_over.patterns[0].sentence()
 
 

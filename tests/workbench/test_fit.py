@@ -1,14 +1,17 @@
 import dataclasses
 import math
+from collections import OrderedDict
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
 from needle_rig.workbench.coordinates import coordinates, make_effects, positions_of
-from needle_rig.workbench.fit import STEP
+from needle_rig.workbench.fit import STEP, fit
+from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.held_out import held_out
 from needle_rig.workbench.prepare import prepare
 from needle_rig.workbench.search import chance, held_gain, try_effect
@@ -156,6 +159,103 @@ def test_commands_left_out_are_foretold_at_their_own_friction():
     found = try_effect(prepared.problem, prepared.present, "tip_friction")
     assert np.abs(found.fit.point.trial_friction).max() > 0.1
     assert found.held.error < 1.1
+
+
+def left_out_and_fitted_again(problem, found):
+    """The error by the long way: a fit to the other commands, then the own friction at its minimum of χ²."""
+    chi2 = 0.0
+    for group in problem.groups:
+        kept = [t for t in range(len(problem.trials)) if t not in group]
+        rest = dataclasses.replace(
+            problem,
+            trials=tuple(problem.trials[t] for t in kept),
+            whiteners=tuple(problem.whiteners[t] for t in kept),
+            nuisance=tuple(problem.nuisance[t] for t in kept),
+            _cache=OrderedDict(),
+        )
+        own = found.point.trial_friction[kept]
+        again = fit(rest, found.effects, dataclasses.replace(found.point, trial_friction=own))
+        model = problem.model(again.axes, again.point)
+        for t in group:
+
+            def of(own, model=model, again=again, t=t):
+                with_own = model.with_effects(FrictionOfTrial(math.exp(own)))
+                rows = problem.residuals(problem.readings([with_own], [t]), [t])[0]
+                rows = rows - problem.nuisance[t] @ again.nuisance
+                return rows @ rows + (own / found.scatter) ** 2
+
+            near = found.point.trial_friction[t]
+            grid = np.linspace(near - 0.1, near + 0.1, 41)
+            least = grid[np.argmin([of(own) for own in grid])]
+            around = (least - 0.005, least + 0.005)
+            chi2 += minimize_scalar(of, bounds=around, method="bounded").fun
+    return math.sqrt(chi2 / problem.size)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "scatter", "seed"),
+    [
+        (effect("torque_bias", bias_nmm=0.012), 0.1, 8),
+        (effect("friction_wear", loss_per_turn=0.3), 0.05, 9),
+        (effect("chuck_backlash", play_deg=3.0), 0.05, 10),
+    ],
+)
+def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, seed):
+    data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
+    prepared = prepare(data, None, few(hidden.name()))
+    found = try_effect(prepared.problem, prepared.present, hidden.name())
+    exact = left_out_and_fitted_again(prepared.problem, found.fit)
+    assert exact == pytest.approx(1.0, abs=0.06)
+    assert found.held.error == pytest.approx(exact, rel=0.01)
+
+
+def test_leaving_a_command_out_may_take_several_steps():
+    """From a place where the other commands would not leave the parameters, one linear step is not enough."""
+    data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
+    prepared = prepare(data, None, few())
+    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, "tissue_elasticity").fit
+    away = dataclasses.replace(found.point, positions=0.6 * found.point.positions)
+    there = fit(problem, found.effects, away, iterations=0)
+    assert np.sqrt(there.chi2 / problem.size) > 3.0
+    near = dataclasses.replace(there, objective=found.objective, scatter=found.scatter)
+    assert held_out(problem, near).error == pytest.approx(held_out(problem, found).error, rel=0.02)
+
+
+def test_the_predictive_density_is_that_of_a_linear_model():
+    """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
+    data = dataset(effect("torque_bias", bias_nmm=0.012), noise=Noise(friction_scatter=0.01))
+    prepared = prepare(data, None, few("torque_bias"))
+    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, "torque_bias").fit
+    trials, s = len(problem.trials), 3 + found.nuisance.size
+    design = []
+    for t in range(trials):
+        own = np.zeros((found.jacobians[t].shape[0], trials))
+        own[:, t] = found.jacobians[t][:, -1]
+        design.append(np.hstack([found.jacobians[t][:, :3], problem.nuisance[t], own]))
+    point = found.point
+    away = np.zeros(s + trials)
+    away[1] = found.pull_rigidity * problem.rigidity_prior
+    away[2:] = np.r_[point.positions, found.nuisance, point.trial_friction]
+    tight = np.r_[0.0, problem.rigidity_prior**-2, found.axes[0].width ** -2.0, np.ones(s - 3)]
+    prior = np.diag(np.r_[tight, np.full(trials, found.scatter**-2)])
+    loss = 0.0
+    for group in problem.groups:
+        kept = [t for t in range(trials) if t not in group]
+        inverse = np.linalg.inv(prior + sum(design[t].T @ design[t] for t in kept))
+        push = sum(design[t].T @ found.residuals[t] for t in kept) - prior @ away
+        left_out = np.vstack([design[t] for t in group])
+        rows = np.concatenate([found.residuals[t] for t in group]) - left_out @ inverse @ push
+        spread = np.eye(rows.size) + left_out @ inverse @ left_out.T
+        loss += rows @ np.linalg.solve(spread, rows) + np.linalg.slogdet(spread)[1]
+    assert held_out(problem, found).loss == pytest.approx(loss, abs=1.0)
+
+
+def test_wear_that_one_command_shows_foretells_better_than_scatter():
+    data = dataset(effect("friction_wear", loss_per_turn=0.5))
+    prepared = prepare(data, None, few("friction_wear"))
+    found = try_effect(prepared.problem, prepared.present, "friction_wear")
+    assert found.fit.scatter < 0.5 * prepared.present.scatter
+    assert held_gain(prepared.held, found.held) > 5.0
 
 
 def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
