@@ -147,9 +147,9 @@ def try_effect(
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
-    if best is not None and parent.objective - best.objective > PROMISING and refinable(problem, best):
-        best = fit(problem, names, best.point, nuisance=best.nuisance) or best
-    if best is not None:
+    if best is not None and refinable(problem, best):
+        if parent.objective - best.objective > PROMISING:
+            best = fit(problem, names, best.point, nuisance=best.nuisance) or best
         best = through_valleys(problem, best)
     room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
     off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
