@@ -48,7 +48,14 @@ def in_real_time(request: Request, nodes: str) -> tuple[SettledMotion, ...]:
         bench.close()
 
 
-@pytest.mark.parametrize("nodes", ["python", "firmware", pytest.param("image", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "nodes",
+    [
+        pytest.param("python", marks=pytest.mark.slow),
+        "firmware",
+        pytest.param("image", marks=pytest.mark.slow),
+    ],
+)
 def test_real_time_and_virtual_time_agree_within_half_a_degree(nodes: str) -> None:
     request = Request(target_rad=rad(45))
     virtual = run_virtual(Brain(CONFIG), build_plant(CONFIG), request).settled

@@ -89,8 +89,8 @@ def test_a_miss_is_explained_and_can_be_required_not_to_be(shell: Shell) -> None
 
 @pytest.mark.real_time
 def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell) -> None:
-    fast = shell.compensate("--fast", "--settle", "1.5")
-    real = shell.compensate("--settle", "1.5")
+    fast = shell.compensate("--fast", "--settle", "0.5")
+    real = shell.compensate("--settle", "0.5")
     for virtual, driven in zip(fast["motions"], real["motions"], strict=True):
         assert driven["base_deg"] == pytest.approx(virtual["base_deg"], abs=0.5)
         assert driven["hall_deg"] == pytest.approx(virtual["hall_deg"], abs=0.5)
@@ -102,7 +102,7 @@ def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell) -> No
     assert len(run.table("torque")) > 3 * len(ticks)
 
 
-@pytest.mark.parametrize("image", [[], ["--image"]])
+@pytest.mark.parametrize("image", [[], pytest.param(["--image"], marks=pytest.mark.slow)])
 def test_the_firmware_in_virtual_time_gives_the_same_angles(shell: Shell, image: list[str]) -> None:
     plant = shell.compensate("--fast", "--settle", "0.5")
     nodes = shell.compensate("--fast", "--settle", "0.5", "--rig", "bench", *image)
