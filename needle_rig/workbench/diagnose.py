@@ -25,8 +25,6 @@ from needle_rig.workbench.work import Here, Work
 
 EXPLAINED = 0.8
 """Share of the explainable error below which a library model is never called an explanation."""
-WELL_EXPLAINED = 0.97
-"""Share above which what is left may be the difference between two codes for the same law."""
 REACHED = 1.1
 """Error on commands left out, in units of the noise, above which an answer leaves something to explain."""
 SIZE_THAT_MATTERS_DEG = 0.12
@@ -85,8 +83,6 @@ def _conclude(
         explained_fraction = 1.0 if not left.significant else 0.0
     lack = lack_of_fit(problem, best, sensors)
     unexplained = left.significant and any(not _too_small(p.size, p.unit) for p in left.patterns)
-    if unexplained and named:
-        unexplained = explained_fraction < WELL_EXPLAINED
     if explained_fraction < EXPLAINED and left.significant and named:
         unexplained = True
     if named and left.significant and held.error > REACHED:

@@ -258,3 +258,15 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
     hunt._take_over(both, "torque_bias")
     assert both not in hunt.fits
     assert hunt.fits[frozenset(names[:1])][0].objective == pytest.approx(good.fit.objective, abs=0.1)
+
+
+def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all():
+    """Friction of the guide, not in the library: two others take 99 % of it and leave the torque."""
+    found = diagnose(
+        dataset(effect("guide_friction", torque_nmm=0.02)),
+        few("layered_friction", "insertion_depth"),
+    )
+    assert found.explained_fraction > 0.97
+    assert found.search.fits[found.search.best][1].error < 1.1
+    assert found.verdict == "unknown"
+    assert not found.effects
