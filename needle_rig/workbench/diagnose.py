@@ -27,8 +27,12 @@ EXPLAINED = 0.8
 """Share of the explainable error below which a library model is never called an explanation."""
 REACHED = 1.1
 """Error on commands left out, in units of the noise, above which an answer leaves something to explain."""
+MOST_AT_ANY_VALUE = 2
+"""Effects that may be named together whatever their values: more of them can stand for anything, and are
+believed only with values that are plausible."""
 SIZE_THAT_MATTERS_DEG = 0.12
 SIZE_THAT_MATTERS_NMM = 0.0008
+SIZE_THAT_MATTERS_PERCENT = 2.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,8 @@ class Diagnosis(Answer):
 
 
 def _too_small(size: float, unit: str) -> bool:
-    return size <= (SIZE_THAT_MATTERS_NMM if unit == "N·mm" else SIZE_THAT_MATTERS_DEG)
+    matters = {"°": SIZE_THAT_MATTERS_DEG, "N·mm": SIZE_THAT_MATTERS_NMM, "%": SIZE_THAT_MATTERS_PERCENT}
+    return size <= matters[unit]
 
 
 def diagnose(
@@ -75,6 +80,9 @@ def _conclude(
 ) -> Diagnosis:
     root, root_held = search.root, search.root_held
     named = search.named(search.best)
+    contrived = _contrived(search, named)
+    if contrived:
+        named = []
     gain = max(0.0, root.objective - search.fits[search.best][0].objective)
     problem, best, held = _adopted(prepared, search) if named else (search.problem, root, root_held)
     left = find_leftover(problem, best, sensors)
@@ -120,10 +128,24 @@ def _conclude(
             *_trace_notes(search),
             *(_preview_notes(search, named) if verdict == "effect" else []),
             *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),
+            *contrived,
         ),
         prepared=prepared,
         search=search,
     )
+
+
+def _contrived(search: Search, named: list[str]) -> list[str]:
+    """What to say of a set that meets the data but is too many effects at values that none should have."""
+    found = search.fits[search.best][0]
+    odd = [(e, v) for e in named for v in values_of(found, e) if not v.plausible]
+    if len(named) <= MOST_AT_ANY_VALUE or not odd:
+        return []
+    said = ", ".join(f"{effect} {v.name} = {v.value:.3g} {v.unit}" for effect, v in odd)
+    return [
+        f"{', '.join(named[:-1])} and {named[-1]} together come near the data, but only with values outside"
+        f" what is plausible ({said}): they describe what is missing, they are not named for it."
+    ]
 
 
 def _adopted(prepared: Prepared, search: Search) -> tuple[Problem, Fit, HeldOut]:

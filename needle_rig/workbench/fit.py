@@ -8,6 +8,7 @@ taken about each trial's own friction; steps are damped and never accepted when 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +33,8 @@ MOST_SOLVES = 150.0
 no derivative follows. Ageing friction takes about ten, most effects one or two."""
 MOST_WALKS = 4
 """How often a fit goes on from a lower place along its least certain direction."""
+SHAPE_STEP = 0.3
+"""How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis."""
 LEVEL = 1e6
 """Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level.
 Without it the two trade places along a direction that the data do not see, and damped steps creep."""
@@ -271,7 +274,8 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
     """A fit, or the one that goes on from lower places along the direction that the data hardly see.
 
     There the objective falls by less than its derivatives err, and a fit stops far from its minimum with a
-    spread that knows nothing of it.
+    spread that knows nothing of it. A valley that bends, as one of shapes does, is left by straight walks:
+    what is still above the noise is fitted again from other shapes.
     """
     for _ in range(MOST_WALKS):
         lower = _along_valley(problem, found)
@@ -281,7 +285,27 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
         if again is None or again.objective >= found.objective - ENOUGH:
             break
         found = again
+    for _ in range(MOST_WALKS):
+        again = min(_from_other_shapes(problem, found), key=lambda f: f.objective, default=found)
+        if again.objective > found.objective - 1.0:
+            break
+        found = again
     return found
+
+
+def _from_other_shapes(problem: Problem, found: Fit) -> list[Fit]:
+    """Fits from shapes of the last effect to either side of a fit that is above the noise."""
+    if found.objective < problem.size:
+        return []
+    fits = []
+    for i, axis in enumerate(found.axes):
+        if axis.info.shapes and axis.effect == found.effects[-1]:
+            for step in (SHAPE_STEP, -SHAPE_STEP):
+                positions = found.point.positions.copy()
+                positions[i] += step
+                start = dataclasses.replace(found.point, positions=positions)
+                fits.append(fit(problem, found.effects, start, nuisance=found.nuisance))
+    return [f for f in fits if f is not None]
 
 
 def _along_valley(problem: Problem, found: Fit) -> tuple[Point, Array] | None:

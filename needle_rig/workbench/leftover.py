@@ -2,16 +2,18 @@
 
 Signatures are functions of what is known of each bin (time, motion, angle, torque, order, …) on groups of
 channels. Each is whitened and freed of what the fit's parameters can make; under noise alone it is a standard
-normal, so the largest of all has a known distribution.
+normal, so the largest of all has a known distribution. What the needle's rigidity and the trials' own
+friction took up is not among it: there the signatures are a rigidity far from its stated value, and friction
+that goes along with the trials' order.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
+from scipy.special import ndtri, stdtr
 
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.bins import BinnedTrial
@@ -23,6 +25,10 @@ Array = npt.NDArray[np.float64]
 
 SIGNIFICANCE = 1e-3
 MOST = 5
+NEEDLE = "the needle"
+TREND_SIGNIFICANCE = 1e-4
+"""Largest p of a trend in the trials' friction: below that of a named effect before the search's
+look-elsewhere correction, so that an effect in the library that tells of it is named first."""
 
 
 @dataclass(frozen=True)
@@ -124,10 +130,13 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
     every = list(range(len(problem.trials)))
     readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
     columns, names = _signatures(problem, readings, sensors)
-    projected = project(columns)
-    lengths = np.sqrt((projected**2).sum(0))
-    usable = lengths > 0.02 * np.sqrt((columns**2).sum(0)) + 1e-9
-    projected, columns = projected[:, usable] / lengths[usable], columns[:, usable] / lengths[usable]
+    lengths = np.sqrt((columns**2).sum(0))
+    projected = np.column_stack([project(columns), project.rigidity()])
+    names.append((NEEDLE, f"is {'stiffer' if found.pull_rigidity > 0 else 'softer'} in torsion than stated"))
+    lengths = np.r_[lengths, 1.0]
+    seen_lengths = np.sqrt((projected**2).sum(0))
+    usable = seen_lengths > 0.02 * lengths + 1e-9
+    projected, lengths = projected[:, usable] / seen_lengths[usable], seen_lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
     limit = float(-ndtri(SIGNIFICANCE / 2 / max(1, len(names))))
     picked: list[tuple[int, float]] = []
@@ -143,20 +152,55 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
         basis = basis - np.outer(direction, direction @ basis)
         size = np.sqrt((basis**2).sum(0))
         basis = np.where(size > 0.1, basis / np.maximum(size, 1e-9), 0.0)
-    gain = sum(z**2 for _, z in picked)
-    scales = [_raw_size(problem, readings, sensors, names[i]) for i, _ in picked]
-    patterns = tuple(
-        Pattern(
-            channel=names[i][0],
-            law=names[i][1],
-            sigmas=z,
-            size=abs(z) * raw / lengths[usable][i],
-            unit="N·mm" if names[i][0] == "torque" else "°",
-            share=z**2 / gain,
-        )
-        for (i, z), raw in zip(picked, scales, strict=True)
-    )
-    return Leftover(patterns, gain, found.chi2 / problem.size)
+    trend = _trend(problem, found)
+    gain = sum(z**2 for _, z in picked) + sum(p.sigmas**2 for p in trend)
+    patterns = [
+        _pattern(problem, readings, sensors, names[i], z, abs(z) / lengths[i], z**2 / gain) for i, z in picked
+    ]
+    both = (*patterns, *(replace(p, share=p.sigmas**2 / gain) for p in trend))
+    return Leftover(both, gain, found.chi2 / problem.size)
+
+
+def _pattern(
+    problem: Problem,
+    readings: list[Array],
+    sensors: tuple[str, ...],
+    name: tuple[str, str],
+    sigmas: float,
+    times: float,
+    share: float,
+) -> Pattern:
+    """A signature that is seen `times` as large as it was stated."""
+    channel, law = name
+    if channel == NEEDLE:
+        percent = 100 * float(np.expm1(times * problem.rigidity_prior))
+        return Pattern(channel, law, sigmas, percent, "%", share)
+    unit = "N·mm" if channel == "torque" else "°"
+    return Pattern(channel, law, sigmas, times * _raw_size(problem, readings, sensors, name), unit, share)
+
+
+def _trend(problem: Problem, found: Fit) -> list[Pattern]:
+    """How the trials' own friction goes along with their order, where that is beyond chance."""
+    own = found.point.trial_friction
+    travel = np.array([np.abs(np.diff(b.base_rad)).sum() for b in problem.trials])
+    along = {
+        "changes with the order of the trials": np.arange(own.size, dtype=np.float64),
+        "changes with the angle turned before": np.cumsum(travel) - travel,
+    }
+    freedom = own.size - 2
+    trends = []
+    for law, course in along.items():
+        course = course - course.mean()
+        if freedom < 2 or not course @ course > 0.0:
+            continue
+        slope = float(course @ (own - own.mean()) / (course @ course))
+        left = own - own.mean() - slope * course
+        t = slope * np.sqrt(freedom * (course @ course) / max(left @ left, 1e-30))
+        z = float(np.sign(t) * -ndtri(max(stdtr(freedom, -abs(t)), 1e-300)))
+        size = 100 * abs(slope) * float(np.sqrt(np.mean(course**2)))
+        trends.append(Pattern("the trials' friction", law, z, size, "%", 0.0))
+    limit = -ndtri(TREND_SIGNIFICANCE / 2 / len(along))
+    return sorted((p for p in trends if abs(p.sigmas) > limit), key=lambda p: -abs(p.sigmas))[:1]
 
 
 def _groups(problem: Problem, sensors: tuple[str, ...]) -> dict[str, Array]:

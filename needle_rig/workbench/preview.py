@@ -106,6 +106,13 @@ class Projector:
             padded[self._own] = own / self._scatter
         return np.asarray(padded - self._basis @ (self._basis.T @ padded))
 
+    def rigidity(self) -> Array:
+        """What the stated rigidity says against the data (n longer as above); by how much is its pull."""
+        row = self.total + 1
+        stated = -self._basis @ self._basis[row]
+        stated[row] += 1.0
+        return np.asarray(stated)
+
 
 def forms(axes: Sequence[Coordinate]) -> list[Array]:
     """Positions of the form parameters to try, typical first; entries of strengths are 0."""

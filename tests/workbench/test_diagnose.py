@@ -7,6 +7,7 @@ import pytest
 
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
+from needle_rig.workbench import diagnose as diagnose_module
 from needle_rig.workbench import search
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.prepare import prepare
@@ -94,6 +95,28 @@ def test_friction_that_wears_is_not_taken_for_scatter():
     )
     assert found.effects == ("friction_wear",)
     assert found.ranking[0].values[0].value == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "law"),
+    [
+        (effect("torque_gain", gain=0.7), "the needle is softer in torsion than stated"),
+        (effect("friction_wear", loss_per_turn=0.5), "the trials' friction changes with"),
+    ],
+)
+def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden, law):
+    found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
+    assert (found.verdict, found.effects) == ("unknown", ())
+    assert law in found.left_over.patterns[0].sentence()
+    assert not found.left_over.patterns[1:]
+
+
+def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
+    monkeypatch.setattr(diagnose_module, "MOST_AT_ANY_VALUE", 0)
+    found = diagnose(dataset(effect("chuck_backlash", play_deg=14.0)), few("chuck_backlash", "torque_bias"))
+    assert (found.verdict, found.effects) == ("unknown", ())
+    assert "chuck_backlash play_deg = 14 °" in found.notes[-1]
+    assert found.left_over.patterns
 
 
 def test_the_answer_does_not_depend_on_names_and_order(tmp_path):
