@@ -16,7 +16,7 @@ from needle_rig.model import load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
-from needle_rig.workbench.coordinates import coordinates, make_effects
+from needle_rig.workbench.coordinates import against_mean, coordinates, make_effects
 from needle_rig.workbench.detection import at_strength, detection_limit, smallest_strength
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.prepare import prepare
@@ -215,7 +215,7 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         strength = task["strength"] * (limit if task["strength"] < 1 else matters)
         positions = at_strength(axes, strength, turn)
         hidden += make_effects(library, axes, positions)
-        pairs = zip(axes, positions, strict=True)
+        pairs = zip(axes, against_mean(axes, positions), strict=True)
         truth[name] = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
     impostor = task.get("impostor", "")
     seed = 10_000 + 7 * task["seed"] + sum(map(ord, key({**task, "seed": 0})))

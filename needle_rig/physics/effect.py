@@ -49,6 +49,10 @@ class ParameterInfo:
     shapes: bool = False
     """A second parameter that only gives form (a relaxation time): it has no off value of its own."""
 
+    relative: bool = False
+    """Factors against their mean, which a fit holds at off: what all items share is told by a parameter that
+    the effect is `redundant_with`."""
+
     prior: float | None = None
     """Relative standard deviation to which it is known before any measurement; None: not known."""
 

@@ -10,6 +10,7 @@ import dataclasses
 import importlib
 import importlib.util
 import inspect
+import math
 import sys
 import traceback
 from collections.abc import Iterable
@@ -145,5 +146,7 @@ def _check_info(info: ParameterInfo, place: str) -> None:
             raise BadInput(f"{place}: {name} {value:g} is outside {info.lower:g} to {info.upper:g}")
     if not info.unit:
         raise BadInput(f"{place}: no unit; give it one (1 for a plain ratio)")
+    if info.relative and (info.per == "one" or not 0.0 < info.off < math.inf):
+        raise BadInput(f"{place}: relative is for factors, one per sensor or section, that are off at 1")
     if not info.shapes and info.typical == info.off:
         raise BadInput(f"{place}: typical equals off ({info.off:g}); give the size that the effect has")

@@ -120,6 +120,26 @@ def coordinates(
     return tuple(found)
 
 
+def held_means(axes: Sequence[Coordinate]) -> list[Array]:
+    """Places of the items that count against their mean, an array for each such field."""
+    fields: dict[tuple[str, str], list[int]] = {}
+    for place, axis in enumerate(axes):
+        if axis.info.relative:
+            fields.setdefault((axis.effect, axis.field), []).append(place)
+    return [np.array(places) for places in fields.values()]
+
+
+def against_mean(axes: Sequence[Coordinate], positions: Array) -> Array:
+    """The same effects with items that count against their mean put so that it is off."""
+    moved = positions.copy()
+    for places in held_means(axes):
+        values = np.array([axes[i].value(float(positions[i])) for i in places])
+        if values.mean() > 0.0:
+            share = axes[places[0]].info.off / values.mean()
+            moved[places] = [axes[i].position(float(v * share)) for i, v in zip(places, values, strict=True)]
+    return moved
+
+
 def make_effects(
     effects: Mapping[str, type[Effect]], axes: Sequence[Coordinate], positions: Array
 ) -> tuple[Effect, ...]:

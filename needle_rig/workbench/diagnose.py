@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from needle_rig.dataset import Dataset
 from needle_rig.errors import SolverError
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.units import per_100mm
 from needle_rig.workbench.answer import Answer, Say
 from needle_rig.workbench.decisions import decide
 from needle_rig.workbench.experiment import best_experiment
@@ -126,6 +129,7 @@ def _conclude(
             *prepared.dataset.notes,
             *prepared.notes,
             *_trace_notes(search),
+            *_mean_notes(best),
             *(_preview_notes(search, named) if verdict == "effect" else []),
             *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),
             *contrived,
@@ -184,6 +188,17 @@ def _partial_notes(named: list[str], share: float, held: HeldOut) -> list[str]:
     return [
         f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
         f" {held.error:.2f} × the noise on commands left out: not the whole truth."
+    ]
+
+
+def _mean_notes(found: Fit) -> list[str]:
+    """Of factors that count against their mean: what all share is friction."""
+    fields = sorted({f"{a.effect} {a.field}" for a in found.axes if a.info.relative})
+    friction_nmm_per_100mm = per_100mm(float(np.exp(found.point.log_friction)))
+    return [
+        f"The mean of {field} is held at 1: what all items share is friction,"
+        f" here {friction_nmm_per_100mm:.3g} N·mm per 100 mm."
+        for field in fields
     ]
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.workbench.coordinates import Coordinate
+from needle_rig.workbench.coordinates import Coordinate, held_means
 from needle_rig.workbench.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
@@ -36,8 +36,9 @@ MOST_WALKS = 4
 SHAPE_STEP = 0.3
 """How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis."""
 LEVEL = 1e6
-"""Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level.
-Without it the two trade places along a direction that the data do not see, and damped steps creep."""
+"""Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level; and
+that of items which count against their mean. Without it the two trade places along a direction that the data
+do not see, damped steps creep, and the derivatives' errors pass for knowledge."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class _State:
         self.own = self.p if problem.lumps_friction(axes) else 0
         """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
         self.width = np.array([a.width for a in axes])
+        self.means = [2 + places for places in held_means(axes)]
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
         low = [a.bounds[0] for a in axes]
         high = [a.bounds[1] for a in axes]
@@ -110,6 +112,8 @@ class _State:
         own = point.trial_friction
         common = point.log_friction + own.mean()
         x = np.r_[common, point.log_rigidity, point.positions, own - own.mean(), nuisance]
+        for places in self.means:
+            x[places] -= x[places].mean()
         return np.asarray(np.clip(x, self.low, self.high), dtype=np.float64)
 
     def rows(self, x: Array) -> list[Array] | None:
@@ -132,15 +136,16 @@ class _State:
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.width) ** 2).sum()
             + (noise.scatter_dof + self.trials) * np.log1p((own**2).sum() / room)
-            + LEVEL * own.mean() ** 2
+            + LEVEL * (own.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.means))
             + (x[self.p + self.trials :] ** 2).sum()
         )
 
     def level(self) -> Array:
-        """Curvature (over all parameters) that holds the mean of the trials' own friction."""
-        mean = np.zeros(self.low.size)
-        mean[self.p : self.p + self.trials] = 1.0 / self.trials
-        return LEVEL * np.outer(mean, mean)
+        """Curvature (over all parameters) that holds the means."""
+        curvature = np.zeros((self.low.size, self.low.size))
+        for places in (np.arange(self.p, self.p + self.trials), *self.means):
+            curvature[places[:, None], places] += LEVEL / places.size**2
+        return curvature
 
     def weights(self, x: Array) -> Array:
         """Diagonal of the prior's curvature; for the trials' friction that of a bound from above."""

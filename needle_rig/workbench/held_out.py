@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import null_space
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.coordinates import Coordinate, held_means
 from needle_rig.workbench.fit import LOOSE, Fit, excess
 from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.problem import Point, Problem
@@ -107,6 +109,14 @@ class _Own:
         return toward / stiff, toward**2 / stiff
 
 
+def _with_means_held(axes: Sequence[Coordinate], size: int) -> Array:
+    """Directions (size, ≤ size) of the shared parameters in which no mean that a fit holds changes."""
+    rows = np.zeros((size, size))
+    for row, places in enumerate(held_means(axes)):
+        rows[row, 2 + places] = 1.0
+    return np.asarray(null_space(rows)) if rows.any() else np.eye(size)
+
+
 class _LeaveOut:
     """Fits to all trials but some, and what these foretell of the others, from the fit to all."""
 
@@ -123,6 +133,7 @@ class _LeaveOut:
         widths = [a.width**-2 for a in fit.axes]
         self.prior = np.r_[0.0, problem.rigidity_prior**-2, widths, np.ones(free.size)]
         self.whole = sum(self.information) + np.diag(self.prior)
+        self.free = _with_means_held(fit.axes, self.prior.size)
         self.centre = np.zeros(self.prior.size)
         self.centre[1] = float(np.log(problem.base.torsional_rigidity_nm2))
         point = fit.point
@@ -154,10 +165,11 @@ class _LeaveOut:
         Steps keep the derivatives of the fit to all; they are shortened where they do not lower χ².
         """
         left = self.whole - sum(self.information[t] for t in group)
-        # what the rest does not see (friction against a factor on it) stays where the fit put it
-        scale = np.sqrt(np.diag(left))
-        seen = np.linalg.pinv(left / np.outer(scale, scale), rcond=UNSEEN, hermitian=True)
-        spread = seen / np.outer(scale, scale)
+        # what the rest does not see (friction against the depth of tissue) stays where the fit put it
+        inside = self.free.T @ left @ self.free
+        scale = np.sqrt(np.diag(inside))
+        seen = np.linalg.pinv(inside / np.outer(scale, scale), rcond=UNSEEN, hermitian=True)
+        spread = self.free @ (seen / np.outer(scale, scale)) @ self.free.T
         told = {t: told for t, told in enumerate(self.told) if t not in group}
         x, own = self.at, {t: float(self.fit.point.trial_friction[t]) for t in told}
         rows = {t: self.fit.residuals[t] for t in told}

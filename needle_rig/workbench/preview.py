@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.workbench.coordinates import Coordinate
+from needle_rig.workbench.coordinates import Coordinate, against_mean
 from needle_rig.workbench.fit import Fit, excess
 from needle_rig.workbench.problem import Point, Problem
 
@@ -260,7 +260,8 @@ def beside(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions:
 
     Otherwise what the parent took for the trials' own friction would be there twice.
     """
-    point = dataclasses.replace(parent.point, positions=np.r_[parent.point.positions, positions])
+    every = against_mean(axes, np.r_[parent.point.positions, positions])
+    point = dataclasses.replace(parent.point, positions=every)
     try:
         before, after = _slip_limits(problem, parent.axes, parent.point), _slip_limits(problem, axes, point)
     except BadInput:

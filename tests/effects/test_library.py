@@ -118,6 +118,7 @@ def test_the_same_name_in_two_folders(folder):
             "@dataclass(",
             "lower 1 is not below",
         ),
+        ("typical=0.03", "relative=True, typical=0.03", "@dataclass(", "relative is for factors"),
         ("typical=0.03", "typical=0.9", "@dataclass(", "typical 0.9 is outside 0 to 0.5"),
         (
             "def torque(self, angle_rad",

@@ -276,3 +276,20 @@ def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(mean, rel=0.3)
     assert found.position_error[0] / found.point.positions[0] == pytest.approx(mean, rel=0.3)
     assert abs(found.axes[0].value(found.point.positions[0]) - 0.035) < 0.035 * 3 * mean
+
+
+def test_factors_of_sections_count_against_their_mean():
+    """What all sections share is friction, to the last digit: only their ratios can be known, and are."""
+    given = np.array([1.6, 0.8, 1.2, 1.2])
+    prepared = prepare(
+        dataset(effect("layered_friction", factor=tuple(given))), None, few("layered_friction")
+    )
+    found = try_effect(prepared.problem, prepared.present, "layered_friction").fit
+    assert found is not None
+    factors = np.array([a.value(float(x)) for a, x in zip(found.axes, found.point.positions, strict=True)])
+    assert factors.mean() == pytest.approx(1.0, abs=1e-6)
+    assert factors == pytest.approx(given / given.mean(), abs=0.02)
+    errors = 0.5 * found.position_error
+    assert np.all(errors < 0.02)
+    assert np.all(np.abs(factors - given / given.mean()) < 4 * errors)
+    assert held_out(prepared.problem, found).error < 1.1

@@ -1,6 +1,6 @@
 """Every tissue section rubs with a strength of its own.
 
-Law: υ(x) = f_s υ in section s.
+Law: υ(x) = f_s υ in section s. Fits hold the mean of f_s at 1: what all sections share is υ.
 
 Source: layers of skin, fat, muscle and organ differ in friction per length: Okamura, Simone, O'Leary, "Force
 modeling for needle insertion into soft tissue", IEEE Trans. Biomedical Engineering 51 (2004).
@@ -34,6 +34,7 @@ class LayeredFriction(Effect):
         literature=(0.2, 4.0),
         unit="1",
         per="section",
+        relative=True,
     )
 
     def shape(self, rod: Rod, trial: Trial) -> Rod:
