@@ -300,7 +300,7 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
 
 def _from_other_shapes(problem: Problem, found: Fit) -> list[Fit]:
     """Fits from shapes of the last effect to either side of a fit that is above the noise."""
-    if found.objective < problem.size:
+    if excess(problem, found.objective) == 0.0:
         return []
     fits = []
     for i, axis in enumerate(found.axes):
