@@ -82,10 +82,14 @@ SETUPS += (
 """The last hides much that matters: it asks whether that is admitted, at half the limit."""
 
 
-def plan(seeds: int) -> list[dict]:
-    """Every dataset, so ordered that any beginning is a fair sample with the main rows a little ahead."""
+def plan(seeds: int, first: int = 0) -> list[dict]:
+    """Every dataset, so ordered that any beginning is a fair sample with the main rows a little ahead.
+
+    Seeds count from `first`.
+    """
     names = sorted(find_effects())
-    every = range(seeds)
+    every = range(first, first + seeds)
+    half = range(first, first + (seeds + 1) // 2)
 
     def one(strength: float) -> list[dict]:
         return [
@@ -98,9 +102,14 @@ def plan(seeds: int) -> list[dict]:
     admitted = [
         {"kind": "one", "effects": [n], "strength": 0.5, "setup": POOR, "seed": s}
         for n in names
-        for s in range((seeds + 1) // 2)
+        for s in half
     ]
-    parts.append((0.7, [{"kind": "none", "setup": s % POOR, "seed": s} for s in range(12 * seeds)]))
+    parts.append(
+        (
+            0.7,
+            [{"kind": "none", "setup": s % POOR, "seed": s} for s in range(12 * first, 12 * (first + seeds))],
+        )
+    )
     for strength in (3.0, 10.0):
         pairs = [
             {"kind": "pair", "effects": p, "strength": strength, "setup": (i + s) % POOR, "seed": s}
@@ -111,12 +120,12 @@ def plan(seeds: int) -> list[dict]:
     removed = [
         {"kind": "removed", "effects": [n], "strength": 10.0, "setup": (i + s + 1) % POOR, "seed": s}
         for i, n in enumerate(names)
-        for s in range((seeds + 1) // 2)
+        for s in half
     ]
     spoilt = [
         {"kind": "impostor", "impostor": i, "setup": s % POOR, "seed": s}
         for i in IMPOSTORS
-        for s in range(4 * seeds)
+        for s in range(4 * first, 4 * (first + seeds))
     ]
     parts += [(0.8, removed), (0.9, spoilt), (1.0, admitted)]
     placed = []

@@ -59,6 +59,12 @@ def test_the_plan_is_as_large_as_asked_and_names_no_dataset_twice(script):
         assert {t["setup"] for t in tasks if t.get("effects") == [name]} == set(range(len(script.SETUPS)))
 
 
+def test_later_seeds_are_other_datasets_of_the_same_plan(script):
+    early, late = script.plan(5), script.plan(5, first=5)
+    assert not {script.key(t) for t in early} & {script.key(t) for t in late}
+    assert Counter(t["kind"] for t in early) == Counter(t["kind"] for t in late)
+
+
 def test_any_beginning_of_the_plan_holds_every_kind_in_proportion(script):
     tasks = script.plan(5)
     whole = Counter(t["kind"] for t in tasks)

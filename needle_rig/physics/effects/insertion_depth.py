@@ -2,7 +2,7 @@
 
 Law: a needle pushed in by δ more: l_in → l_in − δ, L → L + δ: the first free length is shorter and the last
 section longer; what lies between comes nearer to the base by δ. Tip, needle length and the friction per
-length stay.
+length stay. Nearly the same are a last section that rubs more and a stiffer chuck (the free length winds up).
 
 Source: Reed, BioRob 2008, equations (6) and (7), with both lengths off by δ.
 
@@ -24,7 +24,7 @@ from needle_rig.units import m, mm
 class InsertionDepth(Effect):
     """Shift of everything before the last section towards the base, and a longer last section."""
 
-    relatives = ("guide_friction", "layered_friction", "tip_friction")
+    relatives = ("guide_friction", "layered_friction", "tip_friction", "chuck_compliance")
     redundant_with = ("friction_nmm_per_100mm",)
     resistive = True
 
