@@ -15,12 +15,13 @@ from needle_rig.model import ChannelErrors, HistoryEntry, SavedModel
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.units import deg, nmm
+from needle_rig.workbench.claims import foretells
 from needle_rig.workbench.fit import Fit
-from needle_rig.workbench.held_out import HeldOut, held_out
+from needle_rig.workbench.held_out import HeldOut
 from needle_rig.workbench.noise import covariance
-from needle_rig.workbench.prepare import Prepared, at_own_error, null_model, prepare
+from needle_rig.workbench.prepare import Prepared, as_compared, null_model, prepare
 from needle_rig.workbench.problem import Problem
-from needle_rig.workbench.search import held_gain, try_effect
+from needle_rig.workbench.search import try_effect
 
 Array = npt.NDArray[np.float64]
 
@@ -60,18 +61,14 @@ def adopt(
     if found is None or held is None:
         raise Refused(f"{effect} could not be fitted to {dataset.name}: the model cannot be solved with it")
     before, after = prepared.held, held
-    foretold = held_gain(before, after) > 0 or (
-        prepared.present.pull_rigidity**2 - found.pull_rigidity**2 > 9.0
-        and after.error <= 1.02 * before.error
-    )
+    foretold = foretells(prepared.present, before, found, after)
     if not foretold and not force:
         raise Refused(
             f"{effect} does not lower the error on commands left out"
             f" ({before.error:.3f} → {after.error:.3f} × the noise);"
             " it was not added. Add it all the same with --force."
         )
-    # our own error as it is at the new model, where the next comparison will measure it
-    problem, found = at_own_error(prepared.problem, found, dataset.trials, prepared.fine_m)
+    problem, found, held = as_compared(prepared, prepared.problem, found, held)
     model = dataclasses.replace(
         problem.model(found.axes, found.point),
         name=name or (present.name if saved else dataset.name),
@@ -81,7 +78,7 @@ def adopt(
         added=(effect,),
         dataset=dataset.name,
         date=today or datetime.datetime.now(datetime.UTC).date().isoformat(),
-        errors=ladder_errors(prepared, found, held_out(problem, found)),
+        errors=ladder_errors(prepared, found, held),
         values_before=_values(prepared),
         note="" if foretold else "added by force: the error on commands left out did not fall",
     )

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from needle_rig.workbench.answer import Decision
+from needle_rig.workbench.claims import SIGNIFICANCE, chance, is_trace
 from needle_rig.workbench.coordinates import Coordinate
 from needle_rig.workbench.fit import Fit
-from needle_rig.workbench.search import SIGNIFICANCE, Candidate, Search, chance, is_trace
+from needle_rig.workbench.search import Candidate, Search
 
 
 def decide(search: Search, named: list[str]) -> dict[str, Decision]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from needle_rig.dataset import Dataset
-from needle_rig.errors import SolverError
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import per_100mm
@@ -16,11 +15,10 @@ from needle_rig.workbench.answer import Answer, Say
 from needle_rig.workbench.decisions import decide
 from needle_rig.workbench.experiment import best_experiment
 from needle_rig.workbench.fit import Fit
-from needle_rig.workbench.held_out import HeldOut, held_out
+from needle_rig.workbench.held_out import HeldOut
 from needle_rig.workbench.lack_of_fit import lack_of_fit
 from needle_rig.workbench.leftover import find_leftover
-from needle_rig.workbench.prepare import Prepared, at_own_error, prepare
-from needle_rig.workbench.problem import Problem
+from needle_rig.workbench.prepare import Prepared, as_compared, prepare
 from needle_rig.workbench.ranking import order, rank, values_of
 from needle_rig.workbench.rivals import Rival, find_rivals
 from needle_rig.workbench.search import Search
@@ -87,7 +85,9 @@ def _conclude(
     if contrived:
         named = []
     gain = max(0.0, root.objective - search.fits[search.best][0].objective)
-    problem, best, held = _adopted(prepared, search) if named else (search.problem, root, root_held)
+    problem, best, held = search.problem, root, root_held
+    if named:
+        problem, best, held = as_compared(prepared, problem, *search.fits[search.best])
     left = find_leftover(problem, best, sensors)
     explained_fraction = gain / (gain + left.gain) if gain + left.gain > 0 else 1.0
     if not named:
@@ -150,17 +150,6 @@ def _contrived(search: Search, named: list[str]) -> list[str]:
         f"{', '.join(named[:-1])} and {named[-1]} together come near the data, but only with values outside"
         f" what is plausible ({said}): they describe what is missing, they are not named for it."
     ]
-
-
-def _adopted(prepared: Prepared, search: Search) -> tuple[Problem, Fit, HeldOut]:
-    """What the search ended at, with our solver's error as it is there and not at the present model."""
-    found, held = search.fits[search.best]
-    try:
-        problem, best = at_own_error(search.problem, found, prepared.dataset.trials, prepared.fine_m)
-    except SolverError:
-        assert held is not None
-        return search.problem, found, held
-    return problem, best, held_out(problem, best)
 
 
 def _preview_notes(search: Search, named: list[str]) -> list[str]:

@@ -60,6 +60,26 @@ def held_out(problem: Problem, fit: Fit) -> HeldOut:
 
 
 @dataclass(frozen=True)
+class _Own:
+    """A trial at own friction `at`: whitened residuals (n,), and how they fall with it (n,)."""
+
+    at: float
+    rows: Array
+    slope: Array
+    tight: float
+
+    @property
+    def chi2(self) -> float:
+        return float(self.rows @ self.rows) + self.tight * self.at**2
+
+    def step(self) -> tuple[float, float]:
+        """The next step, and what χ² should fall by."""
+        stiff = float(self.slope @ self.slope) + self.tight
+        toward = float(self.slope @ self.rows) - self.tight * self.at
+        return toward / stiff, toward**2 / stiff
+
+
+@dataclass(frozen=True)
 class _Told:
     """What one trial of n whitened values tells of the s shared parameters, nuisances among them."""
 
@@ -82,31 +102,11 @@ class _Told:
 
     def own_step(self, rows: Array, at: float) -> float:
         """Where residuals `rows` (n,) take the own friction from `at`."""
-        return (float(self.own @ rows) - self.tight * at) / self.stiff
+        return _Own(at, rows, self.own, self.tight).step()[0]
 
     def push(self, rows: Array, at: float) -> Array:
         """Half the slope of −χ² (s,) for residuals `rows` (n,) at own friction `at`, which follows."""
         return np.asarray(self.shared.T @ (rows - self.own * self.own_step(rows, at)))
-
-
-@dataclass(frozen=True)
-class _Own:
-    """A trial at own friction `at`: whitened residuals (n,), and how they fall with it (n,)."""
-
-    at: float
-    rows: Array
-    slope: Array
-    tight: float
-
-    @property
-    def chi2(self) -> float:
-        return float(self.rows @ self.rows) + self.tight * self.at**2
-
-    def step(self) -> tuple[float, float]:
-        """The next step, and what χ² should fall by."""
-        stiff = float(self.slope @ self.slope) + self.tight
-        toward = float(self.slope @ self.rows) - self.tight * self.at
-        return toward / stiff, toward**2 / stiff
 
 
 def _with_means_held(axes: Sequence[Coordinate], size: int) -> Array:

@@ -107,6 +107,20 @@ def at_own_error(
     return suspect, _again(suspect, found)
 
 
+def as_compared(
+    prepared: Prepared, problem: Problem, found: Fit, held: HeldOut | None
+) -> tuple[Problem, Fit, HeldOut]:
+    """A fit as a comparison with its model sees it: our solver's error is the one there, not where it began.
+
+    What cannot be solved finely stays as it is.
+    """
+    try:
+        problem, found = at_own_error(problem, found, prepared.dataset.trials, prepared.fine_m)
+    except SolverError:
+        return problem, found, held or held_out(problem, found)
+    return problem, found, held_out(problem, found)
+
+
 def _again(problem: Problem, old: Fit) -> Fit:
     found = fit(problem, old.effects, old.point, nuisance=old.nuisance)
     if found is None:

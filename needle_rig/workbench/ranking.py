@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from needle_rig.workbench.answer import Ranked, Value
+from needle_rig.workbench.claims import SIGNIFICANCE, chance, held_gain
 from needle_rig.workbench.fit import Fit
 from needle_rig.workbench.rivals import Rival
-from needle_rig.workbench.search import SIGNIFICANCE, Candidate, Search, chance, held_gain
+from needle_rig.workbench.search import Candidate, Search
 
 
 def order(search: Search, named: list[str]) -> list[str]:

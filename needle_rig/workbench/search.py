@@ -10,8 +10,8 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, fdtrc
 
+from needle_rig.workbench.claims import SIGNIFICANCE, chance, foretells, is_trace, may_be_ours, size_of
 from needle_rig.workbench.fit import (
     LOOSE,
     Fit,
@@ -25,11 +25,7 @@ from needle_rig.workbench.preview import Preview, Start, beside, preview
 from needle_rig.workbench.problem import Point, Problem
 from needle_rig.workbench.work import Work
 
-SIGNIFICANCE = 0.01
-"""Largest p, adjusted over the library, at which an effect counts as seen."""
 FRONTIER = 3
-PULL_STANDS_IN = 9.0
-"""Gain from prior pulls (3σ) that stands in for a held-out gain."""
 TRACE_PREFERENCE = 8.0
 ROUGH = 0.5
 """First fits end when the next step would gain less than this;"""
@@ -40,8 +36,6 @@ IDLE = 1e-3
 """Share of the smallest size that matters below which an effect has no size."""
 FAINT = 0.1
 """Share of a large error that an effect must promise to earn a fit."""
-TIMES_OURS = 3.0
-"""Claims smaller than this many times our own numerical error are refused."""
 
 
 @dataclass(frozen=True)
@@ -62,62 +56,6 @@ def penalty(problem: Problem) -> float:
 def score(problem: Problem, found: Fit) -> float:
     """Objective with its price for parameters; lower is better."""
     return found.objective + penalty(problem) * found.rank
-
-
-def chance(parent: Fit, child: Fit, library: int) -> float:
-    """Probability, adjusted over the library, that noise makes a gain like this.
-
-    The share of the gain that comes from trials whose own friction scatters less counts as that of an F-test:
-    over a few trials chance alone makes a trend.
-    """
-    gain = max(parent.objective - child.objective, 0.0)
-    freedom = max(1, child.rank - parent.rank)
-    steadier = 2.0 * parent.scatter_dof * float(np.log(parent.scatter / child.scatter))
-    if steadier > 0.0:
-        left = max(1.0, parent.scatter_dof - 1.0 - freedom)
-        ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
-        worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300)))
-        gain = max(gain - steadier + min(worth, steadier), 0.0)
-    new = [a for a in child.axes if a.effect not in parent.effects and not a.info.shapes]
-    p = float(chdtrc(freedom, gain))
-    if all(a.one_sided for a in new):
-        p *= 0.5
-    return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))
-
-
-def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
-    """Whether what the child changes is under three times our solver's own error along it.
-
-    What the needle's constants and the trials' own friction are relieved of is a part of the change that our
-    error has none of.
-    """
-    if not problem.nuisance[0].shape[1]:
-        return False
-    change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
-    ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
-    pull = parent.pull_rigidity - child.pull_rigidity
-    own = (parent.point.trial_friction - child.point.trial_friction) / child.scatter
-    return bool(change @ change + pull**2 + own @ own < TIMES_OURS * abs(change @ ours))
-
-
-def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
-    """Fall of −2 log predictive density on commands left out."""
-    if parent is None or child is None:
-        return 0.0
-    gain = parent.loss - child.loss
-    return 0.0 if np.isnan(gain) else gain
-
-
-def is_trace(found: Fit, effect: str) -> bool:
-    """Whether an effect's fitted size is below the smallest that matters."""
-    return _size(found, effect) < 1.0
-
-
-def _size(found: Fit, effect: str) -> float:
-    """Largest fitted size of an effect, in units of the smallest that matters."""
-    own = [a.effect == effect and not a.info.shapes for a in found.axes]
-    every = zip(found.axes, found.point.positions, own, strict=True)
-    return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, is_own in every if is_own), default=0.0)
 
 
 def refinable(problem: Problem, found: Fit) -> bool:
@@ -296,8 +234,7 @@ class Search:
             return False
         if old_held is not None and not np.isfinite(old_held.error):
             return True  # a single command: nothing can be left out, and the report says so
-        pulls = old.pull_rigidity**2 - new.pull_rigidity**2
-        return held_gain(old_held, new_held) > 0 or pulls > PULL_STANDS_IN
+        return foretells(old, old_held, new, new_held)
 
     def named(self, key: frozenset[str]) -> list[str]:
         """Effects of a set that are large enough to matter and were not in the present model."""
@@ -324,7 +261,7 @@ class Search:
         for i, axis in enumerate(found.axes):
             if axis.effect == trace and not axis.info.shapes:
                 off[i] = 0.0
-        largest = _size(found, trace)
+        largest = size_of(found, trace)
         on = self.problem.readings([self.problem.model(found.axes, point, t) for t in every], every)
         bare = dataclasses.replace(point, positions=off)
         gone = self.problem.readings([self.problem.model(found.axes, bare, t) for t in every], every)
@@ -374,7 +311,7 @@ class Search:
                     chosen = other
                     break
             trace = [e for e in chosen - self.best if is_trace(self.fits[chosen][0], e)]
-            if trace and _size(self.fits[chosen][0], trace[0]) < IDLE:
+            if trace and size_of(self.fits[chosen][0], trace[0]) < IDLE:
                 self._take_over(chosen, trace[0])
                 frontier = [self.best]
                 continue

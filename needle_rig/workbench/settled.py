@@ -15,9 +15,9 @@ from needle_rig.dataset.settled import SettledData
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.answer import Answer, Decision, Ranked, Say, Value
+from needle_rig.workbench.claims import SIGNIFICANCE
 from needle_rig.workbench.decisions import decision_at
 from needle_rig.workbench.leftover import Leftover, Pattern
-from needle_rig.workbench.search import SIGNIFICANCE
 from needle_rig.workbench.settled_experiment import next_experiment
 from needle_rig.workbench.settled_fit import (
     SIGMAS_95,

@@ -18,9 +18,9 @@ from needle_rig.dataset.settled import SettledData
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.claims import SIGNIFICANCE
 from needle_rig.workbench.coordinates import Coordinate, positions_of
 from needle_rig.workbench.prepare import FRICTIONS_N, element_length
-from needle_rig.workbench.search import SIGNIFICANCE
 from needle_rig.workbench.settled_fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
 
 Array = npt.NDArray[np.float64]

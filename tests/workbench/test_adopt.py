@@ -8,10 +8,12 @@ from needle_rig.cli import adopt as adopt_cli
 from needle_rig.cli.compare import command as compare_command
 from needle_rig.cli.history import command as history_command
 from needle_rig.dataset import in_series, write_dataset
-from needle_rig.errors import BadInput
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import load_model
-from needle_rig.workbench.adopt import Refused, adopt, undo
+from needle_rig.workbench import prepare as prepare_module
+from needle_rig.workbench.adopt import IN_NOISE_UNITS, Refused, adopt, undo
 from needle_rig.workbench.history import ladder
+from needle_rig.workbench.prepare import solver_error
 from tests.workbench.hidden import dataset, effect, few
 
 TWO = (
@@ -50,6 +52,22 @@ def test_an_effect_that_foretells_nothing_is_refused():
         adopt(data, "torque_bias", few())
     forced = adopt(data, "torque_bias", few(), force=True)
     assert "force" in forced.history[-1].note
+
+
+def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeypatch):
+    solved = []
+
+    def once(*given):
+        if solved:
+            raise SolverError("no balance")
+        solved.append(solver_error(*given))
+        return solved[0]
+
+    monkeypatch.setattr(prepare_module, "solver_error", once)
+    one = adopt(dataset(*TWO[:1]), "tissue_elasticity", few("tissue_elasticity"))
+    stiffness = one.model.values()["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
+    assert stiffness == pytest.approx(0.45, abs=0.01)
+    assert one.history[0].errors[IN_NOISE_UNITS].held_out_after < 1.1
 
 
 def test_unknown_and_double_effects_are_refused():

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
+from needle_rig.workbench.claims import chance, held_gain
 from needle_rig.workbench.coordinates import coordinates, make_effects, positions_of
 from needle_rig.workbench.fit import STEP, fit
 from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.held_out import held_out
 from needle_rig.workbench.prepare import prepare
-from needle_rig.workbench.search import chance, held_gain, try_effect
+from needle_rig.workbench.search import try_effect
 from needle_rig.workbench.simulate import Noise
 from tests.workbench.hidden import dataset, effect, few
 

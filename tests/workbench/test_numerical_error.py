@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from needle_rig.model import load_parameters
+from needle_rig.workbench.claims import may_be_ours
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.fit import fit
 from needle_rig.workbench.prepare import prepare, solver_error
-from needle_rig.workbench.search import may_be_ours
 from needle_rig.workbench.simulate import Noise, simulate_dataset
 from tests.workbench.hidden import PROTOCOL, dataset, few
 
