@@ -182,10 +182,9 @@ def _pattern(
 def _trend(problem: Problem, found: Fit) -> list[Pattern]:
     """How the trials' own friction goes along with their order, where that is beyond chance."""
     own = found.point.trial_friction
-    travel = np.array([np.abs(np.diff(b.base_rad)).sum() for b in problem.trials])
     along = {
-        "changes with the order of the trials": np.arange(own.size, dtype=np.float64),
-        "changes with the angle turned before": np.cumsum(travel) - travel,
+        "changes with the order of the trials": np.array([float(b.trial.index) for b in problem.trials]),
+        "changes with the angle turned before": np.array([b.trial.travel_before_rad for b in problem.trials]),
     }
     freedom = own.size - 2
     trends = []

@@ -107,7 +107,7 @@ class Projector:
         return np.asarray(padded - self._basis @ (self._basis.T @ padded))
 
     def rigidity(self) -> Array:
-        """What the stated rigidity says against the data (n longer as above); by how much is its pull."""
+        """The direction (n longer, as above) in which the stated rigidity stands against the data."""
         row = self.total + 1
         stated = -self._basis @ self._basis[row]
         stated[row] += 1.0
