@@ -129,13 +129,19 @@ def _blocks(time_s: Array, parts: list[tuple[int, int, int]]) -> tuple[list[int]
     return starts, bins, moving_bins
 
 
-def bin_means(given: DatasetTrial, values: Array) -> Array:
-    """Means (C, K), in the bins of the trial, of values (C, M) at its samples."""
+def sample_weights(given: DatasetTrial) -> csr_array:
+    """Weights (K, M) that take values at a trial's samples to means in its bins."""
     time_s = given.trial.time_s
     starts, bins, kinds = _blocks(time_s, motions_of(given.trial.base_angle_rad, np.asarray(given.phase)))
     of_sample = np.repeat(bins, np.diff([*starts, time_s.size]))
-    count = np.bincount(of_sample, minlength=len(kinds))
-    return np.array([np.bincount(of_sample, v, len(kinds)) / count for v in values])
+    share = 1.0 / np.bincount(of_sample, minlength=len(kinds))
+    places = (of_sample, np.arange(time_s.size))
+    return csr_array((share[of_sample], places), shape=(len(kinds), time_s.size))
+
+
+def driven_by_samples(binned: BinnedTrial, given: DatasetTrial) -> BinnedTrial:
+    """The same facts of a trial, with the model on the grid of its samples."""
+    return dataclasses.replace(binned, trial=given.trial, average=sample_weights(given))
 
 
 def bin_trial(given: DatasetTrial) -> BinnedTrial:

@@ -102,7 +102,7 @@ def _conclude(
         unexplained = True
     verdict = "unknown" if unexplained else "effect" if named else "none"
     ordered = order(search, named)
-    ranking = rank(search, ordered, rivals, verdict)
+    ranking = rank(search, ordered, rivals, verdict, best, held)
     ties = [(e, r) for e in ordered for r in rivals.get(e, []) if r.tied]
     experiment = None
     if ties and verdict == "effect":

@@ -290,6 +290,11 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
         if again is None or again.objective >= found.objective - ENOUGH:
             break
         found = again
+    return over_shapes(problem, found) if excess(problem, found.objective) > 0.0 else found
+
+
+def over_shapes(problem: Problem, found: Fit) -> Fit:
+    """A fit, or a lower one from other shapes of its last effect, as long as that helps."""
     for _ in range(MOST_WALKS):
         again = min(_from_other_shapes(problem, found), key=lambda f: f.objective, default=found)
         if again.objective > found.objective - 1.0:
@@ -299,9 +304,6 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
 
 
 def _from_other_shapes(problem: Problem, found: Fit) -> list[Fit]:
-    """Fits from shapes of the last effect to either side of a fit that is above the noise."""
-    if excess(problem, found.objective) == 0.0:
-        return []
     fits = []
     for i, axis in enumerate(found.axes):
         if axis.info.shapes and axis.effect == found.effects[-1]:

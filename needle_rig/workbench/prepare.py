@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,9 +14,9 @@ from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
-from needle_rig.workbench.bins import bin_means, bin_trial
+from needle_rig.workbench.bins import bin_trial, driven_by_samples, sample_weights
 from needle_rig.workbench.coordinates import positions_of
-from needle_rig.workbench.fit import Fit, fit, start_point
+from needle_rig.workbench.fit import Fit, excess, fit, over_shapes, start_point
 from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.noise import measure_noise, with_replicate_scatter
 from needle_rig.workbench.problem import Problem
@@ -26,6 +27,8 @@ FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 COARSE_M = 4e-3
 CELLS_PER_SECTION = 6
 FINER = 8.0
+MOST_OURS = 5.0
+"""Our own error, in σ over all values, that a straight nuisance may stand for."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,18 @@ def at_own_error(
 ) -> tuple[Problem, Fit]:
     """The problem with the solver's error at a fit as its first nuisance, and the fit to that problem.
 
-    Raises SolverError where the model cannot be solved finely.
+    Where the error is large beside the noise, and the noise is what remains, trials drive the model by every
+    sample from then on: what slips and sticks by its history is bent by a coarse path as no straight
+    nuisance is. Raises SolverError where the model cannot be solved finely.
     """
-    others = tuple(n[:, 1:] for n in problem.nuisance)
     error = solver_error(problem, found, trials, fine_m)
+    near = excess(problem, found.objective) < problem.size
+    if near and np.linalg.norm(np.vstack(error)) > MOST_OURS:
+        by_samples = tuple(driven_by_samples(b, t) for b, t in zip(problem.trials, trials, strict=True))
+        problem = dataclasses.replace(problem, trials=by_samples, _cache=OrderedDict())
+        found = over_shapes(problem, _again(problem, found))
+        error = solver_error(problem, found, trials, fine_m)
+    others = tuple(n[:, 1:] for n in problem.nuisance)
     nuisance = tuple(np.hstack([e, o]) for e, o in zip(error, others, strict=True))
     suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
     return suspect, _again(suspect, found)
@@ -178,7 +189,8 @@ def solver_error(
     errors = []
     for t, used in enumerate(problem.readings(models, every)):
         values = np.vstack([seen[t].torque_nm[None, :], seen[t].hall_rad.T])
-        errors.append(problem.whiteners[t](bin_means(trials[t], values) - used)[:, None])
+        means = (sample_weights(trials[t]) @ values.T).T
+        errors.append(problem.whiteners[t](means - used)[:, None])
     return tuple(errors)
 
 

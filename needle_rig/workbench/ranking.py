@@ -9,6 +9,7 @@ import numpy as np
 from needle_rig.workbench.answer import Ranked, Value
 from needle_rig.workbench.claims import SIGNIFICANCE, chance, held_gain
 from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.held_out import HeldOut
 from needle_rig.workbench.rivals import Rival
 from needle_rig.workbench.search import Candidate, Search
 
@@ -38,12 +39,22 @@ def values_of(fit: Fit, effect: str) -> tuple[Value, ...]:
     return tuple(found)
 
 
-def rank(search: Search, ordered: list[str], rivals: dict[str, list[Rival]], verdict: str) -> list[Ranked]:
-    """The named effects in the order given, then every other by what it does alone."""
+def rank(
+    search: Search,
+    ordered: list[str],
+    rivals: dict[str, list[Rival]],
+    verdict: str,
+    adopted: Fit,
+    held: HeldOut,
+) -> list[Ranked]:
+    """The named effects in the order given, then every other by what it does alone.
+
+    `adopted` and `held` are of the set that is named, as a comparison with its model sees them.
+    """
     problem = search.problem
     ranked = []
     root = search.root
-    best, held = search.fits[search.best]
+    best, _ = search.fits[search.best]
     done = set()
     if verdict == "effect":
         for effect in ordered:
@@ -54,15 +65,15 @@ def rank(search: Search, ordered: list[str], rivals: dict[str, list[Rival]], ver
             ranked.append(
                 Ranked(
                     effect,
-                    held.error if held else None,
+                    held.error,
                     _removed(problem, root, best)
                     if len(ordered) == 1
                     else min(1.0, alone / _room(problem, root)),
-                    values_of(best, effect),
+                    values_of(adopted, effect),
                     tied,
                     apart[0].separation_sigma if apart else None,
                     _favour(search, best, effect, alone),
-                    _against(best, effect, rivals[effect]),
+                    _against(adopted, effect, rivals[effect]),
                 )
             )
             done.add(effect)

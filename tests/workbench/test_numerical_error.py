@@ -5,11 +5,12 @@ import pytest
 
 from needle_rig.model import load_parameters
 from needle_rig.workbench.claims import may_be_ours
+from needle_rig.workbench.coordinates import positions_of
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.fit import fit
-from needle_rig.workbench.prepare import prepare, solver_error
+from needle_rig.workbench.prepare import MOST_OURS, as_compared, prepare, solver_error
 from needle_rig.workbench.simulate import Noise, simulate_dataset
-from tests.workbench.hidden import PROTOCOL, dataset, few
+from tests.workbench.hidden import PROTOCOL, dataset, effect, few
 
 
 def test_our_own_error_is_a_direction_of_every_fit():
@@ -63,6 +64,31 @@ def test_a_finer_solver_leaves_less_of_our_own_error():
         error = solver_error(used, found, data.trials, 0.25e-3)
         sizes.append(float(np.linalg.norm(np.concatenate([e[:, 0] for e in error]))))
     assert sizes[1] < sizes[0]
+
+
+def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
+    """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
+    hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
+    data = dataset(hidden, seed=25)
+    prepared = prepare(data, None, few("stiction_ageing"))
+    at = positions_of(prepared.problem.axes(["stiction_ageing"]), [hidden])
+    start = dataclasses.replace(prepared.present.point, positions=at)
+    coarse = fit(prepared.problem, ["stiction_ageing"], start)
+    assert coarse is not None
+    errors = solver_error(prepared.problem, coarse, data.trials, prepared.fine_m)
+    before = [np.linalg.norm(e) for e in errors]
+    assert np.linalg.norm(before) > MOST_OURS
+    problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
+    assert [b.trial.time_s.size for b in problem.trials] == [t.trial.time_s.size for t in data.trials]
+    assert sum(np.linalg.norm(n[:, 0]) for n in problem.nuisance) < 0.3 * sum(before)
+    assert held.error < 1.05
+    growth = found.axes[0].value(float(found.point.positions[0]))
+    assert growth == pytest.approx(0.4, abs=0.08)
+    model = dataclasses.replace(
+        problem.model(found.axes, found.point), element_length_m=load_parameters("rig_rigid").element_length_m
+    )
+    compared = prepare(data, model, few())
+    assert compared.held.error == pytest.approx(held.error, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", [31, 32])
