@@ -33,8 +33,10 @@ MOST_SOLVES = 150.0
 no derivative follows. Ageing friction takes about ten, most effects one or two."""
 MOST_WALKS = 4
 """How often a fit goes on from a lower place along its least certain direction."""
-SHAPE_STEP = 0.3
-"""How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis."""
+SHAPE_STEPS = (0.3, -0.3)
+"""How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis;"""
+FINE_SHAPE_STEPS = (0.1, -0.1)
+"""nearer ones that are tried, too, where minima lie close together."""
 LEVEL = 1e6
 """Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level; and
 that of items which count against their mean. Without it the two trade places along a direction that the data
@@ -293,21 +295,45 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
     return over_shapes(problem, found) if excess(problem, found.objective) > 0.0 else found
 
 
-def over_shapes(problem: Problem, found: Fit) -> Fit:
-    """A fit, or a lower one from other shapes of its last effect, as long as that helps."""
+def over_shapes(problem: Problem, found: Fit, steps: Sequence[float] = SHAPE_STEPS) -> Fit:
+    """A fit, or a lower one from other shapes of its last effect, as long as that helps.
+
+    Its covariance is that over all the minima met, each as likely as its objective says.
+    """
+    met = [found]
     for _ in range(MOST_WALKS):
-        again = min(_from_other_shapes(problem, found), key=lambda f: f.objective, default=found)
+        further = _from_other_shapes(problem, found, steps)
+        met += further
+        again = min(further, key=lambda f: f.objective, default=found)
         if again.objective > found.objective - 1.0:
             break
         found = again
-    return found
+    found = min(met, key=lambda f: f.objective)
+    return dataclasses.replace(found, covariance=_over_minima(found, met))
 
 
-def _from_other_shapes(problem: Problem, found: Fit) -> list[Fit]:
+def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
+    """Covariance (p, p) about the lowest of several minima; one met twice counts once."""
+    at = [np.r_[f.point.log_friction, f.point.log_rigidity, f.point.positions] for f in met]
+    centre = np.r_[lowest.point.log_friction, lowest.point.log_rigidity, lowest.point.positions]
+    near = np.sqrt(np.maximum(np.diag(lowest.covariance), 1e-18))
+    kept: list[int] = []
+    for i in sorted(range(len(met)), key=lambda i: met[i].objective):
+        if all(np.any(np.abs(at[i] - at[k]) > near) for k in kept):
+            kept.append(i)
+    weights = np.exp([0.5 * (lowest.objective - met[i].objective) for i in kept])
+    parts = [
+        w * (met[i].covariance + np.outer(at[i] - centre, at[i] - centre))
+        for w, i in zip(weights, kept, strict=True)
+    ]
+    return np.asarray(sum(parts) / weights.sum(), dtype=np.float64)
+
+
+def _from_other_shapes(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
     fits = []
     for i, axis in enumerate(found.axes):
         if axis.info.shapes and axis.effect == found.effects[-1]:
-            for step in (SHAPE_STEP, -SHAPE_STEP):
+            for step in steps:
                 positions = found.point.positions.copy()
                 positions[i] += step
                 start = dataclasses.replace(found.point, positions=positions)

@@ -16,7 +16,15 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.workbench.bins import bin_trial, driven_by_samples, sample_weights
 from needle_rig.workbench.coordinates import positions_of
-from needle_rig.workbench.fit import Fit, excess, fit, over_shapes, start_point
+from needle_rig.workbench.fit import (
+    FINE_SHAPE_STEPS,
+    SHAPE_STEPS,
+    Fit,
+    excess,
+    fit,
+    over_shapes,
+    start_point,
+)
 from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.noise import measure_noise, with_replicate_scatter
 from needle_rig.workbench.problem import Problem
@@ -107,15 +115,17 @@ def at_own_error(
     """
     error = solver_error(problem, found, trials, fine_m)
     near = excess(problem, found.objective) < problem.size
-    if near and np.linalg.norm(np.vstack(error)) > MOST_OURS:
+    bent = near and np.linalg.norm(np.vstack(error)) > MOST_OURS
+    if bent:
         by_samples = tuple(driven_by_samples(b, t) for b, t in zip(problem.trials, trials, strict=True))
         problem = dataclasses.replace(problem, trials=by_samples, _cache=OrderedDict())
-        found = over_shapes(problem, _again(problem, found))
+        found = _again(problem, found)
         error = solver_error(problem, found, trials, fine_m)
     others = tuple(n[:, 1:] for n in problem.nuisance)
     nuisance = tuple(np.hstack([e, o]) for e, o in zip(error, others, strict=True))
     suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
-    return suspect, _again(suspect, found)
+    final = _again(suspect, found)
+    return suspect, over_shapes(suspect, final, (*SHAPE_STEPS, *FINE_SHAPE_STEPS)) if bent else final
 
 
 def as_compared(

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
+from needle_rig.workbench import fit as fit_module
 from needle_rig.workbench.claims import chance, held_gain
 from needle_rig.workbench.coordinates import coordinates, make_effects, positions_of
-from needle_rig.workbench.fit import STEP, fit
+from needle_rig.workbench.fit import STEP, fit, over_shapes
 from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.held_out import held_out
 from needle_rig.workbench.prepare import prepare
@@ -294,3 +295,24 @@ def test_factors_of_sections_count_against_their_mean():
     assert np.all(errors < 0.02)
     assert np.all(np.abs(factors - given / given.mean()) < 4 * errors)
     assert held_out(prepared.problem, found).error < 1.1
+
+
+def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(monkeypatch):
+    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    start = dataclasses.replace(
+        prepared.present.point, positions=np.zeros(len(EVERY["stribeck"].parameters()))
+    )
+    found = fit(prepared.problem, ["stribeck"], start)
+    assert found is not None
+
+    def moved(by, worse):
+        positions = found.point.positions.copy()
+        positions[0] += by
+        point = dataclasses.replace(found.point, positions=positions)
+        return dataclasses.replace(found, point=point, objective=found.objective + worse)
+
+    others = [moved(0.5, 0.0), moved(0.5, 0.9), moved(-0.7, 40.0)]
+    monkeypatch.setattr(fit_module, "_from_other_shapes", lambda *_: others)
+    spread = over_shapes(prepared.problem, found).position_error
+    assert spread[0] == pytest.approx(np.hypot(found.position_error[0], 0.5 / np.sqrt(2)), rel=0.02)
+    assert spread[1:] == pytest.approx(found.position_error[1:], rel=1e-6)

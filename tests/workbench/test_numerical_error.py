@@ -66,15 +66,22 @@ def test_a_finer_solver_leaves_less_of_our_own_error():
     assert sizes[1] < sizes[0]
 
 
-def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
-    """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
+def ageing():
+    """(dataset, prepared present model, fit of the hidden effect on coarse paths)."""
     hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
     data = dataset(hidden, seed=25)
     prepared = prepare(data, None, few("stiction_ageing"))
     at = positions_of(prepared.problem.axes(["stiction_ageing"]), [hidden])
-    start = dataclasses.replace(prepared.present.point, positions=at)
-    coarse = fit(prepared.problem, ["stiction_ageing"], start)
+    coarse = fit(
+        prepared.problem, ["stiction_ageing"], dataclasses.replace(prepared.present.point, positions=at)
+    )
     assert coarse is not None
+    return data, prepared, coarse
+
+
+def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
+    """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
+    data, prepared, coarse = ageing()
     errors = solver_error(prepared.problem, coarse, data.trials, prepared.fine_m)
     before = [np.linalg.norm(e) for e in errors]
     assert np.linalg.norm(before) > MOST_OURS
@@ -84,11 +91,15 @@ def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
     assert held.error < 1.05
     growth = found.axes[0].value(float(found.point.positions[0]))
     assert growth == pytest.approx(0.4, abs=0.08)
-    model = dataclasses.replace(
-        problem.model(found.axes, found.point), element_length_m=load_parameters("rig_rigid").element_length_m
-    )
-    compared = prepare(data, model, few())
-    assert compared.held.error == pytest.approx(held.error, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_comparison_drives_an_adopted_model_as_finely():
+    data, prepared, coarse = ageing()
+    problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
+    length_m = load_parameters("rig_rigid").element_length_m
+    model = dataclasses.replace(problem.model(found.axes, found.point), element_length_m=length_m)
+    assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", [31, 32])
