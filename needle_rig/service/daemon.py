@@ -114,7 +114,7 @@ class Daemon:
                 self._finish_soon()
             if self._finishing is not None:
                 await self._finishing
-            self.stream.end()
+            await self.stream.end()  # a server told to exit may close before how the run ended is sent
             api.should_exit = True
             await serving
 

@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 _EVENT_LIMIT = 1000
@@ -58,6 +58,7 @@ class Stream:
 
     def __init__(self, rate_hz: float = 25.0) -> None:
         self._listeners: set[Listener] = set()
+        self._all_left = asyncio.Event()
         self._period_s = 1 / rate_hz
         self._next_state_s = 0.0
 
@@ -85,8 +86,15 @@ class Stream:
             yield listener
         finally:
             self._listeners.discard(listener)
+            if not self._listeners:
+                self._all_left.set()
 
-    def end(self) -> None:
-        """Tell every listener that it is over."""
+    async def end(self, wait_s: float = 1.0) -> None:
+        """Tell every listener that it is over, and wait until all have fetched the rest, at most `wait_s`."""
+        if not self._listeners:
+            return
+        self._all_left.clear()
         for listener in self._listeners:
             listener.end()
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._all_left.wait(), wait_s)
