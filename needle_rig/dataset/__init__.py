@@ -7,7 +7,7 @@ for trial in dataset.trials:
     trial.hall_rad           # (samples, sensors), NaN where missing
 """
 
-from needle_rig.dataset.base_path import BasePath, denoised_base
+from needle_rig.dataset.base_path import BasePath, denoised_base, encoder_noise
 from needle_rig.dataset.reader import read_dataset
 from needle_rig.dataset.records import (
     Dataset,
@@ -25,6 +25,7 @@ __all__ = [
     "Needle",
     "TrialCommand",
     "denoised_base",
+    "encoder_noise",
     "in_series",
     "read_dataset",
     "write_dataset",

@@ -54,6 +54,9 @@ class BinnedTrial:
     outliers: tuple[int, ...]
     """Samples set aside as outliers, a channel each."""
     missing: tuple[int, ...]
+    from_encoder: Array | None = None
+    """Changes of the model's bin means (C, K, D) for D paths that differ by the encoder's noise, where that
+    counts as noise."""
 
 
 def channels(trial: DatasetTrial) -> Array:

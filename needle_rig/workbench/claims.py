@@ -12,7 +12,9 @@ from needle_rig.workbench.problem import Problem
 SIGNIFICANCE = 0.01
 """Largest p, adjusted over the library, at which an effect counts as seen."""
 PULL_STANDS_IN = 9.0
-"""Gain from prior pulls (3σ) that stands in for a held-out gain."""
+"""Gain from prior pulls (3σ) that stands in for a held-out gain,"""
+MOST_LOST = 1.02
+"""as long as the error left out rises by no more than this factor."""
 TIMES_OURS = 3.0
 """Claims smaller than this many times our own numerical error are refused."""
 
@@ -62,9 +64,14 @@ def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
 
 
 def foretells(parent: Fit, parent_held: HeldOut | None, child: Fit, child_held: HeldOut | None) -> bool:
-    """Whether commands left out speak for the child, or the needle's stated constants do."""
+    """Whether commands left out speak for the child, or the needle's stated constants do and these do not
+    speak against it."""
+    if held_gain(parent_held, child_held) > 0:
+        return True
     relieved = parent.pull_rigidity**2 - child.pull_rigidity**2
-    return held_gain(parent_held, child_held) > 0 or relieved > PULL_STANDS_IN
+    if parent_held is None or child_held is None or relieved <= PULL_STANDS_IN:
+        return False
+    return bool(child_held.error <= MOST_LOST * parent_held.error)
 
 
 def is_trace(found: Fit, effect: str) -> bool:

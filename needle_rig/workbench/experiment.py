@@ -17,8 +17,9 @@ from needle_rig.physics.effect import Trial
 from needle_rig.simulation.base_drive import base_path, phases
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.workbench.bins import BinnedTrial, bin_trial
-from needle_rig.workbench.fit import STEP, Fit, fit
+from needle_rig.workbench.fit import Fit, fit
 from needle_rig.workbench.noise import whitener
+from needle_rig.workbench.objective import STEP
 from needle_rig.workbench.problem import Point, Problem
 from needle_rig.workbench.simulate import NO_NOISE, planned_motions
 

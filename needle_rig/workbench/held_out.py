@@ -13,8 +13,9 @@ from scipy.linalg import null_space
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.coordinates import Coordinate, held_means
-from needle_rig.workbench.fit import LOOSE, Fit, excess
+from needle_rig.workbench.fit import LOOSE, Fit
 from needle_rig.workbench.friction_of_trial import FrictionOfTrial
+from needle_rig.workbench.objective import excess
 from needle_rig.workbench.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]

@@ -191,10 +191,10 @@ def _worst(
 def _raw_means(problem: Problem, found: Fit, trial: int, keys: list[Key]) -> list[float]:
     """Mean of data minus model in each fact, N·m and rad."""
     b, w, rows = problem.trials[trial], problem.whiteners[trial], found.residuals[trial]
-    raw = [np.linalg.solve(inverse, rows[w.channel == c]) for c, inverse in enumerate(w.inverse)]
+    raw = w.raw(rows)
     means = []
     for channel, motion, moving in keys:
         use = w.use[channel]
         inside = (b.motion[use] == motion) & (b.moving[use] == moving)
-        means.append(float(np.average(raw[channel][inside], weights=b.count[channel][use][inside])))
+        means.append(float(np.average(raw[channel][use][inside], weights=b.count[channel][use][inside])))
     return means

@@ -196,6 +196,9 @@ def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places,
             rate[inside] = np.gradient(binned.mean[channel, use][inside], time[inside])
     late = noise.jitter_s * rate
     matrix += np.outer(late, late) + np.diag((0.5 * late) ** 2)
+    if binned.from_encoder is not None:
+        moved = binned.from_encoder[channel, use]
+        matrix += moved @ moved.T / moved.shape[1]
     return use, matrix
 
 
@@ -212,6 +215,14 @@ class Whitener:
         return np.concatenate(
             [w @ means[c][u] for c, (u, w) in enumerate(zip(self.use, self.inverse, strict=True))]
         )
+
+    def raw(self, values: Array) -> Array:
+        """Bin means (C, K, …) that whiten to `values` (n, …); NaN where a channel has none."""
+        bins = 1 + max((int(u.max()) for u in self.use if u.size), default=-1)
+        means = np.full((len(self.use), bins, *values.shape[1:]), np.nan)
+        for c, (use, inverse) in enumerate(zip(self.use, self.inverse, strict=True)):
+            means[c, use] = solve_triangular(inverse, values[self.channel == c], lower=True)
+        return means
 
     @property
     def channel(self) -> npt.NDArray[np.int64]:

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Effect
-from needle_rig.physics.needle_model import NeedleModel, predict_batch
-from needle_rig.workbench.bins import bin_trial, driven_by_samples, sample_weights
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.bins import bin_trial
 from needle_rig.workbench.coordinates import positions_of
-from needle_rig.workbench.fit import (
-    FINE_SHAPE_STEPS,
-    SHAPE_STEPS,
-    Fit,
-    excess,
-    fit,
-    over_shapes,
-    start_point,
-)
+from needle_rig.workbench.fit import Fit, fit
 from needle_rig.workbench.held_out import HeldOut, held_out
 from needle_rig.workbench.noise import measure_noise, with_replicate_scatter
+from needle_rig.workbench.objective import start_point
+from needle_rig.workbench.own_error import again, at_own_error
 from needle_rig.workbench.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -34,9 +27,6 @@ Array = npt.NDArray[np.float64]
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 COARSE_M = 4e-3
 CELLS_PER_SECTION = 6
-FINER = 8.0
-MOST_OURS = 5.0
-"""Our own error, in σ over all values, that a straight nuisance may stand for."""
 
 
 @dataclass(frozen=True)
@@ -98,34 +88,10 @@ def prepare(dataset: Dataset, model: NeedleModel | None, library: Mapping[str, t
         left = _left(problem, first)
         noise = with_replicate_scatter(noise, binned, left, problem.groups)
         problem = problem.with_noise(noise)
-        first = _again(problem, first)
+        first = again(problem, first)
     fine_m = present.element_length_m
     problem, final = at_own_error(problem, first, dataset.trials, fine_m)
     return Prepared(dataset, problem, final, held_out(problem, final), tuple(notes), fine_m)
-
-
-def at_own_error(
-    problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float
-) -> tuple[Problem, Fit]:
-    """The problem with the solver's error at a fit as its first nuisance, and the fit to that problem.
-
-    Where the error is large beside the noise, and the noise is what remains, trials drive the model by every
-    sample from then on: what slips and sticks by its history is bent by a coarse path as no straight
-    nuisance is. Raises SolverError where the model cannot be solved finely.
-    """
-    error = solver_error(problem, found, trials, fine_m)
-    near = excess(problem, found.objective) < problem.size
-    bent = near and np.linalg.norm(np.vstack(error)) > MOST_OURS
-    if bent:
-        by_samples = tuple(driven_by_samples(b, t) for b, t in zip(problem.trials, trials, strict=True))
-        problem = dataclasses.replace(problem, trials=by_samples, _cache=OrderedDict())
-        found = _again(problem, found)
-        error = solver_error(problem, found, trials, fine_m)
-    others = tuple(n[:, 1:] for n in problem.nuisance)
-    nuisance = tuple(np.hstack([e, o]) for e, o in zip(error, others, strict=True))
-    suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
-    final = _again(suspect, found)
-    return suspect, over_shapes(suspect, final, (*SHAPE_STEPS, *FINE_SHAPE_STEPS)) if bent else final
 
 
 def as_compared(
@@ -140,13 +106,6 @@ def as_compared(
     except SolverError:
         return problem, found, held or held_out(problem, found)
     return problem, found, held_out(problem, found)
-
-
-def _again(problem: Problem, old: Fit) -> Fit:
-    found = fit(problem, old.effects, old.point, nuisance=old.nuisance)
-    if found is None:
-        raise SolverError(f"{problem.name}: the present model could not be solved where it had been before")
-    return found
 
 
 def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:
@@ -182,26 +141,6 @@ def _left(problem: Problem, found: Fit) -> list[Array]:
     every = list(range(len(problem.trials)))
     readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
     return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
-
-
-def solver_error(
-    problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float
-) -> tuple[Array, ...]:
-    """What our own numerics do, whitened (n, 1) a trial: the model solved finely minus the model as used.
-
-    Finely is on cells of `fine_m`, with an eighth of the solver's tolerance, driven by every sample.
-    """
-    every = list(range(len(problem.trials)))
-    models = [problem.model(found.axes, found.point, t) for t in every]
-    tolerance_rad = models[0].tolerance_rad / FINER
-    fine = [dataclasses.replace(m, element_length_m=fine_m, tolerance_rad=tolerance_rad) for m in models]
-    seen = predict_batch(fine, [given.trial for given in trials], threads=problem.threads)
-    errors = []
-    for t, used in enumerate(problem.readings(models, every)):
-        values = np.vstack([seen[t].torque_nm[None, :], seen[t].hall_rad.T])
-        means = (sample_weights(trials[t]) @ values.T).T
-        errors.append(problem.whiteners[t](means - used)[:, None])
-    return tuple(errors)
 
 
 def _notes(problem: Problem) -> list[str]:

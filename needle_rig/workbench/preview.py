@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.workbench.coordinates import Coordinate, against_mean
-from needle_rig.workbench.fit import Fit, excess
+from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.objective import excess
 from needle_rig.workbench.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needle_rig.workbench.fit import Fit, excess, fit
+from needle_rig.workbench.fit import Fit, fit
+from needle_rig.workbench.objective import excess
 from needle_rig.workbench.problem import Problem
 from needle_rig.workbench.search import Search, score
 

@@ -12,15 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from needle_rig.workbench.claims import SIGNIFICANCE, chance, foretells, is_trace, may_be_ours, size_of
-from needle_rig.workbench.fit import (
-    LOOSE,
-    Fit,
-    excess,
-    fit,
-    fit_without_derivatives,
-    through_valleys,
-)
+from needle_rig.workbench.fit import LOOSE, Fit, fit
 from needle_rig.workbench.held_out import HeldOut, held_out
+from needle_rig.workbench.minima import fit_without_derivatives, through_valleys
+from needle_rig.workbench.objective import excess
 from needle_rig.workbench.preview import Preview, Start, beside, preview
 from needle_rig.workbench.problem import Point, Problem
 from needle_rig.workbench.work import Work

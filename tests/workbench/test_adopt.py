@@ -10,10 +10,10 @@ from needle_rig.cli.history import command as history_command
 from needle_rig.dataset import in_series, write_dataset
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import load_model
-from needle_rig.workbench import prepare as prepare_module
+from needle_rig.workbench import own_error as own_error_module
 from needle_rig.workbench.adopt import IN_NOISE_UNITS, Refused, adopt, undo
 from needle_rig.workbench.history import ladder
-from needle_rig.workbench.prepare import solver_error
+from needle_rig.workbench.own_error import solver_error
 from tests.workbench.hidden import dataset, effect, few
 
 TWO = (
@@ -63,7 +63,7 @@ def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeyp
         solved.append(solver_error(*given))
         return solved[0]
 
-    monkeypatch.setattr(prepare_module, "solver_error", once)
+    monkeypatch.setattr(own_error_module, "solver_error", once)
     one = adopt(dataset(*TWO[:1]), "tissue_elasticity", few("tissue_elasticity"))
     stiffness = one.model.values()["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
     assert stiffness == pytest.approx(0.45, abs=0.01)

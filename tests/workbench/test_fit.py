@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
-from needle_rig.workbench import fit as fit_module
+from needle_rig.workbench import minima as minima_module
 from needle_rig.workbench.claims import chance, held_gain
 from needle_rig.workbench.coordinates import coordinates, make_effects, positions_of
-from needle_rig.workbench.fit import STEP, fit, over_shapes
+from needle_rig.workbench.fit import fit
 from needle_rig.workbench.friction_of_trial import FrictionOfTrial
 from needle_rig.workbench.held_out import held_out
+from needle_rig.workbench.minima import over_shapes
+from needle_rig.workbench.objective import STEP
 from needle_rig.workbench.prepare import prepare
 from needle_rig.workbench.search import try_effect
 from needle_rig.workbench.simulate import Noise
@@ -312,7 +314,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
         return dataclasses.replace(found, point=point, objective=found.objective + worse)
 
     others = [moved(0.5, 0.0), moved(0.5, 0.9), moved(-0.7, 40.0)]
-    monkeypatch.setattr(fit_module, "_from_other_shapes", lambda *_: others)
+    monkeypatch.setattr(minima_module, "_from_other_shapes", lambda *_: others)
     spread = over_shapes(prepared.problem, found).position_error
     assert spread[0] == pytest.approx(np.hypot(found.position_error[0], 0.5 / np.sqrt(2)), rel=0.02)
     assert spread[1:] == pytest.approx(found.position_error[1:], rel=1e-6)

@@ -8,7 +8,8 @@ from needle_rig.workbench.claims import may_be_ours
 from needle_rig.workbench.coordinates import positions_of
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.fit import fit
-from needle_rig.workbench.prepare import MOST_OURS, as_compared, prepare, solver_error
+from needle_rig.workbench.own_error import MOST_OURS, solver_error
+from needle_rig.workbench.prepare import as_compared, prepare
 from needle_rig.workbench.simulate import Noise, simulate_dataset
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
 
