@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,8 +12,10 @@ from hypothesis import settings
 
 from tests.stillness import Stillness
 
-# Where it decides whether a change lands, the same examples every time; elsewhere new ones.
-settings.register_profile("needle-rig", deadline=None, print_blob=True, derandomize="CI" in os.environ)
+# The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search` looks
+# for new ones.
+settings.register_profile("needle-rig", deadline=None, print_blob=True, derandomize=True)
+settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile("needle-rig")
 
 TRIALS = 5

@@ -74,7 +74,7 @@ def by_every_sample(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
     driven = tuple(driven_by_samples(b, t) for b, t in zip(problem.trials, trials, strict=True))
     problem = dataclasses.replace(problem, trials=driven, _cache=OrderedDict())
     found = again(problem, found)
-    scatter = encoder_scatter(problem, found, trials)
+    scatter = _encoder_scatter(problem, found, trials)
     noisy = tuple(
         dataclasses.replace(b, from_encoder=s) for b, s in zip(problem.trials, scatter, strict=True)
     )
@@ -86,7 +86,22 @@ def by_every_sample(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
     return wider, again(wider, found)
 
 
-def encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> tuple[Array, ...]:
+def again(problem: Problem, old: Fit) -> Fit:
+    """The fit from where another problem's ended. Raises SolverError where the model cannot be solved."""
+    found = fit(problem, old.effects, old.point, nuisance=old.nuisance)
+    if found is None:
+        raise SolverError(f"{problem.name}: the present model could not be solved where it had been before")
+    return found
+
+
+def _with_suspect(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple[Problem, Fit]:
+    """The solver's error in the place of the first nuisance, and the fit with it."""
+    nuisance = tuple(np.hstack([e, n[:, 1:]]) for e, n in zip(error, problem.nuisance, strict=True))
+    suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
+    return suspect, again(suspect, found)
+
+
+def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> tuple[Array, ...]:
     """Changes of the model's bin means (C, K, draws) a trial for paths drawn about the one that drives it.
 
     A draw is the path with the encoder's noise on it, denoised as a measured one is. Draws are the same for
@@ -110,18 +125,3 @@ def encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
         readings = other.readings(models, every)
         draws.append([after - before for after, before in zip(readings, used, strict=True)])
     return tuple(np.stack(each, axis=-1) for each in zip(*draws, strict=True))
-
-
-def again(problem: Problem, old: Fit) -> Fit:
-    """The fit from where another problem's ended. Raises SolverError where the model cannot be solved."""
-    found = fit(problem, old.effects, old.point, nuisance=old.nuisance)
-    if found is None:
-        raise SolverError(f"{problem.name}: the present model could not be solved where it had been before")
-    return found
-
-
-def _with_suspect(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple[Problem, Fit]:
-    """The solver's error in the place of the first nuisance, and the fit with it."""
-    nuisance = tuple(np.hstack([e, n[:, 1:]]) for e, n in zip(error, problem.nuisance, strict=True))
-    suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
-    return suspect, again(suspect, found)

@@ -8,7 +8,8 @@ from needle_rig.workbench.claims import may_be_ours
 from needle_rig.workbench.coordinates import positions_of
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.fit import fit
-from needle_rig.workbench.own_error import MOST_OURS, solver_error
+from needle_rig.workbench.held_out import held_out
+from needle_rig.workbench.own_error import MOST_OURS, by_every_sample, solver_error
 from needle_rig.workbench.prepare import as_compared, prepare
 from needle_rig.workbench.simulate import Noise, simulate_dataset
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
@@ -101,6 +102,48 @@ def test_a_comparison_drives_an_adopted_model_as_finely():
     length_m = load_parameters("rig_rigid").element_length_m
     model = dataclasses.replace(problem.model(found.axes, found.point), element_length_m=length_m)
     assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
+
+
+def slipping(encoder_deg):
+    """(data, problem, fit at the true values) of friction that weakens as soon as it slips."""
+    hidden = effect("stribeck", static_excess=0.3)
+    noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)
+    data = dataset(hidden, seed=41, noise=noise)
+    prepared = prepare(data, None, few("stribeck"))
+    at = positions_of(prepared.problem.axes(["stribeck"]), [hidden])
+    found = fit(prepared.problem, ["stribeck"], dataclasses.replace(prepared.present.point, positions=at))
+    return data, prepared.problem, found
+
+
+def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison():
+    """A path off by 0.01° slips a sample sooner or later: true values would leave more than the noise."""
+    data, problem, found = slipping(encoder_deg=0.02)
+    wider, again = by_every_sample(problem, found, data.trials)
+    sensors_alone = tuple(dataclasses.replace(b, from_encoder=None) for b in wider.trials)
+    narrow = dataclasses.replace(wider, trials=sensors_alone, whiteners=())
+    assert held_out(narrow, fit(narrow, ["stribeck"], again.point)).error > 1.03
+    assert held_out(wider, again).error < 1.0
+    assert (
+        0.0 < np.linalg.norm(wider.whiteners[0].inverse[1]) < np.linalg.norm(narrow.whiteners[0].inverse[1])
+    )
+
+
+def test_an_encoder_without_noise_adds_none():
+    data, problem, found = slipping(encoder_deg=0.0)
+    wider, _ = by_every_sample(problem, found, data.trials)
+    assert all(not b.from_encoder.any() for b in wider.trials)
+
+
+def test_directions_of_other_nuisances_outlast_a_change_of_the_noise():
+    data, problem, found = slipping(encoder_deg=0.02)
+    raw = [np.cos(3.0 * b.base_rad) + np.zeros_like(b.mean) for b in problem.trials]
+    kept = tuple(
+        np.column_stack([n, w(r)]) for n, w, r in zip(problem.nuisance, problem.whiteners, raw, strict=True)
+    )
+    found = dataclasses.replace(found, nuisance=np.append(found.nuisance, 0.0))
+    wider, _ = by_every_sample(dataclasses.replace(problem, nuisance=kept), found, data.trials)
+    for whitener, nuisance, given in zip(wider.whiteners, wider.nuisance, raw, strict=True):
+        assert nuisance[:, 1] == pytest.approx(whitener(given))
 
 
 @pytest.mark.parametrize("seed", [31, 32])
