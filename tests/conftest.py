@@ -12,8 +12,8 @@ from hypothesis import settings
 
 from tests.stillness import Stillness
 
-# The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search` looks
-# for new ones.
+# The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search`
+# looks for new ones.
 settings.register_profile("needle-rig", deadline=None, print_blob=True, derandomize=True)
 settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile("needle-rig")

@@ -111,7 +111,7 @@ def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial
     models = [problem.model(found.axes, found.point, t) for t in every]
     used = problem.readings(models, every)
     random = [np.random.default_rng(0) for _ in every]
-    noise_rad = [encoder_noise(given.base_measured_rad) for given in trials]
+    noise_rad = [encoder_noise(t.base_measured_rad) if t.base_residual_rad > 0 else 0.0 for t in trials]
     draws = []
     for _ in range(DRAWS):
         drawn = []
