@@ -318,3 +318,13 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
     spread = over_shapes(prepared.problem, found).position_error
     assert spread[0] == pytest.approx(np.hypot(found.position_error[0], 0.5 / np.sqrt(2)), rel=0.02)
     assert spread[1:] == pytest.approx(found.position_error[1:], rel=1e-6)
+
+
+def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest():
+    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    start = dataclasses.replace(prepared.present.point, positions=np.array([0.9, -0.6, 0.0]))
+    stuck = fit(prepared.problem, ["stribeck"], start)
+    assert stuck is not None
+    found = over_shapes(prepared.problem, stuck)
+    assert found.objective < stuck.objective - 10.0
+    assert found.axes[0].value(float(found.point.positions[0])) == pytest.approx(0.3, abs=0.01)
