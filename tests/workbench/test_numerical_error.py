@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from needle_rig.model import load_parameters
+from needle_rig.workbench import own_error
 from needle_rig.workbench.claims import may_be_ours
 from needle_rig.workbench.coordinates import positions_of
 from needle_rig.workbench.diagnose import diagnose
 from needle_rig.workbench.fit import fit
 from needle_rig.workbench.held_out import held_out
-from needle_rig.workbench.own_error import MOST_OURS, by_every_sample, solver_error
+from needle_rig.workbench.own_error import MOST_OURS, at_own_error, by_every_sample, solver_error
 from needle_rig.workbench.prepare import as_compared, prepare
 from needle_rig.workbench.simulate import Noise, simulate_dataset
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
@@ -81,6 +82,7 @@ def ageing():
     return data, prepared, coarse
 
 
+@pytest.mark.slow
 def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
     """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
     data, prepared, coarse = ageing()
@@ -126,6 +128,20 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     assert (
         0.0 < np.linalg.norm(wider.whiteners[0].inverse[1]) < np.linalg.norm(narrow.whiteners[0].inverse[1])
     )
+
+
+def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch):
+    data, problem, found = slipping(encoder_deg=0.02)
+    monkeypatch.setattr(own_error, "over_shapes", lambda _, found, steps: found)
+    fine_m = load_parameters("rig_rigid").element_length_m
+    before = np.linalg.norm(np.vstack(solver_error(problem, found, data.trials, fine_m)))
+    assert before > MOST_OURS
+    after, again = at_own_error(problem, found, data.trials, fine_m)
+    assert [b.trial.time_s.size for b in after.trials] == [t.trial.time_s.size for t in data.trials]
+    assert np.linalg.norm(np.vstack([n[:, :1] for n in after.nuisance])) < 0.5 * before
+    assert again.nuisance.size == found.nuisance.size
+    far = dataclasses.replace(found, objective=3.0 * problem.size)
+    assert at_own_error(problem, far, data.trials, fine_m)[0].trials == problem.trials
 
 
 def test_an_encoder_without_noise_adds_none():
