@@ -24,7 +24,11 @@ FINER = 8.0
 MOST_OURS = 5.0
 """The solver's error, in σ over all values, that a straight nuisance may stand for."""
 DRAWS = 16
-"""Paths that the encoder might as well have shown, of which the scatter of what the model makes is taken."""
+"""Paths that the encoder might as well have shown, of which the scatter of what the model makes is taken;"""
+REFITS = 8
+"""those to which the parameters are fitted again,"""
+FAR_SIGMAS = 5.0
+"""and from how far: minima of stick-slip lie close together."""
 
 
 def at_own_error(
@@ -41,7 +45,8 @@ def at_own_error(
         return _with_suspect(problem, found, error)
     problem, found = by_every_sample(problem, found, trials)
     problem, found = _with_suspect(problem, found, solver_error(problem, found, trials, fine_m))
-    return problem, over_shapes(problem, found, (*SHAPE_STEPS, *FINE_SHAPE_STEPS))
+    found = over_shapes(problem, found, (*SHAPE_STEPS, *FINE_SHAPE_STEPS))
+    return problem, _over_paths(problem, found, trials)
 
 
 def solver_error(
@@ -102,26 +107,50 @@ def _with_suspect(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple
 
 
 def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> tuple[Array, ...]:
-    """Changes of the model's bin means (C, K, draws) a trial for paths drawn about the one that drives it.
-
-    A draw is the path with the encoder's noise on it, denoised as a measured one is. Draws are the same for
-    each trial whatever its place in the series. Raises SolverError.
-    """
+    """Changes of the model's bin means (C, K, draws) a trial for other paths that the encoder might show."""
     every = list(range(len(problem.trials)))
     models = [problem.model(found.axes, found.point, t) for t in every]
     used = problem.readings(models, every)
-    random = [np.random.default_rng(0) for _ in every]
-    noise_rad = [encoder_noise(t.base_measured_rad) if t.base_residual_rad > 0 else 0.0 for t in trials]
     draws = []
-    for _ in range(DRAWS):
-        drawn = []
-        for binned, given, sigma, generator in zip(problem.trials, trials, noise_rad, random, strict=True):
-            path = given.trial.base_angle_rad
-            noisy = path + sigma * generator.standard_normal(path.size)
-            angle_rad = denoised_base(given.trial.time_s, noisy).angle_rad if sigma > 0 else path
-            moved = dataclasses.replace(binned.trial, base_angle_rad=angle_rad)
-            drawn.append(dataclasses.replace(binned, trial=moved))
-        other = dataclasses.replace(problem, trials=tuple(drawn), _cache=OrderedDict())
-        readings = other.readings(models, every)
+    for draw in range(DRAWS):
+        readings = _on_other_path(problem, trials, draw).readings(models, every)
         draws.append([after - before for after, before in zip(readings, used, strict=True)])
     return tuple(np.stack(each, axis=-1) for each in zip(*draws, strict=True))
+
+
+def _over_paths(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> Fit:
+    """A fit with the spread in its covariance that fits on other paths have, each begun elsewhere.
+
+    Derivatives know the slope between two slips, not how far the slips move a minimum: what the encoder's
+    noise does to the parameters is seen by fitting again (multiple imputation: Rubin 1987, (3.1.5)).
+    """
+    random = np.random.default_rng(0)
+    met = []
+    for draw in range(REFITS):
+        off = FAR_SIGMAS * found.position_error * random.standard_normal(len(found.axes))
+        start = dataclasses.replace(found.point, positions=found.point.positions + off)
+        other = fit(_on_other_path(problem, trials, draw), found.effects, start, nuisance=found.nuisance)
+        if other is not None:
+            met.append(np.r_[other.point.log_friction, other.point.log_rigidity, other.point.positions])
+    if len(met) < 2:
+        return found
+    between = (1.0 + 1.0 / len(met)) * np.cov(np.array(met), rowvar=False)
+    return dataclasses.replace(found, covariance=found.covariance + between)
+
+
+def _on_other_path(problem: Problem, trials: Sequence[DatasetTrial], draw: int) -> Problem:
+    """The problem driven by paths with the encoder's noise on them, denoised as measured ones are.
+
+    A draw is the same for each trial whatever its place in the series.
+    """
+    drawn = []
+    for binned, given in zip(problem.trials, trials, strict=True):
+        path = given.trial.base_angle_rad
+        if given.base_residual_rad > 0.0:
+            noise = np.random.default_rng(draw).standard_normal(path.size)
+            noisy = path + encoder_noise(given.base_measured_rad) * noise
+            path = denoised_base(given.trial.time_s, noisy).angle_rad
+        drawn.append(
+            dataclasses.replace(binned, trial=dataclasses.replace(binned.trial, base_angle_rad=path))
+        )
+    return dataclasses.replace(problem, trials=tuple(drawn), _cache=OrderedDict())
