@@ -73,6 +73,7 @@ def diagnose(
         search.run()
         say("looking for what cannot be told apart")
         rivals = find_rivals(search, seed)
+        say("holding the answer against our own error")
         return _conclude(prepared, search, rivals, dataset.sensor_names)
 
 
