@@ -8,6 +8,7 @@ from needle_rig.workbench.answer import Decision
 from needle_rig.workbench.claims import SIGNIFICANCE, chance, is_trace
 from needle_rig.workbench.coordinates import Coordinate
 from needle_rig.workbench.fit import Fit
+from needle_rig.workbench.objective import STEP
 from needle_rig.workbench.search import Candidate, Search
 
 
@@ -28,8 +29,9 @@ def decide(search: Search, named: list[str]) -> dict[str, Decision]:
 
 
 def _sizes(axes: tuple[Coordinate, ...], found: Fit, name: str) -> list[tuple[Coordinate, float, float]]:
+    """(axis, position, its error) of each size; at 0 nothing is known finer than the derivatives' step."""
     return [
-        (a, float(x), float(e))
+        (a, float(x), max(float(e), STEP * (x == 0.0)))
         for a, x, e in zip(found.axes, found.point.positions, found.position_error, strict=True)
         if a.effect == name and not a.info.shapes
     ]
