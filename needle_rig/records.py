@@ -47,6 +47,7 @@ class Phase(enum.StrEnum):
     MOVING = "moving"
     SETTLING = "settling"
     MEASURING = "measuring"
+    HOLDING = "holding"
     DONE = "done"
     ABORTED = "aborted"
     FAULT = "fault"
@@ -84,15 +85,19 @@ class Command:
     """What the drive is told each tick. `clear` leaves SILENT or FAULT; `enable` False stops.
 
     `reference_rad` says at which angle the base stands; the drive takes it as such unless it is running.
+    `release` sends nothing at all: a drive that hears nothing falls silent, its supply opens, and a hand may
+    turn it.
     """
 
     velocity_rad_s: float = 0.0
     enable: bool = False
     clear: bool = False
     reference_rad: float | None = None
+    release: bool = False
 
 
 STOP = Command()
+RELEASE = Command(release=True)
 
 
 @dataclass(frozen=True, slots=True)
