@@ -60,7 +60,14 @@ class FollowingError:
         self._last_rad = angle_rad
         forgiven_rad = SCALE_TOLERANCE * abs(asked_rad) + DRIFT_RAD_S * dt_s
         error_rad = self.error_rad + asked_rad - turned_rad
-        self.error_rad = math.copysign(max(abs(error_rad) - forgiven_rad, 0.0), error_rad)
+        # an answer that comes later than the command is no error to be forgiven: it comes back at the end
+        late_rad = self._limits.response_s * commanded_rad_s
+        least_rad, most_rad = min(late_rad, 0.0), max(late_rad, 0.0)
+        if error_rad > most_rad:
+            error_rad = max(error_rad - forgiven_rad, most_rad)
+        elif error_rad < least_rad:
+            error_rad = min(error_rad + forgiven_rad, least_rad)
+        self.error_rad = error_rad
         kept = math.exp(-dt_s / self._limits.response_s)
         self._peak_rad_s = max(abs(commanded_rad_s), self._peak_rad_s * kept)
         self._asked_rad_s += (1.0 - kept) * (commanded_rad_s - self._asked_rad_s)

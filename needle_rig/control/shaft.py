@@ -184,7 +184,7 @@ class ShaftWatch:
                 f"the shaft is twisted and the torque cell does not feel it: {seen}; the cell is dead, or the"
                 " coupling between base and needle slips",
             )
-        if abs(twist_rad) < FLICKER * abs(sprung_rad):
+        if max(abs(base_rad), abs(hall_rad)) < FLICKER * abs(sprung_rad):
             return _fault(
                 FaultName.TORQUE_WITHOUT_TWIST,
                 "torque",
