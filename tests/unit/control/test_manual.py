@@ -1,4 +1,4 @@
-"""Jog, home, hold and release, and what stops them; other masters, the emergency stop, a host that is late."""
+"""Jog, home, hold and release, and what stops them; other masters, emergency stop, a host that is late."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_held_base_is_kept_where_it_stands_until_it_is_released() -> None:
         node.brain.clear,
         lambda: node.brain.home("hall"),
     ):
-        with pytest.raises(BadInput, match="release it first|stop it first"):
+        with pytest.raises(BadInput, match=r"(release|stop) it first"):
             refused()
     node.brain.release()
     node.tick()
