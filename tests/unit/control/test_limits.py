@@ -325,6 +325,12 @@ def test_a_slow_host_counts_a_link_dead_that_will_be_at_the_next_tick(link, limi
     assert (fault.name, fault.link, fault.latching) == (FaultName.LATE_TICK, link, False)
     assert fault.text == (
         f"this computer is too slow for the {link} link: its newest value is {limit_s * 1e3 - 20:.0f} ms old,"
-        f" the next look at it comes in 20 ms, limit {limit_s * 1e3:g} ms; end other programs, or lower tick_hz"
+        f" the next look at it comes in 20 ms, limit {limit_s * 1e3:g} ms;"
+        " end other programs, or lower tick_hz"
     )
     assert slow_host_fault(GOOD, 0.045, LIMITS) is None
+
+
+def test_a_slow_host_tells_long_times_to_the_millisecond():
+    text = slow_host_fault(having(hall_age_s=12.345), 7.654, LIMITS).text
+    assert "12345 ms old, the next look at it comes in 7654 ms, limit 60 ms" in text
