@@ -332,5 +332,5 @@ def test_a_slow_host_counts_a_link_dead_that_will_be_at_the_next_tick(link, limi
 
 
 def test_a_slow_host_tells_long_times_to_the_millisecond():
-    text = slow_host_fault(having(hall_age_s=12.345), 7.654, LIMITS).text
-    assert "12345 ms old, the next look at it comes in 7654 ms, limit 60 ms" in text
+    text = slow_host_fault(having(torque_age_s=12.345), 7.654, LIMITS).text
+    assert "12345 ms old, the next look at it comes in 7654 ms, limit 50 ms" in text
