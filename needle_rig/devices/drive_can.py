@@ -89,6 +89,8 @@ class DriveCan:
 
     def command(self, command: Command) -> None:
         """Send `command` at once or not at all: the next one comes within a tick."""
+        if command.release:
+            return
         self._counter = (self._counter + 1) % COUNTER_MODULUS
         self._heartbeat = (self._heartbeat + 1) % HEARTBEAT_MODULUS
         self._send(DRIVE_COMMAND_ID, self._codec.encode_command(command, self._counter, self._heartbeat))

@@ -116,6 +116,8 @@ class FirmwareRig:
 
     def write(self, command: Command) -> None:
         """Send one command frame to the drive node, and the reference that comes with it."""
+        if command.release:
+            return
         self._sent += 1
         self._own = True
         self.send(DRIVE_COMMAND_ID, self.codec.encode_command(command, self._sent, self._sent))

@@ -103,6 +103,8 @@ class Plant:
 
     def write(self, command: Command) -> None:
         """Hand a command to the drive; it acts from the next `advance` on."""
+        if command.release:
+            return
         self._commands += 1
         if self.links.command.fault:
             return
