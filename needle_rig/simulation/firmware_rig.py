@@ -92,6 +92,11 @@ class FirmwareRig:
         return self.plant.shaft_rad()
 
     @property
+    def sent(self) -> int:
+        """How many commands the host has sent: its counter and heartbeat."""
+        return self._sent
+
+    @property
     def faults(self) -> Faults:
         """What is broken in the machine."""
         return self.plant.faults
@@ -171,7 +176,9 @@ class FirmwareRig:
             emergency_stop=plant.faults.emergency_stop,
         )
         faded = self.links.hall_faded
-        pairs = [NO_FIELD if i in faded else pair for i, pair in enumerate(counts.hall)] if faded else counts.hall
+        pairs = (
+            [NO_FIELD if i in faded else pair for i, pair in enumerate(counts.hall)] if faded else counts.hall
+        )
         hall = nodes.hall.step(now_us, pairs)
         if self._heard is not None:
             for frame in (torque, *(data for _, data in drive), hall):
