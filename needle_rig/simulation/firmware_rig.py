@@ -135,7 +135,7 @@ class FirmwareRig:
     def send(self, frame_id: int, data: bytes) -> None:
         """Put any frame on the bus; the host takes a command for the drive that is not its own as foreign."""
         if self._own:
-            arrived = self.links.command.through(data, self.plant.time_s)
+            arrived = self.links.command.through(data, self.plant.time_s, frame_id)
             if arrived is not None:
                 self.nodes.drive.receive(self._ticks * 1000, frame_id, arrived)
             return
@@ -185,7 +185,7 @@ class FirmwareRig:
                 self._heard(frame)
         self._take_torque(arrived)
         for frame_id, data in drive:
-            reached = self.links.drive.through(data, plant.time_s)
+            reached = self.links.drive.through(data, plant.time_s, frame_id)
             self._take_drive(None if reached is None else self.codec.decode(frame_id, reached))
         self._take_hall(self.links.hall.through(hall, plant.time_s))
 
