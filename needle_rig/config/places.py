@@ -23,7 +23,7 @@ DataPath = tuple[str | int, ...]
 
 NODE_LIMIT = 200_000
 LIMIT_BYTES = 16_000_000
-"""Several times what `NODE_LIMIT` values take with their keys; long text and comments beyond that are no settings."""
+"""Several times what `NODE_LIMIT` values take; it bounds text and comments, which are read at 1 MB a second."""
 SEEN_LETTERS = 60
 """Of a line that is no YAML, repeated in the error."""
 
@@ -69,7 +69,7 @@ def dotted(path: DataPath) -> str:
 def read_yaml(
     path: str | os.PathLike[str], *, inside: str | os.PathLike[str] | None = None
 ) -> tuple[dict[str, Any], Places]:
-    """The mapping in the YAML file at `path` (below the folder `inside`, if given), and the places of its parts.
+    """The mapping in the YAML file at `path`, and the places of its parts; links must not leave `inside`.
 
     Raises BadInput, with file, line and column where there are any, for a file that cannot be read.
     """

@@ -71,7 +71,7 @@ def read_regular(
     inside: str | os.PathLike[str] | None = None,
     missing: Callable[[], str] = str,
 ) -> bytes:
-    """The content of what `open_regular` opens, of at most `limit_bytes` also when the file grows meanwhile."""
+    """What `open_regular` opens, read whole; BadInput too for a file that grows beyond `limit_bytes`."""
     with open_regular(path, shown, limit_bytes, inside=inside, missing=missing) as file:
         try:
             content = file.read(limit_bytes + 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from pathlib import Path
 
 from needle_rig.recording.superblock import SUPERBLOCK_BYTES, Superblock
 
