@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,7 @@ def the_run(named: str, directory: Path | None, config_path: Path | None) -> Run
     """The run called `named` (a path, a listed name, a part of it, or `last`); raises BadInput."""
     from needle_rig.recording import RunFile, find_run
 
-    if Path(named).is_file():
+    if os.path.isfile(named):
         return RunFile(named)
     return find_run(named, runs_directory(directory, config_path))
 

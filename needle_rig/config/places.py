@@ -23,7 +23,7 @@ DataPath = tuple[str | int, ...]
 
 NODE_LIMIT = 200_000
 LIMIT_BYTES = 16_000_000
-"""Several times what `NODE_LIMIT` values take; it bounds text and comments, which are read at 1 MB a second."""
+"""Several times what `NODE_LIMIT` values take; bounds text and comments, read at 1 MB a second."""
 SEEN_LETTERS = 60
 """Of a line that is no YAML, repeated in the error."""
 

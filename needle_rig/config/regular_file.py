@@ -71,14 +71,17 @@ def read_regular(
     inside: str | os.PathLike[str] | None = None,
     missing: Callable[[], str] = str,
 ) -> bytes:
-    """What `open_regular` opens, read whole; BadInput too for a file that grows beyond `limit_bytes`."""
+    """What `open_regular` opens, read whole; BadInput too when the file changes its size meanwhile."""
     with open_regular(path, shown, limit_bytes, inside=inside, missing=missing) as file:
+        size_bytes = os.fstat(file.fileno()).st_size
         try:
-            content = file.read(limit_bytes + 1)
+            content = file.read(size_bytes + 1)
         except OSError as error:
             raise BadInput(_refusal(error, shown, missing)) from None
-    if len(content) > limit_bytes:
-        raise BadInput(f"{shown}: grew beyond {_size(limit_bytes)} while it was read; is it the right file?")
+    if len(content) != size_bytes:
+        raise BadInput(
+            f"{shown}: changed its size while it was read; wait until it is written, then try again"
+        )
     return content
 
 

@@ -1,8 +1,8 @@
 """Looks into a run's HDF5 file so that no byte of it can hold up or end the program.
 
-A file is never opened in HDF5's mode for reading beside a writer: on a damaged head that mode retries for ever.
-Instead the library is shown the superblock of a closed file of the true length. Its metadata carries checksums,
-so what a writer is changing at this instant is an error like any damage, and is looked at again.
+A file is never opened in HDF5's mode for reading beside a writer: on a damaged head that mode retries for
+ever. Instead the library is shown the superblock of a closed file of the true length. HDF5's metadata carries
+checksums, so what a writer is changing at this instant is an error like any damage, and is looked at again.
 """
 
 from __future__ import annotations

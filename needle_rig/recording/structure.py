@@ -1,4 +1,4 @@
-"""What a run file must be made of before any of it is used: plain tables of known columns, plain attributes."""
+"""What a run file must be made of before any of it is used: tables of known columns, plain attributes."""
 
 from __future__ import annotations
 
