@@ -77,17 +77,18 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
 
 @dataclass(frozen=True)
 class Made:
-    """A socket's file, known by its inode: another one may stand at the same place later."""
+    """A socket's file, told from others that stand at the same place later, which may get the same inode."""
 
     path: Path
     device: int
     inode: int
+    made_ns: int
 
     @classmethod
     def at(cls, path: Path) -> Made:
         """The file that stands at `path` now."""
         status = path.lstat()
-        return cls(path, status.st_dev, status.st_ino)
+        return cls(path, status.st_dev, status.st_ino, status.st_mtime_ns)
 
     def remove(self) -> None:
         """Remove it, unless another stands there now; safe to call twice."""
