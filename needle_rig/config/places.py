@@ -161,8 +161,8 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         # The parser takes 20 µs for each value: stop it, rather than judge what it made.
-        self.nodes += 1
-        if self.nodes > 2 * NODE_LIMIT + 1:
+        self.nodes += index is not None  # keys of mappings have none
+        if self.nodes > NODE_LIMIT:
             raise _TooManyNodes(self.line + 1)
         return super().compose_node(parent, index)
 
