@@ -112,5 +112,5 @@ def _what_is_wrong_with(head: bytes) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    lines = str(error).strip("'\"").splitlines()
+    lines = str(error).splitlines()
     return (lines[0] if lines else type(error).__name__)[:200]

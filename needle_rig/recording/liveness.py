@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import stat
 import time
 
 from needle_rig.recording.superblock import SUPERBLOCK_BYTES, Superblock
@@ -15,6 +16,8 @@ RECENT_S = 2.0
 def being_written(path: str | os.PathLike[str]) -> bool:
     """Whether a process holds the run at `path` open for writing; False when there is none."""
     try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            return False
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError):
         return False

@@ -154,6 +154,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
     plain = value.item() if isinstance(value, np.generic) else value
-    if not isinstance(plain, str | int | float | np.ndarray):
+    if isinstance(plain, str):  # h5py keeps bytes that are no UTF-8 as lone surrogates
+        return plain.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    if not isinstance(plain, int | float | np.ndarray):
         raise ValueError("an attribute is neither a text nor numbers")
     return plain

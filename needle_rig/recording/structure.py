@@ -40,9 +40,10 @@ def check_structure(file: h5py.File, size_bytes: int) -> None:
         raise ValueError(f"it has no table {name}")
     for name in file.attrs:
         identity = file.attrs.get_id(name)
-        plain = identity.dtype.kind in "fiub" or (identity.dtype.kind in "SO" and identity.shape == ())
-        # libhdf5 takes the memory that an attribute claims before it looks for the values
-        if not plain or math.prod(identity.shape) * identity.dtype.itemsize > size_bytes:
+        shape = identity.shape
+        plain = shape == () if identity.dtype.kind in "SO" else identity.dtype.kind in "fiub"
+        # the library takes the memory that an attribute claims before it looks for the values
+        if shape is None or not plain or math.prod(shape) * identity.dtype.itemsize > size_bytes:
             raise ValueError(f"attribute {name} is neither a text nor numbers")
 
 

@@ -63,6 +63,7 @@ def test_the_shipped_rig_is_valid_and_survives_being_written_out():
         ("torque_limit_nmm: 2.0", "torque_limit_nmm: '2.0'", "'2.0'", "is text, not a number; write 2"),
         ("torque_age_limit_ms: 250", "torque_age_limit_ms: 0.05", "0.05", "5 ms; did you mean 50 (0.05 s)?"),
         ("seed: 1", "seed: 1.5", "1.5", "1.5 is not a whole number"),
+        ("seed: 1", "seed: .inf", ".inf", "is not a whole number; write one"),
         ("seed: 1", "seed: 1\n  seed: 2", "seed: 2", "seed is given twice, first at rig.yaml:"),
         ("kind: simulated", "kind: simulatd", "simulatd", "is not one of 'simulated' or 'hardware'"),
         ("name: simulated rig", "name: 5", "5\nkind", "5 is a number, not text; put it in quotes"),
