@@ -170,13 +170,14 @@ def test_a_file_that_cannot_be_read(tmp_path, monkeypatch):
         read_yaml("x" * 300)
 
 
-def test_a_file_without_read_permission(monkeypatch):
-    def forbidden(_path):
+def test_a_file_without_read_permission(tmp_path, monkeypatch):
+    def forbidden(*_given):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_bytes", forbidden)
+    (tmp_path / "rig.yaml").write_text("a: 1\n")
+    monkeypatch.setattr("os.open", forbidden)
     with pytest.raises(BadInput, match="you may not read this file"):
-        read_yaml("rig.yaml")
+        read_yaml(tmp_path / "rig.yaml")
 
 
 def test_scalars_are_read_without_surprises():
