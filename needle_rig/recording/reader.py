@@ -20,7 +20,7 @@ from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput
 from needle_rig.recording.hdf5_file import read_hdf5
-from needle_rig.recording.structure import NOT_TABLES, check_attributes
+from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
 from needle_rig.recording.tables import FORMAT
 
 Found = TypeVar("Found")
@@ -68,13 +68,13 @@ class RunFile:
         """All rows of table `name` as a structured array (see `tables.run_tables`)."""
         if name not in self.tables:
             raise BadInput(f"{self._shown}: has no table {name}; it has {', '.join(self.tables)}")
-        rows: npt.NDArray[Any] = self._read(lambda file: np.asarray(file[name][:]))
+        rows: npt.NDArray[Any] = self._read(lambda file: _rows(file, name))
         return rows
 
     @property
     def events(self) -> tuple[Event, ...]:
         """The events in order of writing."""
-        rows = self._read(lambda file: file["events"][:])
+        rows = self._read(lambda file: _rows(file, "events"))
         events: list[Event] = []
         for time_s, kind, raw in rows:
             text = raw.decode("utf-8", "replace")
@@ -122,6 +122,12 @@ def _about(file: h5py.File) -> tuple[dict[str, Any], tuple[str, ...]]:
     return attributes, tuple(sorted(set(file) - NOT_TABLES))
 
 
+def _rows(file: h5py.File, name: str) -> npt.NDArray[Any]:
+    rows = np.asarray(file[name][:])
+    check_times(name, rows["time_s"])
+    return rows
+
+
 def _ending(file: h5py.File, tables: tuple[str, ...]) -> Ending:
     events = file["events"]
     found = _late(file).get("result")
@@ -147,6 +153,7 @@ def _span(file: h5py.File, tables: tuple[str, ...]) -> tuple[float, float]:
     filled = [name for name in tables if len(file[name]) and "time_s" in file[name].dtype.names]
     filled = filled or (["events"] if len(file["events"]) else [])
     times = [float(file[name][row]["time_s"]) for name in filled for row in (0, -1)]
+    check_times(" or ".join(filled), np.array(times))
     return (min(times), max(times)) if times else (math.nan, math.nan)
 
 

@@ -151,6 +151,16 @@ def _late(line: bytes) -> Callable[[h5py.File], None]:
     return _with_rows(np.frombuffer(line, "u1"), "late_attributes")
 
 
+def _times(value: float) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        for name in ("ticks", "torque", "events"):
+            rows = np.resize(file[name][:], 5)
+            rows["time_s"][2:] = value
+            _with_rows(rows, name)(file)
+
+    return change
+
+
 def _virtual(file: h5py.File) -> None:
     layout = h5py.VirtualLayout((5,), file["torque"].dtype)
     layout[:] = h5py.VirtualSource("other.h5", "torque", (5,), file["torque"].dtype)
@@ -198,6 +208,8 @@ CHANGES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "a terminal's commands": (_attribute("strategy", "\x1b[2J"), "characters that cannot be shown"),
     "an empty attribute": (_attribute("config", h5py.Empty("f8")), "attribute"),
     "a late text in settle_s": (_late(b'{"settle_s": "x"}\n'), "attribute settle_s is no finite number"),
+    "no time": (_times(np.nan), "nan s is no time of a run"),
+    "a time beyond all": (_times(1e308), "1e+308 s is no time of a run"),
     "a config that is none": (_attribute("config", "x: ["), ""),
 }
 
