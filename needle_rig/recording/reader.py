@@ -131,6 +131,8 @@ def _rows(file: h5py.File, name: str) -> npt.NDArray[Any]:
 def _ending(file: h5py.File, tables: tuple[str, ...]) -> Ending:
     events = file["events"]
     found = _late(file).get("result")
+    if isinstance(found, dict) and not str(found.get("status", "")).isprintable():
+        raise ValueError("the status of its result has characters that cannot be shown")
     return Ending(
         complete=bool(len(events) and events[-1]["kind"] == b"end"),
         result=found if isinstance(found, dict) else None,

@@ -255,3 +255,34 @@ def test_an_older_hdf5_file_is_no_run(tmp_path: Path) -> None:
     h5py.File(tmp_path / "a.h5", "w").close()
     with pytest.raises(BadInput, match=r"is HDF5 but no run of needle-rig \(its superblock is of an older"):
         RunFile(tmp_path / "a.h5")
+
+
+WRITER = """
+import sys, time
+from needle_rig.recording import RunWriter, run_tables
+with RunWriter(sys.argv[1], {"strategy": "none"}, run_tables(sensors=4)) as writer:
+    begun_s, row = time.monotonic(), 0
+    while time.monotonic() - begun_s < 2.0:
+        for name in ("torque", "drive"):
+            writer.append(name, [(float(row + n + 1), 0.0, n, 0.1, 0, 0)[: 4 if name == "torque" else 6]
+                                 for n in range(20)])
+        row += 20
+        writer.flush()
+"""
+
+
+def test_rows_seen_beside_a_writer_are_whole(tmp_path: Path) -> None:
+    path, seen, looks = tmp_path / "live.h5", 0, 0
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(path)]) as writer:
+        while writer.poll() is None:
+            if not path.is_file() or not path.stat().st_size:
+                continue
+            for name in ("torque", "drive"):
+                rows = RunFile(path).table(name)["time_s"].tolist()
+                assert rows == [float(n + 1) for n in range(len(rows))]
+            assert len(rows) >= seen
+            seen, looks = len(rows), looks + 1
+    assert writer.returncode == 0
+    assert looks > 5
+    assert seen > 100
+    assert RunFile(path).complete
