@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -192,7 +193,7 @@ def test_a_bad_value_in_a_parameter_set(tmp_path):
 def test_a_wrong_key_of_a_fitted_value_is_told_once(key: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "model.yaml"
     model = load_parameters("rig_elastic")
-    save_model(path, SavedModel(model, "rig_elastic", {name: 0.1 for name in model.values()}))
+    save_model(path, SavedModel(model, "rig_elastic", dict.fromkeys(model.values(), 0.1)))
     text = path.read_text(encoding="utf-8")
     before, after = text.split("effects:", 1)
     path.write_text(f"{before}effects:{after.replace('uncertainty', key, 1)}", encoding="utf-8")
