@@ -113,7 +113,7 @@ class Shaft:
         """Cleared, its supply's contact closed."""
         self.run(60)
         self.clear = True
-        self.run(30)
+        self.run(60)
         self.clear = False
         self.run(35)
         assert self.state is DriveState.READY
