@@ -35,9 +35,9 @@ def runs_directory(directory: Path | None, config_path: Path | None) -> Path:
 
 def the_run(named: str, directory: Path | None, config_path: Path | None) -> RunFile:
     """The run called `named` (a path, a listed name, a part of it, or `last`); raises BadInput."""
-    from needle_rig.recording import RunFile, find_run
+    from needle_rig.recording import RunFile, find_run, is_run_file
 
-    if Path(named).is_file():
+    if is_run_file(named):
         return RunFile(named)
     return find_run(named, runs_directory(directory, config_path))
 

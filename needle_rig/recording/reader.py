@@ -20,6 +20,9 @@ from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput
+from needle_rig.recording.image import LATE, read_journal
+from needle_rig.recording.journal import SUFFIX, Frames, journal_path
+from needle_rig.recording.liveness import being_written
 from needle_rig.recording.tables import FORMAT
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -48,16 +51,19 @@ class Ending:
 class RunFile:
     """One run on disk. Holds no file open; every call reads what is there by then.
 
+    Until the run ends that is the journal beside `path`.
+
     `attributes` has the run's request, config text, versions and start; `tables` the names of its tables.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Raises BadInput when there is no file at `path` or it is no run."""
-        self.path = Path(path)
+        given = Path(path)
+        self.path = given.with_suffix(".h5") if given.suffix == SUFFIX else given
         with self._open() as file:
             self.attributes: dict[str, Any] = {key: _plain(value) for key, value in file.attrs.items()}
             self.attributes |= _late(file)
-            self.tables: tuple[str, ...] = tuple(sorted(set(file) - {"events", "late_attributes"}))
+            self.tables: tuple[str, ...] = tuple(sorted(set(file) - {"events", LATE}))
         if self.attributes.get("format") != FORMAT:
             raise BadInput(f"{self._shown}: is HDF5 but no run of needle-rig (no attribute format: {FORMAT})")
 
@@ -122,15 +128,34 @@ class RunFile:
     def _shown(self) -> str:
         return show_path(self.path)
 
+    @property
+    def torn_bytes(self) -> int:
+        """What a killed writer or a power cut left of a frame at the end of the journal; it is left out."""
+        if self.path.is_file() or being_written(self.path):
+            return 0
+        frames = Frames(journal_path(self.path))
+        with suppress(FileNotFoundError):  # it was closed in this moment
+            for _ in frames:
+                pass
+        return frames.torn_bytes
+
+    def _file(self) -> h5py.File:
+        # a run that ends in this moment has its file before it loses its journal
+        for path in (self.path, journal_path(self.path), self.path):
+            with suppress(FileNotFoundError):
+                if path.suffix == SUFFIX:
+                    return read_journal(path)
+                if path.is_file():
+                    self._refuse_cut()
+                    return h5py.File(path, "r", swmr=True)
+        raise BadInput(f"{self._shown}: there is no such run; list them with: needle-rig runs")
+
     @contextmanager
     def _open(self) -> Iterator[h5py.File]:
-        if not self.path.is_file():
-            raise BadInput(f"{self._shown}: there is no such run; list them with: needle-rig runs")
-        self._refuse_cut()
         try:
-            file = h5py.File(self.path, "r", swmr=True)
+            file = self._file()
         except OSError as error:
-            empty = self.path.stat().st_size == 0
+            empty = self.path.is_file() and self.path.stat().st_size == 0
             reason = (
                 "is empty: it was cut off before it began" if empty else f"is not a readable run ({error})"
             )
@@ -164,8 +189,8 @@ class RunFile:
 def _late(file: h5py.File) -> dict[str, Any]:
     """Attributes that were added after the start; a line cut off by a kill is left out."""
     known: dict[str, Any] = {}
-    if "late_attributes" in file:
-        for line in bytes(file["late_attributes"][:]).splitlines():
+    if LATE in file:
+        for line in bytes(file[LATE][:]).splitlines():
             with suppress(ValueError):
                 known |= json.loads(line)
     return known

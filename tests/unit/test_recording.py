@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import signal
@@ -17,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.config.loader import load_rig_config
-from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.errors import BadInput, RigFault
 from needle_rig.recording import RunFile, RunWriter, find_run, list_runs, new_run, run_attributes, run_tables
 from needle_rig.recording.writer import _event_rows
 
@@ -64,14 +65,13 @@ def test_a_run_is_readable_while_it_is_written(tmp_path):
         assert not run.complete
         assert len(run.table("torque")) == 0
         writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
-        writer.flush()
         assert len(run.table("torque")) == 1
         assert list_runs(tmp_path)[0].status == "running"
     assert run.complete
 
 
 def test_rows_reach_the_disk_without_being_asked(tmp_path):
-    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES, flush_interval_s=0.0) as writer:
+    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES, sync_interval_s=0.01) as writer:
         writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
         assert len(RunFile(writer.path).table("torque")) == 1
 
@@ -89,23 +89,48 @@ def test_a_run_is_never_written_over(tmp_path):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(BadInput, match="cannot be created: Not a directory"):
+    with pytest.raises(BadInput, match="cannot be the folder of the runs: Not a directory"):
         new_run(tmp_path / "file" / "runs", ATTRIBUTES, TABLES)
 
 
-def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch):
+def full_disk(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_keeps_what_was_written_and_the_last_words(tmp_path, monkeypatch):
     writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(h5py.Dataset, "resize", full)
-    writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
-    with pytest.raises(NeedleRigError, match=r"cannot be written: .*No space left"):
-        writer.flush()
+    rows = np.zeros(1000, TABLES["torque"])
+    rows["time_s"] = np.arange(1000) + 1.0
+    writer.append("torque", rows)
+    monkeypatch.setattr(os, "posix_fallocate", full_disk)
+    with pytest.raises(RigFault) as told:
+        for _ in range(10):
+            writer.append("torque", rows)
+    assert "a.h5: the run cannot be written: No space left on device; its first" in str(told.value)
+    assert "\n" not in str(told.value)
+    with pytest.raises(RigFault, match="No space left"):
+        writer.append("torque", rows[:1])
+    writer.event(5.0, "fault", "the disk is full")
+    with pytest.raises(
+        RigFault, match="cannot be made: No space left on device; the run is kept in a.journal"
+    ):
+        writer.close({"status": "fault"})
+    kept = writer.rows - 1
+    run = RunFile(tmp_path / "a.h5")
+    assert len(run.table("torque")) == kept
+    assert kept % 1000 == 0
+    assert run.result == {"status": "fault"}
+    assert [event.kind for event in run.events] == ["fault"]
+    assert not run.complete
     monkeypatch.undo()
-    writer.close()
-    assert RunFile(tmp_path / "a.h5").complete
+    resumed = RunWriter.resume(tmp_path / "a.h5")
+    resumed.close_unfinished("closed when there was room")
+    assert not list(tmp_path.glob("*.journal"))
+    run = RunFile(tmp_path / "a.h5")
+    assert len(run.table("torque")) == kept
+    assert (run.table("torque")["time_s"] > 0).all()
+    assert run.result == {"status": "fault"}
+    assert not run.complete
 
 
 @pytest.mark.parametrize(
