@@ -1,6 +1,7 @@
 """Runs on disk: one HDF5 file a run, a journal while it goes on; both are read alike."""
 
 from needle_rig.recording.catalogue import RunSummary, find_run, is_run_file, list_runs, unfinished_runs
+from needle_rig.recording.journal import journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
 from needle_rig.recording.tables import run_attributes, run_tables, sample_row
@@ -14,6 +15,7 @@ __all__ = [
     "being_written",
     "find_run",
     "is_run_file",
+    "journal_path",
     "list_runs",
     "new_run",
     "run_attributes",

@@ -14,7 +14,7 @@ import os
 import struct
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Self
 
@@ -106,6 +106,8 @@ class Journal:
 
     def __init__(self, path: Path, descriptor: int, end_bytes: int, checksum: int) -> None:
         self.path = path
+        self.torn_bytes = 0
+        """What the process before left of a frame; it was cut off."""
         self._descriptor = descriptor
         self._end_bytes = self._allocated_bytes = end_bytes
         self._checksum = checksum
@@ -141,22 +143,26 @@ class Journal:
         return journal
 
     @classmethod
-    def reopen(cls, path: Path) -> Self:
-        """Take over the journal that another process left at `path`, and cut off a torn end.
+    def reopen(cls, path: Path, take: Callable[[int, bytes], object]) -> Self:
+        """Take over the journal that another process left at `path`: `take` its frames, cut off a torn end.
 
         Raises BadInput while another process writes it and when it is no journal, and OSError.
         """
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             _lock(descriptor, path)
+            if not _is_at(descriptor, path):
+                raise FileNotFoundError(errno.ENOENT, "")
             frames = Frames(path)
-            for _ in frames:
-                pass
+            for table, payload in frames:
+                take(table, payload)
             os.ftruncate(descriptor, frames.end_bytes)
         except BaseException:
             os.close(descriptor)
             raise
-        return cls(path, descriptor, frames.end_bytes, frames.checksum)
+        journal = cls(path, descriptor, frames.end_bytes, frames.checksum)
+        journal.torn_bytes = frames.torn_bytes
+        return journal
 
     def append(self, table: int, payload: bytes, *, last_words: bool = False) -> None:
         """Add a frame; with the kernel when this returns. `last_words` may use the room kept for them.
@@ -185,7 +191,7 @@ class Journal:
 
     def remove(self) -> None:
         """Delete the journal, if it is still in its place."""
-        if _is_at(self._descriptor, self.path):
+        if self.is_open and _is_at(self._descriptor, self.path):
             self.path.unlink()
         self.close()
 

@@ -20,7 +20,7 @@ from numpy.lib.recfunctions import unstructured_to_structured
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording.image import LATE, Shape, empty_image, make_run_file
-from needle_rig.recording.journal import Frames, Journal, is_full, journal_path, refusal, sync_folder
+from needle_rig.recording.journal import Journal, is_full, journal_path, refusal, sync_folder
 from needle_rig.recording.tables import EVENT
 
 SYNC_INTERVAL_S = 0.1
@@ -92,12 +92,8 @@ class RunWriter:
         writer = cls.__new__(cls)
         writer.path = Path(path)
         try:
-            frames = Frames(journal_path(writer.path))
             shape = Shape()
-            for table, payload in frames:
-                shape.take(table, payload)
-            torn_bytes = frames.torn_bytes
-            journal = Journal.reopen(frames.path)
+            journal = Journal.reopen(journal_path(writer.path), shape.take)
         except FileNotFoundError:
             raise BadInput(f"{show_path(writer.path)}: there is no unfinished run of this name") from None
         except OSError as error:
@@ -105,12 +101,9 @@ class RunWriter:
                 f"{show_path(writer.path)}: the unfinished run cannot be taken over: {refusal(error)}"
             ) from None
         writer._begin(journal, shape)
-        writer.torn_bytes = torn_bytes
         return writer
 
     def _begin(self, journal: Journal, shape: Shape) -> None:
-        self.torn_bytes = 0
-        """What a writer that was cut off left of a frame, in bytes; it is left out."""
         self._journal = journal
         self._shape = shape
         self._trouble: NeedleRigError | None = None
@@ -120,6 +113,11 @@ class RunWriter:
     def rows(self) -> int:
         """How many rows there are, of all tables and the events."""
         return self._shape.rows
+
+    @property
+    def torn_bytes(self) -> int:
+        """What the writer before left of a frame; it is left out."""
+        return self._journal.torn_bytes
 
     @property
     def last_s(self) -> float:
@@ -169,24 +167,21 @@ class RunWriter:
         `time_s` is the time of the end, by default that of the last row. Safe to call twice. Raises RigFault
         when the disk refuses; what was written stays in the journal, which reads like the file.
         """
-        whole = self._trouble is None
-        self._finish(result, self.last_s if time_s is None else time_s, whole=whole)
+        end = ("end", "") if self._trouble is None else ("recorder", str(self._trouble))
+        self._finish(result, self.last_s if time_s is None else time_s, *end)
 
     def close_unfinished(self, text: str, result: Mapping[str, Any] | None = None) -> None:
         """Close a run that was cut off, which `text` says in an event: no mark of a complete run is set."""
-        if self._journal.is_open and not self.complete:
-            self.event(self.last_s, "recorder", text)
-        self._finish(result, self.last_s, whole=False)
+        self._finish(result, self.last_s, "recorder", text)
 
-    def _finish(self, result: Mapping[str, Any] | None, time_s: float, *, whole: bool) -> None:
+    def _finish(self, result: Mapping[str, Any] | None, time_s: float, kind: str, text: str) -> None:
         if not self._journal.is_open:
             return
         try:
             if not self.complete:
                 if result is not None:
                     self.set_attribute("result", dict(result))
-                if whole:
-                    self.event(time_s, "end")
+                self.event(time_s, kind, text)
             self._stop_syncing()
             self._journal.sync()
             make_run_file(self._journal.path, self.path)

@@ -103,24 +103,28 @@ def test_a_full_disk_keeps_what_was_written_and_the_last_words(tmp_path, monkeyp
     rows["time_s"] = np.arange(1000) + 1.0
     writer.append("torque", rows)
     monkeypatch.setattr(os, "posix_fallocate", full_disk)
-    with pytest.raises(RigFault) as told:
-        for _ in range(10):
+    told = ""
+    while not told:
+        try:
             writer.append("torque", rows)
-    assert "a.h5: the run cannot be written: No space left on device; its first" in str(told.value)
-    assert "\n" not in str(told.value)
+        except RigFault as fault:
+            told = str(fault)
+        assert writer.rows < 100_000
+    assert "a.h5: the run cannot be written: No space left on device; its first" in told
+    assert "\n" not in told
     with pytest.raises(RigFault, match="No space left"):
         writer.append("torque", rows[:1])
     writer.event(5.0, "fault", "the disk is full")
     with pytest.raises(
-        RigFault, match="cannot be made: No space left on device; the run is kept in a.journal"
+        RigFault, match=r"cannot be made: No space left on device; the run is kept in a\.journal"
     ):
         writer.close({"status": "fault"})
-    kept = writer.rows - 1
+    kept = writer.rows - 2
     run = RunFile(tmp_path / "a.h5")
     assert len(run.table("torque")) == kept
     assert kept % 1000 == 0
     assert run.result == {"status": "fault"}
-    assert [event.kind for event in run.events] == ["fault"]
+    assert [event.kind for event in run.events] == ["fault", "recorder"]
     assert not run.complete
     monkeypatch.undo()
     resumed = RunWriter.resume(tmp_path / "a.h5")
