@@ -54,7 +54,7 @@ class Recorder:
         self.lost_rows = 0
         """Rows of the present run that were thrown away because the writer was too slow."""
         self.unfinished: list[dict[str, str]] = []
-        """Runs that were found cut off, for people: `run`, `found_utc` and `text`, empty until it is closed."""
+        """Runs that were found cut off: `run`, `found_utc` and `text`, which is empty until it is closed."""
 
     async def start(self, directory: Path) -> None:
         """Start the process, and let it close the runs in `directory` that were left unfinished."""
