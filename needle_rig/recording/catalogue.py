@@ -41,7 +41,7 @@ def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
 
 def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:
     """The run files in `directory`, by name, whose writer was cut off before it could make them."""
-    journals = sorted(Path(directory).glob(f"*{SUFFIX}"))
+    journals = sorted(one for one in Path(directory).glob(f"*{SUFFIX}") if one.is_file())
     runs = [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
     return [run for run in runs if not being_written(run)]
 

@@ -38,7 +38,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 def journal_path(run: Path) -> Path:
     """Where the journal of the run file `run` lies while it goes on."""
-    return run.with_suffix(SUFFIX)
+    return run.parent / (run.stem + SUFFIX)
 
 
 def sync_folder(folder: Path) -> None:
@@ -107,7 +107,7 @@ class Journal:
     def __init__(self, path: Path, descriptor: int, end_bytes: int, checksum: int) -> None:
         self.path = path
         self.torn_bytes = 0
-        """What the process before left of a frame; it was cut off."""
+        """What the process before left of a frame; it is wiped."""
         self._descriptor = descriptor
         self._end_bytes = self._allocated_bytes = end_bytes
         self._checksum = checksum
@@ -144,7 +144,7 @@ class Journal:
 
     @classmethod
     def reopen(cls, path: Path, take: Callable[[int, bytes], object]) -> Self:
-        """Take over the journal that another process left at `path`: `take` its frames, cut off a torn end.
+        """Take over the journal that another process left at `path`: `take` its frames, wipe a torn end.
 
         Raises BadInput while another process writes it and when it is no journal, and OSError.
         """
@@ -156,11 +156,14 @@ class Journal:
             frames = Frames(path)
             for table, payload in frames:
                 take(table, payload)
-            os.ftruncate(descriptor, frames.end_bytes)
+            if frames.torn_bytes:
+                os.pwrite(descriptor, bytes(frames.torn_bytes), frames.end_bytes)
         except BaseException:
             os.close(descriptor)
             raise
         journal = cls(path, descriptor, frames.end_bytes, frames.checksum)
+        # the room that was kept for the last words still is
+        journal._allocated_bytes = max(os.fstat(descriptor).st_size, frames.end_bytes)
         journal.torn_bytes = frames.torn_bytes
         return journal
 

@@ -143,7 +143,7 @@ class RunFile:
         # a run that ends in this moment has its file before it loses its journal
         for path in (self.path, journal_path(self.path), self.path):
             with suppress(FileNotFoundError):
-                if path.suffix == SUFFIX:
+                if path.is_file() and path.suffix == SUFFIX:
                     return read_journal(path)
                 if path.is_file():
                     self._refuse_cut()

@@ -20,6 +20,7 @@ from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording import (
     RunFile,
     RunWriter,
+    journal_path,
     new_run,
     run_attributes,
     run_tables,
@@ -28,6 +29,8 @@ from needle_rig.recording import (
 )
 
 _SENTENCE_LETTERS = 2000
+_EMPTY_BYTES = 2**20
+"""A journal without a row, with its image and the room it keeps, is shorter: longer ones are not searched."""
 
 
 class Keeper:
@@ -146,6 +149,8 @@ class Keeper:
 def _remove_empty(directory: Path) -> None:
     """Take away what is left of starts that were given up: runs without a row."""
     for path in unfinished_runs(directory):
+        if journal_path(path).stat().st_size > _EMPTY_BYTES:
+            continue
         try:
             writer = RunWriter.resume(path)
         except NeedleRigError:
