@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +47,8 @@ def command(
     the rig file that is printed at the start. Faults are typed in, as in `torque freeze`.
     """
     from needle_rig.config.loader import load_rig_config, rig_config_text
+    from needle_rig.folders import temporary_folder
+    from needle_rig.simulation.bench import PREFIX
     from needle_rig.simulation.bench_loop import BenchLoop, be_urgent
     from needle_rig.simulation.build import build_plant
 
@@ -62,8 +63,10 @@ def command(
             "simulation.free_needle": free or None,
         },
     )
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: sys.exit(0))
     with contextlib.ExitStack() as stack:
-        folder = ports or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="needle-rig-bench-")))
+        folder = ports or stack.enter_context(temporary_folder(PREFIX))
         folder.mkdir(parents=True, exist_ok=True)
         click.echo("building plant and firmware …", err=True)
         loop = BenchLoop(rig, build_plant(rig), folder, _tell)
@@ -81,7 +84,6 @@ def command(
         click.echo(f"CAN (slcan)  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
         click.echo(f"nodes        {'Cortex-M images under the emulator' if image else 'firmware library'}")
         click.echo(f"drive it     needle-rig compensate --config {file} --target 45\n{_WORDS}")
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         be_urgent()
         with contextlib.suppress(KeyboardInterrupt):
             loop.run(0, end_with_control=False)

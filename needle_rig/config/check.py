@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -91,7 +92,8 @@ def _sentence(
     if isinstance(value, int | float) and kind == "string_type":
         return f"{name}: {shown} is {kind_of(value)}, not text; put it in quotes"
     if isinstance(value, float) and kind.startswith("int_"):
-        return f"{name}: {shown} is not a whole number; write {round(value)}"
+        near = f"write {round(value)}" if math.isfinite(value) else "write one"
+        return f"{name}: {shown} is not a whole number; {near}"
     return f"{name}: {kind_of(value)} stands where {wanted} is expected"
 
 

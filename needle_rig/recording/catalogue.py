@@ -48,7 +48,7 @@ def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:
 
 def is_run_file(named: str) -> bool:
     """Whether `named` is a path at which a run lies, finished or not."""
-    return Path(named).is_file() or (named.endswith(".h5") and journal_path(Path(named)).is_file())
+    return os.path.isfile(named) or (named.endswith(".h5") and os.path.isfile(journal_path(Path(named))))
 
 
 def find_run(named: str, directory: str | os.PathLike[str]) -> RunFile:

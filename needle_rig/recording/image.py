@@ -84,7 +84,7 @@ def empty_image(attributes: Mapping[str, Any], tables: Mapping[str, npt.DTypeLik
         return bytes(file.id.get_file_image())
 
 
-def read_journal(path: Path) -> h5py.File:
+def journal_as_hdf5(path: Path) -> h5py.File:
     """The run in the journal at `path` as an open HDF5 file in memory, up to its last whole frame.
 
     Raises BadInput when it is no journal or was cut off before it began, and FileNotFoundError.

@@ -6,14 +6,22 @@ import fcntl
 import os
 import shutil
 import socket
+import stat
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from needle_rig.errors import BadInput, RigFault
 
 _NAME = "daemon.sock"
 _SYSTEM_FOLDER = Path("/run/needle-rig")
+BACKLOG = 64
+"""Connections that may wait to be accepted."""
+_LAST_BREATH_S = 1.0
+"""So long the children of a killed daemon may hold its socket."""
+_PROBE_EVERY_S = 0.05
 
 
 def socket_for_daemon(environment: Mapping[str, str] = os.environ) -> Path:
@@ -39,37 +47,100 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
     A socket that a killed daemon left behind is replaced. Raises RigFault when another daemon holds it and
     BadInput when the place or the group cannot be used.
     """
-    try:
-        path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
-        lock = os.open(path.with_name(path.name + ".lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
-    except OSError as error:
-        raise BadInput(
-            f"{path}: cannot make the daemon's socket ({error.strerror}); choose --socket"
-        ) from None
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise RigFault(
-                f"{path}: another daemon listens there; use it, stop it, or choose another --socket"
-            ) from None
-        path.unlink(missing_ok=True)
-        before = os.umask(0o117)
-        try:
-            listener.bind(str(path))
+            path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
+            with _folder_alone(path.parent):
+                _make_room(path)
+                before = os.umask(0o117)
+                try:
+                    listener.bind(str(path))
+                finally:
+                    os.umask(before)
+                made = Made.at(path)
+                listener.listen(BACKLOG)
         except OSError as error:
-            raise BadInput(f"{path}: cannot make the daemon's socket ({error}); choose --socket") from None
-        finally:
-            os.umask(before)
-        if group is not None:
-            _give_to_group(path, group)
-        listener.listen(16)
+            raise BadInput(
+                f"{path}: cannot make the daemon's socket ({error.strerror or error}); choose --socket"
+            ) from None
         listener.setblocking(False)
-        yield listener
-        path.unlink(missing_ok=True)
+        try:
+            if group is not None:
+                _give_to_group(path, group)
+            yield listener
+        finally:
+            made.remove()
     finally:
         listener.close()
+
+
+@dataclass(frozen=True)
+class Made:
+    """A socket's file, told from others that stand at the same place later, which may get the same inode."""
+
+    path: Path
+    device: int
+    inode: int
+    made_ns: int
+
+    @classmethod
+    def at(cls, path: Path) -> Made:
+        """The file that stands at `path` now."""
+        status = path.lstat()
+        return cls(path, status.st_dev, status.st_ino, status.st_mtime_ns)
+
+    def remove(self) -> None:
+        """Remove it, unless another stands there now; safe to call twice."""
+        with suppress(OSError), _folder_alone(self.path.parent):
+            if Made.at(self.path) == self:
+                self.path.unlink()
+
+
+def _make_room(path: Path) -> None:
+    """Remove a socket that nobody listens at; anything else at `path` stays."""
+    deadline_s = time.monotonic() + _LAST_BREATH_S
+    while True:
+        try:
+            if not stat.S_ISSOCK(path.lstat().st_mode):
+                raise BadInput(f"{path}: is there already and is no socket; choose another --socket")
+        except FileNotFoundError:
+            return
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.setblocking(False)
+            try:
+                probe.connect(str(path))
+            except ConnectionRefusedError:
+                path.unlink()
+                return
+            except OSError:  # a queue that is full, a socket of another type: somebody is there
+                pass
+        if time.monotonic() > deadline_s:
+            raise RigFault(
+                f"{path}: another daemon listens there; use it, stop it, or choose another --socket"
+            )
+        time.sleep(_PROBE_EVERY_S)
+
+
+@contextmanager
+def _folder_alone(folder: Path) -> Iterator[None]:
+    """Nobody else makes or removes a socket in `folder` meanwhile; leaves no lock file behind.
+
+    Raises OSError when another process holds the folder for longer than that takes.
+    """
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        deadline_s = time.monotonic() + 3 * _LAST_BREATH_S
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline_s:
+                    raise
+            time.sleep(_PROBE_EVERY_S)
+        yield
+    finally:
         os.close(lock)
 
 

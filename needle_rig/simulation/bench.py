@@ -11,17 +11,22 @@ import contextlib
 import json
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
+from needle_rig.folders import temporary_folder
+
+PREFIX = "needle-rig-bench-"
+"""Of the temporary folders with the names of a bench's ports."""
 
 
 def needs_bench(config: RigConfig) -> bool:
@@ -32,7 +37,9 @@ def needs_bench(config: RigConfig) -> bool:
 class Bench:
     """A bench that runs as a child of this process and dies with it."""
 
-    def __init__(self, process: subprocess.Popen[bytes], ports: dict[str, str], folder: Any) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes], ports: dict[str, str], folder: contextlib.ExitStack
+    ) -> None:
         self._process = process
         self._folder = folder
         self._text = b""
@@ -110,7 +117,7 @@ class Bench:
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
-        self._folder.cleanup()
+        self._folder.close()
 
 
 def start(config: RigConfig, timeout_s: float = 120.0) -> Bench:
@@ -119,10 +126,12 @@ def start(config: RigConfig, timeout_s: float = 120.0) -> Bench:
     The first start on a machine compiles the solver, which takes half a minute. Raises BadInput or RigFault
     with what the child had to say. Blocks: from a running loop, use a thread.
     """
-    folder = tempfile.TemporaryDirectory(prefix="needle-rig-bench-")
-    command = [sys.executable, "-m", "needle_rig.simulation.bench", "--config", "-", "--ports", folder.name]
+    folder = contextlib.ExitStack()
+    ports = str(folder.enter_context(temporary_folder(PREFIX)))
+    command = [sys.executable, "-m", "needle_rig.simulation.bench", "--config", "-", "--child-in", ports]
     # A session of its own: Ctrl-C in the terminal stops the sequence, not the rig under it. When this process
-    # ends in whatever way, so does the child's standard input, and with it the child.
+    # ends in whatever way, so does the child's standard input, and with it the child, which then removes the
+    # folder in this process's place.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
     bench = Bench(process, {}, folder)
     try:
@@ -146,8 +155,25 @@ def _read_config(name: str | None) -> RigConfig:
         line = b""
         while not line.endswith(b"\n") and (byte := os.read(0, 1)):
             line += byte
+        if not line.endswith(b"\n"):  # whoever started this has gone
+            sys.exit(0)
         return RigConfig.model_validate_json(line)
     return load_rig_config(name)
+
+
+@contextmanager
+def _ports_folder(named: str | None, parents: str | None) -> Iterator[Path]:
+    """Where the ports' names go: a folder `named` by a person, the parent's, or a temporary one."""
+    if named is not None:
+        yield Path(named)
+    elif parents is not None:
+        try:
+            yield Path(parents)
+        finally:
+            shutil.rmtree(parents, ignore_errors=True)
+    else:
+        with temporary_folder(PREFIX) as folder:
+            yield folder
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -158,27 +184,27 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--config", help="rig file; default: config/rig.yaml; -: one JSON line on standard input"
     )
-    parser.add_argument("--ports", help="folder for the names of the ports; default: a temporary one")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--ports", help="folder for the names of the ports; default: a temporary one")
+    place.add_argument("--child-in", help=argparse.SUPPRESS)
     parser.add_argument("--keep", action="store_true", help="go on when standard input ends")
     options = parser.parse_args(arguments)
 
     from needle_rig.simulation.bench_loop import BenchLoop, be_urgent, speak
 
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: sys.exit(0))
     say = speak(1)
-    with contextlib.ExitStack() as stack:
+    with _ports_folder(options.ports, options.child_in) as ports, contextlib.ExitStack() as stack:
         try:
             from needle_rig.simulation.build import build_plant
 
             config = _read_config(options.config)
-            ports = options.ports or stack.enter_context(
-                tempfile.TemporaryDirectory(prefix="needle-rig-bench-")
-            )
-            loop = BenchLoop(config, build_plant(config), Path(ports), say)
+            loop = BenchLoop(config, build_plant(config), ports, say)
         except NeedleRigError as error:
             say({"error": str(error), "exit_code": error.exit_code})
             return error.exit_code
         stack.callback(loop.close)
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         say(dict(loop.ports))
         be_urgent()
         with contextlib.suppress(KeyboardInterrupt):

@@ -324,7 +324,7 @@ def speak(stream_fd: int) -> Callable[[dict[str, Any]], None]:
 
     def say(what: dict[str, Any]) -> None:
         line = json.dumps({**what, "time_s": round(time.monotonic(), 6)}) + "\n"
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(stream_fd, line.encode())
 
     return say

@@ -1,4 +1,4 @@
-"""A sample of the campaigns of scripts/recording_faults: no row may be wrong after a kill, a full disk, a power cut."""
+"""A sample of the campaigns of scripts/recording_faults: no row may be wrong after any of them."""
 
 import importlib.machinery
 import importlib.util
@@ -20,21 +20,20 @@ def campaigns():
     return module
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_power_cuts(campaigns, tmp_path, seed):
-    tally = campaigns.cuts(15, tmp_path, seed)
+def test_power_cuts(campaigns, tmp_path):
+    tally = campaigns.cuts(18, tmp_path, 1)
     assert tally.good, tally.table("cuts")
     assert tally.torn_seen, "no end was torn: the cuts test nothing"
 
 
 def test_full_disks(campaigns, tmp_path):
-    tally = campaigns.full(8, tmp_path, 4)
+    tally = campaigns.full(6, tmp_path, 4)
     assert tally.good, tally.table("full")
     assert tally.counts["run stopped, or its file not made"], "no disk was full: they test nothing"
 
 
 @pytest.mark.real_time
 def test_kills(campaigns, tmp_path):
-    tally = campaigns.kills(8, tmp_path, 1)
+    tally = campaigns.kills(6, tmp_path, 1)
     assert tally.good, tally.table("kills")
     assert tally.lost_s, "no kill fell into a run: they test nothing"

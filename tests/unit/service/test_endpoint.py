@@ -2,12 +2,13 @@ import grp
 import os
 import socket
 import stat
+import threading
 from pathlib import Path
 
 import pytest
 
 from needle_rig.errors import BadInput, RigFault
-from needle_rig.service.endpoint import listening, socket_for_daemon, sockets_for_client
+from needle_rig.service.endpoint import Made, listening, socket_for_daemon, sockets_for_client
 
 
 def test_only_owner_and_group_may_use_it(tmp_path: Path) -> None:
@@ -67,3 +68,60 @@ def test_where_it_is() -> None:
         Path("/run/needle-rig/daemon.sock"),
     ]
     assert sockets_for_client({}) == [socket_for_daemon({})]
+
+
+def test_what_is_no_socket_is_never_deleted(tmp_path: Path) -> None:
+    precious, link = tmp_path / "letter.txt", tmp_path / "link"
+    precious.write_text("dear")
+    link.symlink_to(precious)
+    for path in (precious, link, tmp_path):
+        with pytest.raises(BadInput, match="is no socket; choose another --socket"), listening(path, None):
+            pass
+    assert precious.read_text() == "dear"
+    assert link.is_symlink()
+
+
+def test_nothing_is_left_beside_the_socket(tmp_path: Path) -> None:
+    with listening(tmp_path / "daemon.sock", None):
+        assert [each.name for each in tmp_path.iterdir()] == ["daemon.sock"]
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(BadInput), listening(tmp_path / "daemon.sock", "no-such-group"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_socket_of_a_later_daemon_is_not_removed_by_an_earlier_one(tmp_path: Path) -> None:
+    path = tmp_path / "daemon.sock"
+    with socket.socket(socket.AF_UNIX) as earlier:
+        earlier.bind(str(path))
+        made = Made.at(path)
+    with listening(path, None):
+        made.remove()
+        assert path.is_socket()
+
+
+def test_many_who_start_at_once_leave_one(tmp_path: Path) -> None:
+    path, won, refused = tmp_path / "daemon.sock", [], []
+    everybody = threading.Barrier(4)
+
+    def start() -> None:
+        everybody.wait()
+        try:
+            with listening(path, None):
+                won.append(1)
+                over.wait(20)
+        except RigFault:
+            refused.append(1)
+
+    over = threading.Event()
+    starting = [threading.Thread(target=start) for _ in range(4)]
+    for each in starting:
+        each.start()
+    for each in starting[:]:
+        while not won or len(refused) < 3:
+            each.join(0.05)
+            assert any(one.is_alive() for one in starting)
+    over.set()
+    for each in starting:
+        each.join()
+    assert (len(won), len(refused)) == (1, 3)

@@ -1,0 +1,142 @@
+"""What may be asked of the daemon: every order with its strict types and ranges."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from needle_rig.errors import BadInput
+
+ANGLE_DEG = 3600.0
+"""The largest drive.angle_limit_deg that a rig file may set."""
+SLOWEST_DEG_S = 0.1
+"""From one end of that range to the other in 20 hours; a slower motion is a mistake, and holds the rig."""
+FASTEST_DEG_S = 360.0
+LONGEST_S = 600.0
+STEPS = 200
+OPTIONS = 16
+_SHOWN_LETTERS = 60
+
+Angle = Annotated[float, Field(ge=-ANGLE_DEG, le=ANGLE_DEG)]
+Speed = Annotated[float, Field(ge=SLOWEST_DEG_S, le=FASTEST_DEG_S)]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9_]{1,64}$")]
+Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Number = Annotated[float, Field(ge=-ANGLE_DEG, le=ANGLE_DEG)]
+Whole = Annotated[int, Field(ge=-ANGLE_DEG, le=ANGLE_DEG)]
+Option = bool | Whole | Number | Name | Annotated[list[Number | None], Field(max_length=STEPS)] | None
+
+
+class Model(BaseModel):
+    """Refuses what it does not know, and `true` or `"45"` where a number stands."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Order(Model):
+    """A sequence that aligns the needle. `options` are the strategy's own, by name."""
+
+    target_deg: Angle
+    strategy: Name = "reed2008"
+    options: Annotated[dict[Name, Option], Field(max_length=OPTIONS)] = {}
+    settle_s: Annotated[float, Field(ge=0.1, le=LONGEST_S)] | None = None
+    speed_deg_s: Speed | None = None
+    lag_left_deg: Angle | None = None
+
+    @model_validator(mode="after")
+    def _options_end(self) -> Self:
+        """Speeds and times among the options must let the run end; their names carry the unit."""
+        for name, value in self.options.items():
+            low, high = _range(name)
+            for one in value if isinstance(value, list) else [value]:
+                if isinstance(one, float | int) and not isinstance(one, bool) and not low <= one <= high:
+                    raise ValueError(f"option {name} is {one:g}; give {low:g} to {high:g}")
+        return self
+
+
+class Jog(Model):
+    """A turn of the base, by an angle or to one."""
+
+    by_deg: Angle | None = None
+    to_deg: Angle | None = None
+    speed_deg_s: Speed | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.by_deg is None) == (self.to_deg is None):
+            raise ValueError("give either by_deg or to_deg")
+        return self
+
+
+class Home(Model):
+    """Finds the base's zero, or turns to it: `here` says what angle the base has now."""
+
+    by: Literal["angle", "hall", "index", "here"] = "angle"
+    angle_deg: Angle = 0.0
+    speed_deg_s: Speed | None = None
+
+
+class Reason(Model):
+    """Why the drive is stopped, for the record."""
+
+    reason: Line = "stopped by a person"
+
+
+class Holder(Model):
+    """Who wants to command the rig, in words for those who find it taken."""
+
+    holder: Line
+
+
+class Nothing(Model):
+    """No content."""
+
+
+MODELS: dict[str, type[Model]] = {
+    "compensate": Order,
+    "jog": Jog,
+    "home": Home,
+    "hold": Nothing,
+    "release": Nothing,
+    "stop": Reason,
+    "clear": Nothing,
+    "take_lease": Holder,
+    "return_lease": Nothing,
+    "state": Nothing,
+}
+"""What each order carries."""
+
+
+def read_order(name: str, content: bytes | dict[str, Any]) -> Model:
+    """The order from its JSON text (an empty one stands for `{}`) or its document; BadInput says what is wrong."""
+    model = MODELS[name]
+    try:
+        if isinstance(content, bytes):
+            return model.model_validate_json(content or b"{}")
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise BadInput(f"{_complaint(error)}; see /openapi.json for what may be asked") from None
+
+
+def _complaint(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    if first["type"] == "value_error":
+        return str(first["ctx"]["error"])
+    shown = repr(first["input"])
+    shown = shown if len(shown) <= _SHOWN_LETTERS else f"{shown[:_SHOWN_LETTERS]}…"
+    if first["loc"][:1] == ("options",) and len(first["loc"]) > 1:
+        option = str(first["loc"][1])[:_SHOWN_LETTERS]
+        return (
+            f"option {option!r}: is {shown}; give a number within ±{ANGLE_DEG:g}, true, false, null, a name of"
+            f" small letters, or up to {STEPS} numbers"
+        )
+    place = ".".join(str(part) for part in first["loc"])[:_SHOWN_LETTERS] or "the request"
+    return f"{place}: {first['msg'].lower()}, not {shown}"
+
+
+def _range(option: str) -> tuple[float, float]:
+    if option.endswith("_deg_s"):
+        return SLOWEST_DEG_S, FASTEST_DEG_S
+    if option.endswith("_s"):
+        return 0.0, LONGEST_S
+    return -ANGLE_DEG, ANGLE_DEG
