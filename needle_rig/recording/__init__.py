@@ -1,6 +1,13 @@
 """Runs on disk: one HDF5 file a run, a journal while it goes on; both are read alike."""
 
-from needle_rig.recording.catalogue import RunSummary, find_run, is_run_file, list_runs, unfinished_runs
+from needle_rig.recording.catalogue import (
+    RunSummary,
+    find_run,
+    is_run_file,
+    list_runs,
+    remove_empty_runs,
+    unfinished_runs,
+)
 from needle_rig.recording.journal import journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
@@ -18,6 +25,7 @@ __all__ = [
     "journal_path",
     "list_runs",
     "new_run",
+    "remove_empty_runs",
     "run_attributes",
     "run_tables",
     "sample_row",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import difflib
 import math
 import os
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from needle_rig.config.places import show_path
-from needle_rig.errors import BadInput
-from needle_rig.recording.journal import SUFFIX, journal_path
+from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.recording.journal import SUFFIX, Frames, Journal, journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import RunFile
 
@@ -44,6 +46,15 @@ def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:
     journals = sorted(one for one in Path(directory).glob(f"*{SUFFIX}") if one.is_file())
     runs = [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
     return [run for run in runs if not being_written(run)]
+
+
+def remove_empty_runs(directory: str | os.PathLike[str]) -> None:
+    """Take away what starts that were given up left in `directory`: journals without a row."""
+    for run in unfinished_runs(directory):
+        journal = journal_path(run)
+        with suppress(NeedleRigError, OSError):  # told where unfinished runs are closed
+            if len(list(islice(Frames(journal), 2))) < 2:
+                Journal.reopen(journal, lambda table, payload: None).remove()
 
 
 def is_run_file(named: str) -> bool:

@@ -47,13 +47,18 @@ class Shape:
         return self._names.index(table)
 
     def take(self, table: int, payload: bytes) -> str:
-        """Take one frame into account, the first being the image; returns the table's name."""
+        """Take one frame into account, the first being the image; returns the table's name.
+
+        Raises ValueError for one that fits no table.
+        """
         if not self._names:
             with _in_memory(payload, writable=False) as file:
                 self._names = sorted(file)
                 self.types = {name: file[name].dtype for name in self._names}
             return ""
-        name = self._names[table]
+        name = self._names[table] if table < len(self._names) else ""
+        if not name or len(payload) % self.types[name].itemsize:
+            raise ValueError(f"a frame of {len(payload)} bytes fits no table {table}")
         if name != LATE:
             dtype = self.types[name]
             last = np.frombuffer(payload[-dtype.itemsize :], dtype)[0]

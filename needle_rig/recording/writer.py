@@ -100,6 +100,10 @@ class RunWriter:
             raise RigFault(
                 f"{show_path(writer.path)}: the unfinished run cannot be taken over: {refusal(error)}"
             ) from None
+        except (ValueError, KeyError, RuntimeError) as error:
+            raise BadInput(
+                f"{show_path(journal_path(writer.path))}: is no journal of a run: {error}"
+            ) from None
         writer._begin(journal, shape)
         return writer
 

@@ -97,7 +97,7 @@ class RecorderLink:
                 reply = await self._waiting[number]
         except TimeoutError:
             raise self._give_up(
-                f"the recorder did not answer within {timeout_s:g} s; look at the disk of the runs"
+                f"the recorder did not answer within {timeout_s:.2g} s; look at the disk of the runs"
             ) from None
         finally:
             del self._waiting[number]

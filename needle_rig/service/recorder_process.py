@@ -20,8 +20,8 @@ from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording import (
     RunFile,
     RunWriter,
-    journal_path,
     new_run,
+    remove_empty_runs,
     run_attributes,
     run_tables,
     sample_row,
@@ -29,8 +29,6 @@ from needle_rig.recording import (
 )
 
 _SENTENCE_LETTERS = 2000
-_EMPTY_BYTES = 2**20
-"""A journal without a row, with its image and the room it keeps, is shorter: longer ones are not searched."""
 
 
 class Keeper:
@@ -55,7 +53,7 @@ class Keeper:
     def begin(self, directory: Path, config: RigConfig, request: dict[str, Any]) -> dict[str, Any]:
         """Open a new run."""
         self._leave()
-        _remove_empty(directory)
+        remove_empty_runs(directory)
         tables = run_tables(len(config.layout.hall_sensors))
         self._writer = new_run(directory, run_attributes(config, **request), tables)
         self._broken = None
@@ -144,21 +142,6 @@ class Keeper:
     def _answer(self, **content: Any) -> None:
         with suppress(BrokenPipeError):  # the daemon is gone: the messages end with the next one
             print(json.dumps(content), file=self._replies, flush=True)
-
-
-def _remove_empty(directory: Path) -> None:
-    """Take away what is left of starts that were given up: runs without a row."""
-    for path in unfinished_runs(directory):
-        if journal_path(path).stat().st_size > _EMPTY_BYTES:
-            continue
-        try:
-            writer = RunWriter.resume(path)
-        except NeedleRigError:
-            continue  # told where unfinished runs are closed
-        if writer.rows:
-            writer.leave()
-        else:
-            writer.discard()
 
 
 def main(messages: BinaryIO, replies: TextIO) -> None:
