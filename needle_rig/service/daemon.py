@@ -79,7 +79,7 @@ class Daemon:
         self._main = asyncio.current_task()
         try:
             # the writer gets ready while the rig is built
-            await self._recorder.start()
+            await self._recorder.start(self._runs)
             rig = self._parts.make_rig(self._recorder.raw)
             try:
                 await rig.open()
@@ -165,6 +165,7 @@ class Daemon:
             "run": None if self._run is None else str(self._run),
             "last": self._last,
             "warnings": self._warnings,
+            "unfinished": self._recorder.unfinished,
             **report.state_document(self._brain.state),
         }
 
