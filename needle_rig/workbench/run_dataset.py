@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needle_rig.control.brain import layout_of, torsional_rigidity_nm2
+from needle_rig.control.in_si import layout_of, torsional_rigidity_nm2
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, in_series
 from needle_rig.dataset.samples import LeftOut, checked_trial
 from needle_rig.errors import BadInput
