@@ -157,7 +157,7 @@ class ApiLink:
         except NeedleRigError as error:
             content = {"error": str(error), "exit_code": error.exit_code}
             status = 422 if isinstance(error, BadInput) and not isinstance(error, Taken) else 409
-        except Exception as error:  # noqa: BLE001 - a defect in one order must not leave its client waiting
+        except Exception as error:
             log.exception("defect", order=asked["order"])
             content = {"error": f"a defect of the daemon: {error!r}; see its log", "exit_code": 70}
             status = 500

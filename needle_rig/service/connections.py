@@ -6,6 +6,7 @@ import asyncio
 import select
 import socket
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import h11
@@ -71,7 +72,10 @@ class Connections:
         else:
             self._watchers[connection] = None
         if len(self._clients) + len(self._watchers) > self._limit:
-            oldest = next(iter(self._clients if len(self._clients) > 1 else self._watchers or self._clients))
+            queue: Mapping[Any, None] = (
+                self._clients if len(self._clients) > 1 or not self._watchers else self._watchers
+            )
+            oldest: HttpConnection | WatcherConnection = next(iter(queue))
             self.discard(oldest)
             oldest.transport.abort()
 
@@ -89,7 +93,8 @@ class Connections:
         while True:
             await asyncio.sleep(_SWEEP_EVERY_S)
             now_s = time.monotonic()
-            for connection in (*self._clients, *self._watchers):
+            everybody: tuple[HttpConnection | WatcherConnection, ...] = (*self._clients, *self._watchers)
+            for connection in everybody:
                 if connection.overdue(now_s):
                     connection.transport.abort()
 

@@ -70,6 +70,7 @@ class Daemon:
         self._told: tuple[Phase, str] = (Phase.IDLE, "")
         self._run: Path | None = None
         self._starting = False
+        self._ending = False
         self._motions = 0
         self._moving = False
         self._finishing: asyncio.Task[None] | None = None
@@ -81,6 +82,8 @@ class Daemon:
     async def run(self, listener: socket.socket, on_ready: Callable[[], None]) -> None:
         """Open the rig, serve until `end`, then stop the drive and release everything."""
         self._main = asyncio.current_task()
+        if self._ending:
+            return
         try:
             # both get ready while the rig is built
             await self._recorder.start()
@@ -120,7 +123,8 @@ class Daemon:
             await self._api.close()
 
     def end(self) -> None:
-        """Stop the drive in the next tick and leave `run`."""
+        """Stop the drive in the next tick and leave `run`, also when it has not begun yet."""
+        self._ending = True
         if self._loop is not None:
             self._lease.stop()
             if self._occupied:
@@ -219,6 +223,8 @@ class Daemon:
             "last": self._last,
             "warnings": self._warnings,
             "lease": self._lease.holder,
+            "motions": self._motions,
+            "moving": self._moving,
             **report.state_document(self._brain.state),
         }
 

@@ -4,7 +4,15 @@ from typing import Any
 import pytest
 
 from needle_rig.errors import BadInput
-from needle_rig.service.orders import ANGLE_DEG, FASTEST_DEG_S, MODELS, OPTIONS, SLOWEST_DEG_S, STEPS, read_order
+from needle_rig.service.orders import (
+    ANGLE_DEG,
+    FASTEST_DEG_S,
+    MODELS,
+    OPTIONS,
+    SLOWEST_DEG_S,
+    STEPS,
+    read_order,
+)
 
 MANY_STEPS = ", ".join(["1"] * (STEPS + 1))
 BAD: list[tuple[str, str, str]] = [
