@@ -59,7 +59,7 @@ def follow(
     shown: View,
     over: Callable[[Document, Document], bool],
 ) -> Document:
-    """Start a motion, show it until `over(told, document)`, with what the start told, and return that document.
+    """Start a motion, show it until `over` says so of what the start told and a document, and return this.
 
     Ctrl-C, SIGTERM or a closed terminal stops the drive at any instant: before the start was answered it
     raises Aborted, after that the motion ends in order. A second one gives up. Raises RigFault when the
@@ -77,7 +77,7 @@ def follow(
 
 
 def move(socket: Path | None, command: str, order: Document) -> Document:
-    """Let the running daemon carry out a motion that is no run, and show it; raises how it ended otherwise."""
+    """Let the running daemon carry out a motion that is no run, and show it; raises RigFault or Aborted."""
     from needle_rig.service.client import the_daemon
 
     end_as_by_ctrl_c()

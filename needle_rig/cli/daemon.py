@@ -36,7 +36,7 @@ _ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
     "--private",
     is_flag=True,
     hidden=True,
-    help="Child of one client, in whose folder --socket is; ends with standard input.",
+    help="Child of one client, with --socket in its folder.",
 )
 def command(
     config: str | None,
@@ -49,7 +49,7 @@ def command(
     socket: Path | None,
     group: str | None,
     out: Path | None,
-    private: bool,
+    private: Path | None,
 ) -> None:
     """Own the rig and serve it on a Unix socket, until a signal (TERM, INT, HUP) ends it.
 
@@ -61,28 +61,29 @@ def command(
         with _place(socket, private) as path:
             options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
             options["simulation.nodes"] = bench_nodes(rig, image)
-            daemon = _build(config, options, model, fast, out, absolute=not private)
-            _serve(daemon, path, group, private)
+            daemon = _build(config, options, model, fast, out, absolute=private is None)
+            _serve(daemon, path, group, private=private is not None)
     except NeedleRigError as error:
-        if not private:
+        if private is None:
             raise
         _tell(error=str(error), exit_code=error.exit_code)
         sys.exit(error.exit_code)
 
 
 @contextmanager
-def _place(socket: Path | None, private: bool) -> Iterator[Path]:
-    """Where to listen; a private daemon takes its client's folder away, in case that was killed."""
+def _place(socket: Path | None, private: Path | None) -> Iterator[Path]:
+    """Where to listen; a private daemon takes its client's folder away, in case the client was killed."""
     import shutil
 
-    from needle_rig.service.endpoint import socket_for_daemon
+    from needle_rig.service.endpoint import private_socket, socket_for_daemon
 
-    path = socket or socket_for_daemon()
+    if private is None:
+        yield socket or socket_for_daemon()
+        return
     try:
-        yield path
+        yield private_socket(private)
     finally:
-        if private:
-            shutil.rmtree(path.parent, ignore_errors=True)
+        shutil.rmtree(private, ignore_errors=True)
 
 
 def _build(
@@ -112,7 +113,7 @@ def _build(
     )
 
 
-def _serve(daemon: Daemon, path: Path, group: str | None, private: bool) -> None:
+def _serve(daemon: Daemon, path: Path, group: str | None, *, private: bool) -> None:
     import asyncio
 
     from needle_rig.service.endpoint import listening

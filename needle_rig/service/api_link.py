@@ -63,7 +63,7 @@ class ApiLink:
             self._lines.send("event", document)
 
     def state(self, now_s: float, describe: Callable[[], Document]) -> None:
-        """Tell the state that `describe` gives, when somebody listens, it is time and the process keeps up."""
+        """Tell what `describe` gives, when somebody listens, it is time and the process keeps up."""
         lines = self._lines
         if lines is None or not self._listeners or now_s < self._next_state_s or lines.waiting_bytes:
             return

@@ -142,7 +142,7 @@ def _server(config: uvicorn.Config) -> uvicorn.Server:
 
 def _connection_limit() -> int:
     """As many as the system gives descriptors for, with room for a whole queue of newcomers."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = CONNECTIONS + BACKLOG + _OWN_DESCRIPTORS
     allowed = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
     resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
-from needle_rig.service.endpoint import sockets_for_client
+from needle_rig.service.endpoint import private_socket, sockets_for_client
 
 Document = dict[str, Any]
 
@@ -115,7 +115,7 @@ class DaemonClient:
     def _ask(
         self, method: str, path: str, content: Document | None = None, *, again_s: float = 0.0
     ) -> Document:
-        """The daemon's answer; what may be asked twice is asked again for `again_s` when the connection breaks."""
+        """The daemon's answer; for `again_s` it is asked again when the connection breaks."""
         import httpx
 
         deadline_s = time.monotonic() + again_s
@@ -188,8 +188,7 @@ def private_daemon(
     the daemon says when it cannot start.
     """
     with temporary_folder(_PREFIX) as folder, tempfile.TemporaryFile("w+") as complaints:
-        socket_path = folder / "daemon.sock"
-        command = [*_DAEMON, "--private", f"--socket={socket_path}", *options]
+        command = [*_DAEMON, f"--private={folder}", *options]
         # a session of its own: Ctrl-C in the terminal reaches the client alone, which stops the run in order
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints, start_new_session=True
@@ -197,7 +196,7 @@ def private_daemon(
         try:
             meanwhile()
             _wait_until_ready(process, complaints, on_wait)
-            yield DaemonClient(socket_path, process)
+            yield DaemonClient(private_socket(folder), process)
         finally:
             _end(process)
 

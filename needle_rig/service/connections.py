@@ -14,9 +14,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 REQUEST_S = 5.0
-"""So long a request may take to come, from the connection or the answer before: a person's client needs 10 ms."""
+"""So long a request may take to come, from the connection or the last answer; a client needs some 10 ms."""
 ANSWER_S = 30.0
-"""So long an answer may take to be made and fetched; the slowest, a start on a slow disk, is given up in 10 s."""
+"""So long an answer may take to be made and fetched; the slowest, a start on a slow disk, takes 10 s."""
 UNREAD_S = 5.0
 """So long a watcher may leave a full buffer unread."""
 _SWEEP_EVERY_S = 0.5

@@ -201,7 +201,7 @@ class Daemon:
         return {"motion": self._motions}
 
     def stop(self, reason: str) -> None:
-        """Stop the drive in the next tick; the run ends as aborted, and what was asked before does not begin."""
+        """Stop the drive in the next tick; the run ends as aborted, what was asked before does not begin."""
         self._lease.stop()
         self._brain.stop(reason)
         self._set_busy()

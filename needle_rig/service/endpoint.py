@@ -33,6 +33,11 @@ def socket_for_daemon(environment: Mapping[str, str] = os.environ) -> Path:
     return _SYSTEM_FOLDER / _NAME
 
 
+def private_socket(folder: Path) -> Path:
+    """Where a daemon listens that one client starts for itself, in a folder of the client's."""
+    return folder / "socket" / _NAME
+
+
 def sockets_for_client(environment: Mapping[str, str] = os.environ) -> list[Path]:
     """Where a client looks for a daemon: first the user's own, then the system's."""
     folder = environment.get("XDG_RUNTIME_DIR")
