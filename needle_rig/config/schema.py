@@ -81,7 +81,7 @@ class DriveSection(Section):
     """How far the base may be from what was commanded so far, at standstill."""
     response_ms: Annotated[float, Field(ge=1, le=1000)] = 60
     """What bus, drive and motor may take to answer a command: at speed the base may be further off by that."""
-    disagreement_deg: Annotated[float, Field(ge=0.5, le=90)] = 4
+    disagreement_deg: Annotated[float, Field(ge=0.5, le=90)] = 8
     """How far the encoder may be from what torque and first Hall angle say, within one motion."""
     reference_tolerance_deg: Annotated[float, Field(ge=0.5, le=90)] = 5
     """How well encoder and Hall angles must agree to confirm the zero of a drive that was switched on."""

@@ -10,11 +10,13 @@ import math
 from dataclasses import dataclass
 
 from needle_rig.control.faults import Fault, FaultName
-from needle_rig.units import deg
+from needle_rig.units import deg, rad
 
 SCALE_TOLERANCE = 0.05
 """Share by which a drive's velocity may differ from the command: node clocks are off by up to 2 %
 (`LinkClock`), and a drive of another make rounds its units."""
+DRIFT_RAD_S = rad(0.1)
+"""Forgiven all the time: a drive that holds a load may sink by so much, and is asked back up."""
 REVERSE_SHARE = 0.2
 """Of the commanded speed: turning back faster than this is no standstill; an encoder's flicker is less."""
 CLEAR_TEXT = ", then: needle-rig clear"
@@ -56,9 +58,16 @@ class FollowingError:
             self._last_rad = angle_rad
         asked_rad, turned_rad = commanded_rad_s * dt_s, angle_rad - self._last_rad
         self._last_rad = angle_rad
-        forgiven_rad = SCALE_TOLERANCE * abs(asked_rad)
+        forgiven_rad = SCALE_TOLERANCE * abs(asked_rad) + DRIFT_RAD_S * dt_s
         error_rad = self.error_rad + asked_rad - turned_rad
-        self.error_rad = math.copysign(max(abs(error_rad) - forgiven_rad, 0.0), error_rad)
+        # an answer that comes later than the command is no error to be forgiven: it comes back at the end
+        late_rad = self._limits.response_s * commanded_rad_s
+        least_rad, most_rad = min(late_rad, 0.0), max(late_rad, 0.0)
+        if error_rad > most_rad:
+            error_rad = max(error_rad - forgiven_rad, most_rad)
+        elif error_rad < least_rad:
+            error_rad = min(error_rad + forgiven_rad, least_rad)
+        self.error_rad = error_rad
         kept = math.exp(-dt_s / self._limits.response_s)
         self._peak_rad_s = max(abs(commanded_rad_s), self._peak_rad_s * kept)
         self._asked_rad_s += (1.0 - kept) * (commanded_rad_s - self._asked_rad_s)

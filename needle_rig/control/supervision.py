@@ -57,6 +57,7 @@ class Supervision:
             )
         lost = self.reference.step(now, dt_s)
         if lost is not None:
+            self._following.reset()
             return lost
         if self.reference.wanted_rad is not None or now.drive_state in (DriveState.SILENT, DriveState.FAULT):
             # its angle is being set, or a hand may turn it
