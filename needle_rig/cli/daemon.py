@@ -32,12 +32,7 @@ _ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 @click.option("--socket", type=click.Path(path_type=Path), help="Where to listen; default: the usual place.")
 @click.option("--group", help="Group whose members may use the socket.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the runs.")
-@click.option(
-    "--private",
-    is_flag=True,
-    hidden=True,
-    help="Child of one client, with --socket in its folder.",
-)
+@click.option("--private", type=click.Path(path_type=Path), hidden=True, help="Folder of one client.")
 def command(
     config: str | None,
     parameters: str | None,

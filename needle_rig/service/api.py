@@ -93,7 +93,7 @@ class Desk:
         self._stopping = 0
         self._stopped = asyncio.Event()
         self._stopped.set()
-        self._acknowledged_s = 0.0
+        self._acknowledged_s = -1.0
         self._next_s = 0.0
         self._state = Shared(self._ask_state)
         self._stop = Shared(lambda content: ask("stop", content, time.monotonic(), None))
