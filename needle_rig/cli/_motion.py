@@ -73,7 +73,8 @@ def follow(
             shown.show(document)
             if over(told, document):
                 return document
-    raise RigFault(f"the daemon ended meanwhile ({client.path}); the drive stops by itself then")
+    recorded = f"; what was recorded until then is in {told['run']}" if "run" in told else ""
+    raise RigFault(f"the daemon ended during the motion, and the drive stops by itself then{recorded}")
 
 
 def move(socket: Path | None, command: str, order: Document) -> Document:

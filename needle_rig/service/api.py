@@ -232,20 +232,20 @@ async def _body(request: Request) -> bytes:
     content = bytearray()
     try:
         async for chunk in request.stream():
-            content += chunk
-            if len(content) > BODY_LIMIT_BYTES:
-                raise TooLong(f"the request is longer than {BODY_LIMIT_BYTES} bytes; send less")
+            # what is too long is read all the same: its client reads no answer before
+            if len(content) <= BODY_LIMIT_BYTES:
+                content += chunk
     except ClientDisconnect:
         raise BadInput("the request broke off; send it again") from None
+    if len(content) > BODY_LIMIT_BYTES:
+        raise TooLong(f"the request is longer than {BODY_LIMIT_BYTES} bytes; send less")
     return bytes(content)
 
 
 async def _refuse(request: Request, error: Exception) -> Response:
     assert isinstance(error, BadInput | Aborted)
     status = {TooLong: 413, TooMany: 429, Aborted: 409}.get(type(error), 422)
-    # the rest of a body that is too long must not be taken for the next request
-    headers = {"connection": "close"} if isinstance(error, TooLong) else None
-    return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status, headers)
+    return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status)
 
 
 async def _refuse_path(request: Request, error: Exception) -> Response:

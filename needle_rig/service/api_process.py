@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
+from starlette.applications import Starlette
 
 from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, Document, application
 from needle_rig.service.connections import REQUEST_S, Connections, HttpConnection, WatcherConnection
@@ -61,21 +62,7 @@ class Process:
         living = asyncio.create_task(self._live(), name="alive")
         await self._serve.wait()
         connections = Connections(self._listener, _connection_limit())
-        self._server = _server(
-            uvicorn.Config(
-                application(self._ask, self._stream, connections),
-                http=functools.partial(HttpConnection, connections),  # type: ignore[arg-type]
-                ws=functools.partial(WatcherConnection, connections),  # type: ignore[arg-type]
-                lifespan="off",
-                access_log=False,
-                log_config=None,
-                backlog=BACKLOG,
-                h11_max_incomplete_event_size=BODY_LIMIT_BYTES,
-                timeout_keep_alive=round(REQUEST_S),
-                timeout_graceful_shutdown=1,
-                ws_max_size=BODY_LIMIT_BYTES,
-            )
-        )
+        self._server = server(application(self._ask, self._stream, connections), connections)
         sweeping = asyncio.create_task(connections.sweep(), name="sweep")
         try:
             await self._server.serve(sockets=[self._listener])
@@ -130,14 +117,38 @@ class Process:
         os._exit(0)
 
 
+def server(app: Starlette, connections: Connections) -> uvicorn.Server:
+    """A server with our connections and their limits, which leaves signals and logs alone."""
+    return _Server(
+        uvicorn.Config(
+            app,
+            http=functools.partial(HttpConnection, connections),  # type: ignore[arg-type]
+            ws=functools.partial(WatcherConnection, connections),  # type: ignore[arg-type]
+            lifespan="off",
+            access_log=False,
+            log_config=None,
+            backlog=BACKLOG,
+            h11_max_incomplete_event_size=BODY_LIMIT_BYTES,
+            timeout_keep_alive=round(REQUEST_S),
+            timeout_graceful_shutdown=1,
+            ws_max_size=BODY_LIMIT_BYTES,
+        ),
+        connections,
+    )
+
+
 class _Server(uvicorn.Server):
+    def __init__(self, config: uvicorn.Config, connections: Connections) -> None:
+        super().__init__(config)
+        self._connections = connections
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._connections.opened()
+
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
-
-
-def _server(config: uvicorn.Config) -> uvicorn.Server:
-    return _Server(config)
 
 
 def _connection_limit() -> int:

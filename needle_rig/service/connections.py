@@ -20,15 +20,15 @@ ANSWER_S = 30.0
 UNREAD_S = 5.0
 """So long a watcher may leave a full buffer unread."""
 _SWEEP_EVERY_S = 0.5
-_TURNS_TO_ACCEPT = 4
-"""Turns of the event loop from a connection in the listener's queue to its first bytes."""
+_TURNS_FROM_QUEUE = 4
+_TURNS_FROM_ACCEPT = 2
+"""Turns of the event loop until a connection is made that waits at the listener, or that was accepted."""
 
 
 class Connections:
     """All connections, at most `limit`: a new one always gets in, since it may carry a stop.
 
-    Needs a running asyncio loop and `sweep` in it. What waits at the `listener` from the start came at an
-    unknown time, long ago.
+    Needs a running asyncio loop and `sweep` in it.
     """
 
     def __init__(self, listener: socket.socket, limit: int) -> None:
@@ -36,7 +36,11 @@ class Connections:
         self._limit = limit
         self._clients: dict[HttpConnection, None] = {}
         self._watchers: dict[WatcherConnection, None] = {}
-        self._newcomers_begun_s: float | None = 0.0
+        self._newcomers_begun_s: float | None = None
+
+    def opened(self) -> None:
+        """The server accepts from now on: what waits at the listener came at an unknown time, long ago."""
+        self._take_newcomers_for_begun(0.0, _TURNS_FROM_QUEUE)
 
     def all_begun(self) -> float:
         """The time now, on the monotonic clock; requests of which a byte has come, read or not, begun before.
@@ -55,11 +59,11 @@ class Connections:
         for descriptor, _ in ready:
             if descriptor in waiting:
                 waiting[descriptor].begun_s = now_s
-            else:
-                self._take_newcomers_for_begun(now_s)
+        listened = any(descriptor == self._listener.fileno() for descriptor, _ in ready)
+        self._take_newcomers_for_begun(now_s, _TURNS_FROM_QUEUE if listened else _TURNS_FROM_ACCEPT)
         return now_s
 
-    def _take_newcomers_for_begun(self, begun_s: float | None, turns: int = _TURNS_TO_ACCEPT) -> None:
+    def _take_newcomers_for_begun(self, begun_s: float, turns: int) -> None:
         self._newcomers_begun_s = begun_s if turns else None
         if turns:
             asyncio.get_running_loop().call_soon(self._take_newcomers_for_begun, begun_s, turns - 1)
@@ -67,7 +71,8 @@ class Connections:
     def add(self, connection: HttpConnection | WatcherConnection) -> None:
         """Take one in; beyond the limit the oldest that watches nothing goes, or else the oldest watcher."""
         if isinstance(connection, HttpConnection):
-            connection.begun_s = self._newcomers_begun_s
+            if self._newcomers_begun_s is not None and _has_come(connection):
+                connection.begun_s = self._newcomers_begun_s
             self._clients[connection] = None
         else:
             self._watchers[connection] = None
@@ -88,8 +93,6 @@ class Connections:
 
     async def sweep(self) -> None:
         """Drop those that take too long, for ever."""
-        await asyncio.sleep(_SWEEP_EVERY_S)
-        self._newcomers_begun_s = None
         while True:
             await asyncio.sleep(_SWEEP_EVERY_S)
             now_s = time.monotonic()
@@ -97,6 +100,12 @@ class Connections:
             for connection in everybody:
                 if connection.overdue(now_s):
                     connection.transport.abort()
+
+
+def _has_come(connection: HttpConnection) -> bool:
+    poll = select.poll()
+    poll.register(connection.descriptor, select.POLLIN)
+    return bool(poll.poll(0))
 
 
 class HttpConnection(H11Protocol):

@@ -64,10 +64,11 @@ def test_stop_ends_the_run_of_another_client(shell: Shell, daemon: subprocess.Po
         wait_for_line(client, lambda line: "settling" in line)
         second = shell.run("compensate", "--target", "45", "--no-picture")
         assert second.returncode == 2
-        assert "a sequence is running" in second.stderr
+        assert "(needle-rig compensate, process" in second.stderr
+        assert "commands this rig" in second.stderr
         cleared = shell.run("clear")
         assert cleared.returncode == 2
-        assert "stop it first" in cleared.stderr
+        assert "commands this rig" in cleared.stderr
         assert shell.run("stop", "--reason", "lunch").returncode == 0
         out, _ = client.communicate(timeout=60)
     assert client.returncode == 4
