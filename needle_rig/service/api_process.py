@@ -8,7 +8,6 @@ the socket in its place.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import json
 import logging
@@ -18,7 +17,6 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +24,14 @@ import uvicorn
 from starlette.applications import Starlette
 
 from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, Document, application
-from needle_rig.service.connections import REQUEST_S, Connections, HttpConnection, WatcherConnection
-from needle_rig.service.endpoint import BACKLOG, Made
+from needle_rig.service.connections import (
+    ACCEPTED_AT_ONCE,
+    REQUEST_S,
+    Connections,
+    HttpConnection,
+    WatcherConnection,
+)
+from needle_rig.service.endpoint import Made
 from needle_rig.service.lines import Lines
 from needle_rig.service.stream import Stream
 
@@ -65,7 +69,7 @@ class Process:
         self._server = server(application(self._ask, self._stream, connections), connections)
         sweeping = asyncio.create_task(connections.sweep(), name="sweep")
         try:
-            await self._server.serve(sockets=[self._listener])
+            await self._server.serve()
         finally:
             sweeping.cancel()
             living.cancel()
@@ -127,7 +131,6 @@ def server(app: Starlette, connections: Connections) -> uvicorn.Server:
             lifespan="off",
             access_log=False,
             log_config=None,
-            backlog=BACKLOG,
             h11_max_incomplete_event_size=BODY_LIMIT_BYTES,
             timeout_keep_alive=round(REQUEST_S),
             timeout_graceful_shutdown=1,
@@ -143,21 +146,29 @@ class _Server(uvicorn.Server):
         self._connections = connections
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await super().startup(sockets)
-        self._connections.opened()
+        await super().startup([])
+        self._connections.open(self._make)
 
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        yield
+    def _make(self) -> HttpConnection:
+        config = self.config
+        made = config.http_protocol_class(  # type: ignore[call-arg]
+            config=config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        assert isinstance(made, HttpConnection)
+        return made
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._connections.close()
+        await super().shutdown(sockets)
 
 
 def _connection_limit() -> int:
-    """As many as the system gives descriptors for, with room for a whole queue of newcomers."""
+    """As many as the system gives descriptors for, with room for the newcomers of one turn."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = CONNECTIONS + BACKLOG + _OWN_DESCRIPTORS
+    wanted = CONNECTIONS + ACCEPTED_AT_ONCE + _OWN_DESCRIPTORS
     allowed = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
     resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
-    return max(allowed - BACKLOG - _OWN_DESCRIPTORS, 1)
+    return max(allowed - ACCEPTED_AT_ONCE - _OWN_DESCRIPTORS, 1)
 
 
 class _Rarely(logging.Filter):

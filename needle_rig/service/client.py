@@ -30,6 +30,7 @@ _PATIENCE_S = 5.0
 _END_TIMEOUT_S = 15.0
 _AGAIN_S = 10.0
 """A daemon whose API process died has a new one long before."""
+_AGAIN_EVERY_S = 0.05
 
 
 class DaemonClient:
@@ -130,15 +131,22 @@ class DaemonClient:
                     response = client.request(method, path, json=content, headers=headers)
                 break
             except httpx.TransportError as error:
-                gone = isinstance(error, httpx.ConnectError)
-                if gone or time.monotonic() > deadline_s:
+                if _nobody_there(error) or time.monotonic() > deadline_s:
                     raise RigFault(
                         f"{self.path}: the daemon does not answer ({error}); look at its log"
                     ) from None
+                time.sleep(_AGAIN_EVERY_S)
         answer: Document = response.json()
         if "error" in answer:
             raise failure(answer)
         return answer
+
+
+def _nobody_there(error: BaseException | None) -> bool:
+    """Whether no daemon listens; a queue that is full or a process that died is no reason to give up."""
+    while error is not None and not isinstance(error, ConnectionRefusedError | FileNotFoundError):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def failure(told: Document) -> NeedleRigError:

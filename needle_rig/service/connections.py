@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import select
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import h11
@@ -20,69 +21,92 @@ ANSWER_S = 30.0
 UNREAD_S = 5.0
 """So long a watcher may leave a full buffer unread."""
 _SWEEP_EVERY_S = 0.5
-_TURNS_FROM_QUEUE = 4
-_TURNS_FROM_ACCEPT = 2
-"""Turns of the event loop until a connection is made that waits at the listener, or that was accepted."""
+ACCEPTED_AT_ONCE = 64
+"""Connections that are accepted in one turn of the loop, beyond the limit at worst."""
+_ACCEPT_AGAIN_S = 0.1
+
+log = logging.getLogger("api")
 
 
 class Connections:
-    """All connections, at most `limit`: a new one always gets in, since it may carry a stop.
-
-    Needs a running asyncio loop and `sweep` in it.
-    """
+    """All connections to `listener`, at most `limit`: a new one always gets in, since it may carry a stop."""
 
     def __init__(self, listener: socket.socket, limit: int) -> None:
         self._listener = listener
         self._limit = limit
         self._clients: dict[HttpConnection, None] = {}
         self._watchers: dict[WatcherConnection, None] = {}
-        self._newcomers_begun_s: float | None = None
+        self._make: Callable[[], HttpConnection] | None = None
+        self._making: set[asyncio.Task[Any]] = set()
+        self._queue_begun_s: float | None = None
 
-    def opened(self) -> None:
-        """The server accepts from now on: what waits at the listener came at an unknown time, long ago."""
-        self._take_newcomers_for_begun(0.0, _TURNS_FROM_QUEUE)
+    def open(self, make: Callable[[], HttpConnection]) -> None:
+        """Accept from now on, in the running asyncio loop. What waits already came at an unknown time."""
+        self._make = make
+        self._queue_begun_s = 0.0
+        asyncio.get_running_loop().add_reader(self._listener, self._accept)
+
+    def close(self) -> None:
+        """Accept no more; safe to call twice."""
+        self._make = None
+        asyncio.get_running_loop().remove_reader(self._listener)
 
     def all_begun(self) -> float:
         """The time now, on the monotonic clock; requests of which a byte has come, read or not, begun before.
 
         Called right after a stop was acknowledged: what lies in a queue of the kernel then came before.
         """
-        poll = select.poll()
-        poll.register(self._listener, select.POLLIN)
-        waiting = {}
-        for client in self._clients:
-            if client.begun_s is None and (descriptor := client.descriptor) >= 0:
-                waiting[descriptor] = client
-                poll.register(descriptor, select.POLLIN)
-        ready = poll.poll(0)
         now_s = time.monotonic()
-        for descriptor, _ in ready:
-            if descriptor in waiting:
-                waiting[descriptor].begun_s = now_s
-        listened = any(descriptor == self._listener.fileno() for descriptor, _ in ready)
-        self._take_newcomers_for_begun(now_s, _TURNS_FROM_QUEUE if listened else _TURNS_FROM_ACCEPT)
+        self._queue_begun_s = now_s
+        self._accept()
+        unread = {client.socket.fileno(): client for client in self._clients if client.begun_s is None}
+        for descriptor in _readable(unread):
+            unread[descriptor].begun_s = now_s
         return now_s
 
-    def _take_newcomers_for_begun(self, begun_s: float, turns: int) -> None:
-        self._newcomers_begun_s = begun_s if turns else None
-        if turns:
-            asyncio.get_running_loop().call_soon(self._take_newcomers_for_begun, begun_s, turns - 1)
+    def _accept(self) -> None:
+        loop = asyncio.get_running_loop()
+        for _ in range(ACCEPTED_AT_ONCE):
+            try:
+                accepted, _ = self._listener.accept()
+            except BlockingIOError:
+                self._queue_begun_s = None
+                return
+            except OSError as error:
+                log.warning("no connection can be accepted: %s", error)
+                loop.remove_reader(self._listener)
+                loop.call_later(_ACCEPT_AGAIN_S, self._accept_again)
+                return
+            accepted.setblocking(False)
+            if self._make is None:
+                accepted.close()
+                return
+            connection = self._make()
+            connection.socket = accepted
+            if self._queue_begun_s is not None and _readable([accepted.fileno()]):
+                connection.begun_s = self._queue_begun_s
+            self._add(self._clients, connection)
+            task = loop.create_task(loop.connect_accepted_socket(lambda c=connection: c, accepted))  # type: ignore[misc]
+            self._making.add(task)
+            task.add_done_callback(self._making.discard)
 
-    def add(self, connection: HttpConnection | WatcherConnection) -> None:
-        """Take one in; beyond the limit the oldest that watches nothing goes, or else the oldest watcher."""
-        if isinstance(connection, HttpConnection):
-            if self._newcomers_begun_s is not None and _has_come(connection):
-                connection.begun_s = self._newcomers_begun_s
-            self._clients[connection] = None
-        else:
-            self._watchers[connection] = None
+    def _accept_again(self) -> None:
+        if self._make is not None:
+            asyncio.get_running_loop().add_reader(self._listener, self._accept)
+
+    def watch(self, connection: WatcherConnection) -> None:
+        """Take in a client that became a watcher."""
+        self._add(self._watchers, connection)
+
+    def _add(self, those: dict[Any, None], connection: HttpConnection | WatcherConnection) -> None:
+        """Beyond the limit the oldest that watches nothing goes, or else the oldest watcher."""
+        those[connection] = None
         if len(self._clients) + len(self._watchers) > self._limit:
-            queue: Mapping[Any, None] = (
-                self._clients if len(self._clients) > 1 or not self._watchers else self._watchers
-            )
+            only_watchers = len(self._clients) <= 1 and self._watchers
+            queue: Mapping[Any, None] = self._watchers if only_watchers else self._clients
             oldest: HttpConnection | WatcherConnection = next(iter(queue))
             self.discard(oldest)
-            oldest.transport.abort()
+            oldest.drop()
 
     def discard(self, connection: HttpConnection | WatcherConnection) -> None:
         """Forget one."""
@@ -99,13 +123,15 @@ class Connections:
             everybody: tuple[HttpConnection | WatcherConnection, ...] = (*self._clients, *self._watchers)
             for connection in everybody:
                 if connection.overdue(now_s):
-                    connection.transport.abort()
+                    connection.drop()
 
 
-def _has_come(connection: HttpConnection) -> bool:
+def _readable(descriptors: Iterable[int]) -> list[int]:
     poll = select.poll()
-    poll.register(connection.descriptor, select.POLLIN)
-    return bool(poll.poll(0))
+    for descriptor in descriptors:
+        if descriptor >= 0:
+            poll.register(descriptor, select.POLLIN)
+    return [descriptor for descriptor, _ in poll.poll(0)]
 
 
 class HttpConnection(H11Protocol):
@@ -117,19 +143,22 @@ class HttpConnection(H11Protocol):
     def __init__(self, connections: Connections, **uvicorns: Any) -> None:
         super().__init__(**uvicorns)
         self._all = connections
+        self.socket: socket.socket
         self.begun_s: float | None = None
         self._since_s = time.monotonic()
-
-    @property
-    def descriptor(self) -> int:
-        """Of its socket; -1 when that is closed."""
-        own = self.transport.get_extra_info("socket")
-        return -1 if own is None else int(own.fileno())
+        self._dropped = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See asyncio.Protocol."""
         super().connection_made(transport)
-        self._all.add(self)
+        if self._dropped:
+            transport.abort()
+
+    def drop(self) -> None:
+        """Close it at once, whatever goes on."""
+        self._dropped = True
+        if self.transport is not None:
+            self.transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """See asyncio.Protocol."""
@@ -172,7 +201,11 @@ class WatcherConnection(WebSocketsSansIOProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See asyncio.Protocol."""
         super().connection_made(transport)
-        self._all.add(self)
+        self._all.watch(self)
+
+    def drop(self) -> None:
+        """Close it at once, whatever goes on."""
+        self.transport.abort()
 
     def pause_writing(self) -> None:
         """See asyncio.Protocol."""

@@ -14,7 +14,7 @@ import structlog
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
-from needle_rig.control.reports import Request
+from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
@@ -70,6 +70,8 @@ class Daemon:
         self._told: tuple[Phase, str] = (Phase.IDLE, "")
         self._run: Path | None = None
         self._starting = False
+        self._closed = asyncio.Event()
+        self._closed.set()
         self._ending = False
         self._motions = 0
         self._moving = False
@@ -151,33 +153,33 @@ class Daemon:
         self._lease.check(claim)
         if self._loop is None:
             raise BadInput("the daemon is not ready; ask again")
-        if self._starting:
-            raise BadInput("a sequence is starting; wait for it, or stop it first: needle-rig stop")
-        if isinstance(order, Order):
-            return await self.compensate(order, claim)
-        return self._command(name, order)
-
-    async def compensate(self, order: Order, claim: Claim) -> Document:
-        """Start a run; the answer names its file.
-
-        Raises BadInput or RigFault when it cannot start, and Aborted when a stop came meanwhile.
-        """
-        if self._run is not None:
+        if self._starting or (self._run is not None and self._brain.state.phase in ACTIVE):
             raise BadInput("a sequence is running; wait for it, or stop it first: needle-rig stop")
-        request = _request(order)
-        self._brain.check(request)
         self._starting = True
         try:
-            path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
-            try:
-                self._lease.check(claim)
-                self._brain.compensate(dataclasses.replace(request, run=str(path)))
-            except NeedleRigError:
-                await self._recorder.discard()
-                raise
+            await self._closed.wait()  # a run that was just stopped
+            self._lease.check(claim)
+            return (
+                await self._compensate(order, claim)
+                if isinstance(order, Order)
+                else self._command(name, order)
+            )
         finally:
             self._starting = False
+
+    async def _compensate(self, order: Order, claim: Claim) -> Document:
+        """Start a run; the answer names its file."""
+        request = _request(order)
+        self._brain.check(request)
+        path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
+        try:
+            self._lease.check(claim)
+            self._brain.compensate(dataclasses.replace(request, run=str(path)))
+        except NeedleRigError:
+            await self._recorder.discard()
+            raise
         self._run, self._failure, self._last = path, None, None
+        self._closed.clear()
         self._set_busy()
         log.info("run", target_deg=order.target_deg, strategy=order.strategy, file=str(path))
         return {"run": str(path)}
@@ -297,11 +299,11 @@ class Daemon:
             self._brain.stop(sentence)
 
     def _finish_soon(self) -> None:
-        self._finishing = asyncio.create_task(self._finish(), name="finish run")
+        self._finishing = asyncio.create_task(self._finish(self._brain.state), name="finish run")
 
-    async def _finish(self) -> None:
+    async def _finish(self, state: BrainState) -> None:
         """Close the run's file, then tell how it ended."""
-        state, run = self._brain.state, self._run
+        run = self._run
         outcome = state.outcome
         assert outcome is not None
         parameters = self._rig_document["parameters"]
@@ -322,6 +324,7 @@ class Daemon:
             "settled": [report.settled_document(motion) for motion in state.settled],
         }
         self._run, self._finishing = None, None
+        self._closed.set()
         log.info("run ended", status=outcome.status, text=outcome.text)
         self._api.event({"type": "ended", **self._last})
 

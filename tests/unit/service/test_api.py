@@ -82,7 +82,7 @@ async def serving(tmp_path: Path, limit: int = 50) -> AsyncIterator[Service]:
         listener.setblocking(False)
         held = Connections(listener, limit)
         running = server(application(service.ask, service.stream, held), held)
-        tasks = [asyncio.create_task(running.serve(sockets=[listener])), asyncio.create_task(held.sweep())]
+        tasks = [asyncio.create_task(running.serve()), asyncio.create_task(held.sweep())]
         try:
             yield service
         finally:
