@@ -5,7 +5,8 @@ somebody holds one, they must carry it in the header `Lease`; while nobody does,
 takes it (with the header: renews it), `DELETE /lease` returns it; it also ends when it is not used for 10 s
 while the rig is still, and with every stop. `/stop` needs no lease and waits behind nothing. A request of
 which the first byte came before a stop was acknowledged, or which carries a lease from before, is refused;
-one that came in the same instant as the acknowledgement may be, and can be sent again. Anybody may read `/state` and watch `/stream`.
+one that came in the same instant as the acknowledgement may be, and can be sent again.
+Anybody may read `/state` and watch `/stream`.
 """
 
 from __future__ import annotations

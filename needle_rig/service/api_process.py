@@ -165,10 +165,10 @@ class _Server(uvicorn.Server):
 def _connection_limit() -> int:
     """As many as the system gives descriptors for, with room for the newcomers of one turn."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = CONNECTIONS + ACCEPTED_AT_ONCE + _OWN_DESCRIPTORS
+    wanted = CONNECTIONS + SPARE + _OWN_DESCRIPTORS
     allowed = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
     resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
-    return max(allowed - ACCEPTED_AT_ONCE - _OWN_DESCRIPTORS, 1)
+    return max(allowed - SPARE - _OWN_DESCRIPTORS, 1)
 
 
 class _Rarely(logging.Filter):

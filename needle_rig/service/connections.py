@@ -21,8 +21,11 @@ ANSWER_S = 30.0
 UNREAD_S = 5.0
 """So long a watcher may leave a full buffer unread."""
 _SWEEP_EVERY_S = 0.5
-ACCEPTED_AT_ONCE = 64
-"""Connections that are accepted in one turn of the loop, beyond the limit at worst."""
+ACCEPTED_AT_ONCE = 16
+"""Connections that are accepted in one turn of the loop."""
+_TURNS_TO_CLOSE = 4
+SPARE = ACCEPTED_AT_ONCE * _TURNS_TO_CLOSE
+"""Descriptors beyond the limit."""
 _ACCEPT_AGAIN_S = 0.1
 
 log = logging.getLogger("api")
