@@ -24,13 +24,7 @@ import uvicorn
 from starlette.applications import Starlette
 
 from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, Document, application
-from needle_rig.service.connections import (
-    ACCEPTED_AT_ONCE,
-    REQUEST_S,
-    Connections,
-    HttpConnection,
-    WatcherConnection,
-)
+from needle_rig.service.connections import REQUEST_S, SPARE, Connections, HttpConnection, WatcherConnection
 from needle_rig.service.endpoint import Made
 from needle_rig.service.lines import Lines
 from needle_rig.service.stream import Stream
