@@ -80,7 +80,7 @@ class DriveSection(Section):
     following_deg: Annotated[float, Field(ge=0.1, le=30)] = 1.5
     """How far the base may be from what was commanded so far, at standstill."""
     response_ms: Annotated[float, Field(ge=1, le=1000)] = 60
-    """What bus, drive and motor may take to answer a command: at speed the base may be further off by that."""
+    """What bus, drive and motor may take to answer a command; at speed the base may lag by that."""
     disagreement_deg: Annotated[float, Field(ge=0.5, le=90)] = 8
     """How far the encoder may be from what torque and first Hall angle say, within one motion."""
     reference_tolerance_deg: Annotated[float, Field(ge=0.5, le=90)] = 5

@@ -22,7 +22,7 @@ SMOOTHING_S = 0.02
 """Low-pass of the disagreement: a Hall sensor's noise of 0.25° stays 10 times below the limit."""
 TORQUE_SHARE = 0.5
 """Of the twist that the torque stands for: a chuck that gives, a cell's gain, friction before the first
-sensor. Every effect of the library at its typical size stays below the limit; tests/unit/control asks them."""
+sensor. The tests ask every effect of the library at its typical size: it stays below the limit."""
 FLICKER = 0.25
 """Share of the twist that a witness must show to count as having seen it."""
 STEP_RAD = rad(1.0)

@@ -1,4 +1,4 @@
-"""Encoder, torque cell and Hall sensors against one another: who is wrong, just inside and outside the limits."""
+"""Encoder, torque cell and Hall sensors against one another: just inside and just outside the limits."""
 
 from __future__ import annotations
 
