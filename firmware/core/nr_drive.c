@@ -34,10 +34,13 @@ const struct nr_drive_config nr_drive_defaults = {
         .motion = {
             .lag_us = 20000,
             .memory_us = 400000,
-            .slack_us = 45000,
+            .slack_us = 50000,
             .rest_us = 200000,
             .floor_mdeg = 250,
             .rest_mdeg = 1000,
+            .speed_us = 5000,
+            .speed_percent = 130,
+            .speed_floor = 150000,
         },
     },
 };

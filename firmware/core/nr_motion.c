@@ -1,6 +1,6 @@
 #include "nr_motion.h"
 
-enum { Q8 = 256, UNITS_PER_MDEG = 10000000, SLOWEST_TURN = 1000, FARTHEST_MDEG = 1000000 };
+enum { Q8 = 256, UNITS_PER_MDEG = 10000000, SLOWEST_TURN = 3000, FARTHEST_MDEG = 1000000 };
 
 static int64_t size(int64_t value)
 {
@@ -34,14 +34,25 @@ void nr_motion_rename(struct nr_motion *motion, int32_t angle_mdeg)
     motion->angle_mdeg = angle_mdeg;
 }
 
+static bool too_fast(const struct nr_motion *motion, const struct nr_motion_config *config)
+{
+    return size(motion->turning) > motion->pace_q8 / Q8 * config->speed_percent / 100 + config->speed_floor;
+}
+
+static bool too_far(const struct nr_motion *motion, const struct nr_motion_config *config)
+{
+    const int64_t slack = motion->pace_q8 * (int64_t)config->slack_us / Q8;
+    return size(motion->following) > (int64_t)config->floor_mdeg * UNITS_PER_MDEG + slack;
+}
+
 static enum nr_motion_verdict named(const struct nr_motion *motion)
 {
     const int64_t way = motion->expected_q8;
-    if (way == 0 || (way > 0) != (motion->following > 0)) {
-        return NR_MOTION_RUNS;
-    }
     const int64_t back = way > 0 ? -motion->turning : motion->turning;
-    return back > size(way) / Q8 / 4 + SLOWEST_TURN ? NR_MOTION_AGAINST : NR_MOTION_STALLS;
+    if (way != 0 && back > size(way) / Q8 / 4 + SLOWEST_TURN) {
+        return NR_MOTION_AGAINST;
+    }
+    return way == 0 || (way > 0) != (motion->following > 0) ? NR_MOTION_RUNS : NR_MOTION_STALLS;
 }
 
 enum nr_motion_verdict nr_motion_step(struct nr_motion *motion, const struct nr_motion_config *config,
@@ -57,7 +68,7 @@ enum nr_motion_verdict nr_motion_step(struct nr_motion *motion, const struct nr_
     motion->expected_q8 = closer(motion->expected_q8, (int64_t)asked * Q8, elapsed_us, config->lag_us);
     motion->following += motion->expected_q8 * (int64_t)elapsed_us / Q8 - moved;
     if (elapsed_us > 0) {
-        motion->turning = closer(motion->turning, moved / (int64_t)elapsed_us, elapsed_us, config->lag_us);
+        motion->turning = closer(motion->turning, moved / (int64_t)elapsed_us, elapsed_us, config->speed_us);
     }
     motion->pace_q8 = closer(motion->pace_q8, 0, elapsed_us, config->memory_us);
     if (size(asked) * Q8 > motion->pace_q8) {
@@ -67,9 +78,8 @@ enum nr_motion_verdict nr_motion_step(struct nr_motion *motion, const struct nr_
         return size(motion->following) > (int64_t)config->rest_mdeg * UNITS_PER_MDEG ? NR_MOTION_UNASKED
                                                                                      : NR_MOTION_FOLLOWS;
     }
-    const int64_t limit =
-        (int64_t)config->floor_mdeg * UNITS_PER_MDEG + motion->pace_q8 * (int64_t)config->slack_us / Q8;
-    const enum nr_motion_verdict verdict = size(motion->following) > limit ? named(motion) : NR_MOTION_FOLLOWS;
+    const bool wrong = too_fast(motion, config) || too_far(motion, config);
+    const enum nr_motion_verdict verdict = wrong ? named(motion) : NR_MOTION_FOLLOWS;
     if (motion->unasked_us >= config->rest_us) {
         nr_motion_rest(motion, angle_mdeg);
     }

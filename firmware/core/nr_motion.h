@@ -2,8 +2,8 @@
  *
  * `following` is what the shaft should have turned by now less what it turned. It should follow the asked velocity with
  * the lag of an ordinary motor (`lag_us`); the drive's loop takes `following` back to zero, so that it stays small at
- * any speed. More than `floor + slack x pace` is a fault, `pace` being the fastest that was asked of late. Integers only,
- * in the units of nr_guard.h.
+ * any speed. More than `floor + slack x pace` is a fault, `pace` being the fastest that was asked of late. So is a shaft
+ * much faster than the pace: a bridge that shorted is seen before it is far. Integers only, in the units of nr_guard.h.
  */
 #ifndef NR_MOTION_H
 #define NR_MOTION_H
@@ -18,6 +18,9 @@ struct nr_motion_config {
     uint32_t rest_us;       /* nothing asked for so long: the motor may rest */
     int32_t floor_mdeg;     /* behind or ahead at no pace at all */
     int32_t rest_mdeg;      /* moved while the motor rests: a hand may touch it */
+    uint32_t speed_us;      /* over which the measured speed is smoothed */
+    int32_t speed_percent;  /* of the pace: faster than this and */
+    int32_t speed_floor;    /* this on top, 1e-4 deg/s, is too fast */
 };
 
 /* What was seen; the caller names it with the bits of its faults. */
@@ -33,7 +36,7 @@ struct nr_motion {
     int32_t angle_mdeg;
     int64_t expected_q8;    /* velocity that the shaft should have, in 1/256 */
     int64_t pace_q8;        /* fastest that was asked of late */
-    int64_t turning;        /* velocity that it has, behind the same lag */
+    int64_t turning;        /* velocity that it has, smoothed */
     int64_t following;      /* 1e-10 deg */
     uint32_t unasked_us;
     bool resting;

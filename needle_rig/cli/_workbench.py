@@ -71,8 +71,8 @@ def _found(paths: tuple[Path, ...]) -> list[Path]:
     """The paths, those that do not exist looked for by name in config/datasets."""
     from needle_rig.dataset.settled import shipped_datasets
 
-    known = {} if all(path.exists() for path in paths) else shipped_datasets()
-    return [path if path.exists() else known.get(str(path), path) for path in paths]
+    known = {} if all(os.path.lexists(path) for path in paths) else shipped_datasets()
+    return [path if os.path.lexists(path) else known.get(str(path), path) for path in paths]
 
 
 def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -66,6 +67,6 @@ def _new(path: Path) -> Path:
     from needle_rig.config.places import show_path
     from needle_rig.errors import BadInput
 
-    if path.exists():
+    if os.path.lexists(path):
         raise BadInput(f"{show_path(path)}: exists already; name another place with --out")
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
@@ -15,6 +16,10 @@ from needle_rig.errors import NeedleRigError
 
 CRASHED = 70
 """Exit code of a defect in this program (EX_SOFTWARE), so that it is never mistaken for an answer."""
+
+_DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS})
+"""What a write to an open file can meet; its error does not name the file."""
+_SHOWN_LETTERS = 200
 
 
 class Commands(click.Group):
@@ -72,6 +77,15 @@ def run(arguments: list[str] | None = None) -> int:
         # the reader of our output (head, less) has gone: keep the interpreter's last flush from complaining
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.filename is None and error.errno not in _DISK_FAULTS:
+            traceback.print_exc()
+            return CRASHED
+        from needle_rig.config.places import show_path
+
+        place = "" if error.filename is None else f"{show_path(error.filename)[:_SHOWN_LETTERS]}: "
+        click.echo(f"{place}cannot be read or written: {error.strerror}; name another place", err=True)
+        return NeedleRigError.exit_code
     except Exception:  # noqa: BLE001 - a defect must not leave with the exit code of a failed check
         traceback.print_exc()
         return CRASHED

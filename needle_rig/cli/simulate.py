@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import click
@@ -79,7 +80,7 @@ def command(
     from needle_rig.workbench.layouts import layout_named
     from needle_rig.workbench.simulate import Noise, simulate_dataset
 
-    if (out / "dataset.yaml").exists():
+    if os.path.lexists(out / "dataset.yaml"):
         raise BadInput(f"{out}: holds a dataset already; name another folder with --out or remove it first")
     model = load_parameters(
         parameters, layout=None if layout_from is None else layout_named(layout_from), effects=directories

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from needle_rig.config.places import show_path
@@ -24,7 +25,7 @@ def find_config_file(name: str) -> Path:
     """
     folders = config_directories()
     for folder in folders:
-        if (folder / name).is_file():
+        if os.path.isfile(folder / name):
             return folder / name
     searched = " and ".join(show_path(f) for f in folders) or "no folder (there is no ./config)"
     raise BadInput(f"{name}: no such file in {searched}; name one with its path")

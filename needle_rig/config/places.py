@@ -15,12 +15,17 @@ from typing import Any
 
 import yaml
 
+from needle_rig.config.regular_file import read_regular
 from needle_rig.errors import BadInput
 
 DataPath = tuple[str | int, ...]
 """Keys and list positions that lead from the top of a file to a value."""
 
 NODE_LIMIT = 200_000
+LIMIT_BYTES = 16_000_000
+"""Several times what `NODE_LIMIT` values take; bounds text and comments, read at 1 MB a second."""
+SEEN_LETTERS = 60
+"""Of a line that is no YAML, repeated in the error."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +66,15 @@ def dotted(path: DataPath) -> str:
     return text
 
 
-def read_yaml(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Places]:
-    """The mapping in the YAML file at `path`, and the places of its parts.
+def read_yaml(
+    path: str | os.PathLike[str], *, inside: str | os.PathLike[str] | None = None
+) -> tuple[dict[str, Any], Places]:
+    """The mapping in the YAML file at `path`, and the places of its parts; links must not leave `inside`.
 
     Raises BadInput, with file, line and column where there are any, for a file that cannot be read.
     """
     shown = show_path(path)
-    try:
-        raw = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise BadInput(f"{shown}: there is no such file{_neighbours(Path(path))}") from None
-    except IsADirectoryError:
-        raise BadInput(f"{shown}: is a folder; name a YAML file in it") from None
-    except PermissionError:
-        raise BadInput(f"{shown}: you may not read this file; change its rights (chmod u+r)") from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise BadInput(f"{shown}: cannot be read: {reason}") from None
+    raw = read_regular(path, shown, LIMIT_BYTES, inside=inside, missing=lambda: _neighbours(Path(path)))
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -100,6 +97,8 @@ def parse_yaml(text: str, name: str) -> tuple[dict[str, Any], Places]:
         raise BadInput(f"{name}:{line}:{column}: character U+{code:04X} may not stand in YAML") from None
     except yaml.MarkedYAMLError as error:
         raise BadInput(_syntax_sentence(error, text, name)) from None
+    except _TooManyNodes as error:
+        raise BadInput(f"{name}:{error.line}: the file holds more than {NODE_LIMIT} values") from None
     except RecursionError:
         raise BadInput(f"{name}: is nested too deeply to be read") from None
     if root is None:
@@ -115,7 +114,10 @@ def parse_yaml(text: str, name: str) -> tuple[dict[str, Any], Places]:
 
 
 def write_yaml(data: Mapping[str, Any]) -> str:
-    """`data` (plain dicts, lists, text, numbers) as YAML text that `parse_yaml` reads back equal."""
+    """`data` (plain dicts, lists, text, numbers) as YAML text that `parse_yaml` reads back equal.
+
+    Text with control characters is written too, and refused when it is read.
+    """
     return str(
         yaml.dump(
             data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
@@ -148,8 +150,24 @@ def show_path(path: str | os.PathLike[str]) -> str:
     return given if relative.startswith("..") else relative
 
 
+class _TooManyNodes(Exception):
+    def __init__(self, line: int) -> None:
+        self.line = line
+
+
 class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self.nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        # The parser takes 20 µs for each value: stop it, rather than judge what it made.
+        self.nodes += index is not None  # keys of mappings have none
+        if self.nodes > NODE_LIMIT:
+            raise _TooManyNodes(self.line + 1)
+        return super().compose_node(parent, index)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -159,6 +177,7 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
+_UNSHOWABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 _INT = re.compile(r"[-+]?(?:[0-9]+|0x[0-9a-fA-F]+|0o[0-7]+)")
 _FLOAT = re.compile(
     r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
@@ -206,7 +225,7 @@ class _Reader:
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self.refuse(key_node, "a key must be a plain word")
-            key = str(key_node.value)
+            key = self.shown(key_node)
             here = (*path, key)
             if key == "<<":
                 raise self.refuse(key_node, "merge keys (<<) are not read here; write the keys out")
@@ -220,7 +239,7 @@ class _Reader:
         return data
 
     def scalar(self, node: yaml.ScalarNode, path: DataPath) -> Any:
-        text = self.written[path] = str(node.value)
+        text = self.written[path] = self.shown(node)
         kind = node.tag.removeprefix("tag:yaml.org,2002:")
         if kind == "str":
             return text
@@ -235,6 +254,14 @@ class _Reader:
         if kind == "float" and (_INT.fullmatch(text) or _FLOAT.fullmatch(text)):
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
         raise self.refuse(node, f"the tag {node.tag} is not read here; write the value plainly")
+
+    def shown(self, node: yaml.ScalarNode) -> str:
+        """The text of a scalar; quotes let into YAML what a terminal or a file name cannot bear."""
+        text = str(node.value)
+        found = _UNSHOWABLE.search(text)
+        if found:
+            raise self.refuse(node, f"character U+{ord(found[0]):04X} may not stand in a key or value")
+        return text
 
     def refuse(self, node: yaml.Node, sentence: str) -> BadInput:
         line, column = _place(node)
@@ -267,7 +294,8 @@ def _syntax_sentence(error: yaml.MarkedYAMLError, text: str, name: str) -> str:
         return f"{place}: {problem}; text that starts with * needs quotes"
     if isinstance(error, yaml.composer.ComposerError) and "another document" in problem:
         return f"{place}: a second document begins; keep one document a file"
-    seen = f" in {line.strip()!r}" if line.strip() else " at the end of the file"
+    near = line[max(0, mark.column - SEEN_LETTERS) :].strip()[: 2 * SEEN_LETTERS]
+    seen = f" in {near!r}" if near else " at the end of the file"
     since = (
         f" (opened at line {error.context_mark.line + 1})"
         if error.context_mark is not None and error.context_mark.line != mark.line

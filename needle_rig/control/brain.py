@@ -370,17 +370,18 @@ class Brain:
             self._clear_s = 0.0 if awake and not drive_says else self._clear_s - dt_s
             if fault is not None and fault.link == "drive" and drive_says:
                 return None
-        elif fault is None and self._phase in ACTIVE and not awake:
+        if fault is not None:
+            return fault
+        running = self._phase in ACTIVE and self._phase is not Phase.HOLDING
+        fault = self._supervision.step(measurement, self._command, dt_s, active=running)
+        if fault is None and self._clear_s <= 0.0 and self._phase in ACTIVE and not awake:
             return Fault(
                 FaultName.DRIVE_RESTARTED,
                 "drive",
                 "the drive fell silent by itself; check its supply",
                 latching=False,
             )
-        if fault is not None:
-            return fault
-        running = self._phase in ACTIVE and self._phase is not Phase.HOLDING
-        return self._supervision.step(measurement, self._command, dt_s, active=running)
+        return fault
 
     def _fail(self, fault: Fault) -> None:
         if self._phase in ACTIVE:

@@ -85,12 +85,14 @@ class ShaftWatch:
         self._last: Measurement | None = None
         self._disagreement_rad = 0.0
         self._most_torque_nm = 0.0
+        self._most_before_nm = 0.0
         self._travel_rad = 0.0
         self._counted_rad = 0.0
 
     def begin(self) -> None:
         """A sequence starts: its first measurement is what all changes are counted from."""
         self._start = self._last = None
+        self._most_before_nm = max(self._most_before_nm, self._most_torque_nm)
         self._most_torque_nm = self._travel_rad = 0.0
         self.motion()
 
@@ -202,8 +204,9 @@ class ShaftWatch:
         turned_rad = abs(now.base_angle_rad - start.base_angle_rad)
         for number, ((a, b, a0, b0), gap_m) in enumerate(zip(twists, self._gaps_m, strict=True), 1):
             twist_rad = (a - b) - (a0 - b0)
-            # from fully wound one way to fully wound the other
-            possible_rad = 2.0 * STRENGTH * self._most_torque_nm * gap_m / self._rigidity_nm2
+            # the start may have been wound one way by an earlier sequence, and this one winds the other way
+            wound_nm = self._most_torque_nm + self._most_before_nm
+            possible_rad = STRENGTH * wound_nm * gap_m / self._rigidity_nm2
             limit_rad = self._limits.pair_rad + self._limits.disagreement_share * turned_rad + possible_rad
             if abs(twist_rad) > limit_rad:
                 return _fault(
@@ -221,11 +224,11 @@ def _fault(name: FaultName, link: str, text: str) -> Fault:
 
 
 def shaft_limits(disagreement_deg: float, windup_limit_deg: float, travel_limit_deg: float) -> ShaftLimits:
-    """Limits from a rig file's numbers; `pair_rad` is half as much again: two Hall sensors err, not one."""
+    """Limits from a rig file's numbers; neighbouring Hall sensors may disagree as encoder and first one may."""
     return ShaftLimits(
         disagreement_rad=rad(disagreement_deg),
         disagreement_share=0.05,
-        pair_rad=rad(1.5 * disagreement_deg),
+        pair_rad=rad(disagreement_deg),
         jump_rad=rad(30.0),
         windup_rad=rad(windup_limit_deg),
         travel_rad=rad(travel_limit_deg),

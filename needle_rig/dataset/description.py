@@ -78,7 +78,7 @@ class Description(_Part):
 
 def read_description(folder: Path) -> tuple[Description, Places]:
     """dataset.yaml of `folder`, and where its parts stand. Raises BadInput."""
-    data, places = read_yaml(folder / "dataset.yaml")
+    data, places = read_yaml(folder / "dataset.yaml", inside=folder)
     if data.get("format") != FORMAT:
         raise places.error(("format",), f"{data.get('format')!r} is not {FORMAT}; convert the dataset to it")
     description = validate(Description, data, places)

@@ -82,16 +82,16 @@ def _same_layout(one: Dataset, other: Dataset) -> bool:
 
 
 def _read_one(path: Path) -> Dataset:
-    if path.is_file() and path.name == "dataset.yaml":
+    if path.name == "dataset.yaml" and os.path.isfile(path):
         path = path.parent
-    if not path.is_dir():
-        if path.exists():
+    if not os.path.isdir(path):
+        if os.path.lexists(path):
             raise BadInput(f"{show_path(path)}: is no folder; name the folder that has the dataset.yaml")
         raise BadInput(f"{show_path(path)}: there is no such folder")
-    if not (path / "dataset.yaml").is_file():
+    if not os.path.lexists(path / "dataset.yaml"):
         inside = sorted(p.parent.name for p in path.glob("*/dataset.yaml"))
         hint = f"; did you mean {', '.join(inside[:6])} in it?" if inside else ""
-        if (path / "settled.yaml").is_file():
+        if os.path.lexists(path / "settled.yaml"):
             hint = ", only settled values (settled.yaml): needle-rig compare and diagnose read those"
         raise BadInput(f"{show_path(path)}: has no dataset.yaml{hint}")
     description, places = read_description(path)
@@ -108,7 +108,7 @@ def _read_one(path: Path) -> Dataset:
             start_s = end_s
             notes.append(f"{places.of(('trials', place))}: start_s is missing; taken as {end_s:.1f} s")
         try:
-            trial = read_trial(path / part.file, sensors, part.command(), start_s)
+            trial = read_trial(path / part.file, path, sensors, part.command(), start_s)
         except LeftOut as reason:
             left_out.append(str(reason))
             notes.append(str(reason))

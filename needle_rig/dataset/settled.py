@@ -152,7 +152,7 @@ class SettledData:
 def is_settled(path: str | os.PathLike[str]) -> bool:
     """Whether `path` is a folder with settled values, or their file."""
     given = Path(path)
-    return (given / FILE).is_file() or (given.name == FILE and given.is_file())
+    return os.path.lexists(given / FILE) or (given.name == FILE and os.path.isfile(given))
 
 
 def shipped_datasets() -> dict[str, Path]:
@@ -168,9 +168,9 @@ def read_settled(path: str | os.PathLike[str]) -> SettledData:
     """The settled values in a folder. Raises BadInput with file and line."""
     given = Path(path)
     file = given if given.name == FILE else given / FILE
-    if not file.is_file():
+    if not os.path.lexists(file):
         raise BadInput(f"{show_path(given)}: has no {FILE}")
-    data, places = read_yaml(file)
+    data, places = read_yaml(file, inside=file.parent)
     read = validate(_File, data, places)
     for section, path_of in ((read.rig, ("rig",)), (read.rig.needle, ("rig", "needle"))):
         for key in section.model_extra or {}:

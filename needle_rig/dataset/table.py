@@ -1,15 +1,16 @@
-"""CSV files to arrays: any delimiter, decimal comma, byte order marks, files larger than memory."""
+"""CSV files to arrays: any delimiter, decimal comma, byte order marks, UTF-16, long files thinned."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.config.regular_file import read_regular
 from needle_rig.dataset.csv_rows import BAD, LONG, SHORT, parse_rows, text_changes
 from needle_rig.errors import BadInput
 
@@ -18,7 +19,14 @@ Bytes = npt.NDArray[np.uint8]
 
 MAX_SAMPLES = 20_000
 """Rows kept of one file: a model step costs microseconds, a fit takes thousands of passes."""
-CHUNK_ROWS = 200_000
+CHUNK_VALUES = 2_000_000
+"""Parsed at a time: 16 MB."""
+MAX_COLUMNS = 1000
+"""Far above any rig's sensors; the names of columns are compared with each other."""
+LIMIT_BYTES = 1_000_000_000
+"""Ten million rows of eight columns take 700 MB; the file is held in memory while its rows are thinned."""
+UTF16_LIMIT_BYTES = 300_000_000
+"""Takes five times its size while it is converted."""
 
 
 @dataclass(frozen=True)
@@ -34,57 +42,63 @@ class Table:
     notes: tuple[str, ...]
 
 
-def read_table(path: Path, shown: str, text_column: str, time_stem: str) -> Table:
-    """The CSV file at `path`; `shown` stands for it in messages.
+def read_table(path: Path, folder: Path, shown: str, text_column: str, time_stem: str) -> Table:
+    """The CSV file at `path`, which must lie in `folder`; `shown` stands for it in messages.
 
     `text_column` may be absent; every other column must be numbers, and the one whose name starts
     with `time_stem` must not go back.
     Raises BadInput with file and line.
     """
     notes: list[str] = []
-    with _content(path, shown, notes) as data:
-        header_line, start, header = _header(data, shown)
-        delimiter = max((";", "\t", ","), key=header.count)
-        columns = tuple(name.strip().strip('"') for name in header.split(delimiter))
-        if delimiter == "," and len(columns) < 2:
-            raise BadInput(
-                f"{shown}:{header_line}: one column, {header[:60]!r}; separate columns with commas, "
-                "semicolons or tabs"
-            )
-        twice = [name for name in columns if columns.count(name) > 1]
-        if twice:
-            raise BadInput(f"{shown}:{header_line}: column {twice[0]} is there twice; keep one")
-        if _looks_numeric(columns):
-            raise BadInput(f"{shown}:{header_line}: numbers where the names of the columns should be")
-        sample = bytes(data[start : start + 65536])
-        decimal = "," if delimiter != "," and b"," in sample and b"." not in sample else "."
-        if delimiter != ",":
-            how = "a decimal comma" if decimal == "," else "a decimal point"
-            names = {";": "semicolons", "\t": "tabs"}
-            notes.append(f"{shown}:{header_line}: read with {names[delimiter]} between columns and {how}")
-        rows_in_sample = max(sample.count(b"\n"), 1)
-        rows = (len(data) - start) * rows_in_sample // max(len(sample), 1)
-        every = max(1, -(-rows // MAX_SAMPLES))
-        if rows <= MAX_SAMPLES * 1.05:
-            every = 1
-        text_at = columns.index(text_column) if text_column in columns else -1
-        numbers = tuple(c for i, c in enumerate(columns) if i != text_at)
-        time_at = next((i for i, c in enumerate(numbers) if c.startswith(time_stem)), -1)
-        parts = list(
-            _chunks(
-                data,
-                start,
-                header_line,
-                columns,
-                delimiter,
-                decimal,
-                text_at,
-                every,
-                shown,
-                notes,
-                time_at,
-            )
+    data = _content(path, folder, shown, notes)
+    header_line, start, header = _header(data, shown)
+    delimiter = max((";", "\t", ","), key=header.count)
+    columns = tuple(name.strip().strip('"') for name in header.split(delimiter))
+    if delimiter == "," and len(columns) < 2:
+        raise BadInput(
+            f"{shown}:{header_line}: one column, {header[:60]!r}; separate columns with commas, "
+            "semicolons or tabs"
         )
+    strange = next((name for name in columns if not name.isprintable()), None)
+    if strange is not None:
+        raise BadInput(f"{shown}:{header_line}: column {strange!r} has characters that cannot be shown")
+    if len(columns) > MAX_COLUMNS:
+        raise BadInput(
+            f"{shown}:{header_line}: {len(columns)} columns, more than {MAX_COLUMNS}; keep those of the rig"
+        )
+    twice = [name for name, count in Counter(columns).items() if count > 1]
+    if twice:
+        raise BadInput(f"{shown}:{header_line}: column {twice[0]} is there twice; keep one")
+    if _looks_numeric(columns):
+        raise BadInput(f"{shown}:{header_line}: numbers where the names of the columns should be")
+    sample = bytes(data[start : start + 65536])
+    decimal = "," if delimiter != "," and b"," in sample and b"." not in sample else "."
+    if delimiter != ",":
+        how = "a decimal comma" if decimal == "," else "a decimal point"
+        names = {";": "semicolons", "\t": "tabs"}
+        notes.append(f"{shown}:{header_line}: read with {names[delimiter]} between columns and {how}")
+    rows = _lines(data[start:])
+    every = max(1, -(-rows // MAX_SAMPLES))
+    if rows <= MAX_SAMPLES * 1.05:
+        every = 1
+    text_at = columns.index(text_column) if text_column in columns else -1
+    numbers = tuple(c for i, c in enumerate(columns) if i != text_at)
+    time_at = next((i for i, c in enumerate(numbers) if c.startswith(time_stem)), -1)
+    parts = list(
+        _chunks(
+            data,
+            start,
+            header_line,
+            columns,
+            delimiter,
+            decimal,
+            text_at,
+            every,
+            shown,
+            notes,
+            time_at,
+        )
+    )
     if not parts:
         raise BadInput(
             f"{shown}:{header_line}: no rows below the header; record again or leave the trial out"
@@ -112,7 +126,8 @@ def _chunks(
 ) -> Iterator[tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.str_]]]:
     """Chunks of rows, already thinned to every `every`th."""
     numbers = len(columns) - (text_at >= 0)
-    rows_at_once = min(CHUNK_ROWS, max(len(data) - start, 1))
+    # a field takes a byte at least, its separator included
+    rows_at_once = min(CHUNK_VALUES, len(data) - start) // len(columns) + 1
     values = np.empty((rows_at_once, numbers))
     line = np.empty(rows_at_once, dtype=np.int64)
     text_start = np.zeros(rows_at_once, dtype=np.int64)
@@ -199,6 +214,11 @@ def _header(data: Bytes, shown: str) -> tuple[int, int, str]:
     raise BadInput(f"{shown}:1: the file is empty; record again or take it out of dataset.yaml")
 
 
+def _lines(data: Bytes) -> int:
+    blocks = range(0, len(data), CHUNK_VALUES)
+    return sum(int(np.count_nonzero(data[at : at + CHUNK_VALUES] == ord("\n"))) for at in blocks)
+
+
 def _looks_numeric(columns: tuple[str, ...]) -> bool:
     try:
         return all(np.isfinite(float(c.replace(",", "."))) for c in columns if c)
@@ -206,26 +226,24 @@ def _looks_numeric(columns: tuple[str, ...]) -> bool:
         return False
 
 
-@contextmanager
-def _content(path: Path, shown: str, notes: list[str]) -> Iterator[Bytes]:
-    """The file's bytes as UTF-8, mapped rather than read."""
-    try:
-        with path.open("rb") as file:
-            size = path.stat().st_size
-            if size == 0:
-                raise BadInput(f"{shown}:1: the file is empty; record again or take it out of dataset.yaml")
-            mark = file.read(3)
-            if mark[:2] in (b"\xff\xfe", b"\xfe\xff"):
-                file.seek(0)
-                notes.append(f"{shown}:1: is UTF-16, read as such")
-                yield np.frombuffer(file.read().decode("utf-16").encode("utf-8"), dtype=np.uint8)
-                return
-            if mark == b"\xef\xbb\xbf":
-                notes.append(f"{shown}:1: starts with a byte order mark, which is skipped")
-        yield np.memmap(path, dtype=np.uint8, mode="r")
-    except FileNotFoundError:
-        raise BadInput(f"{shown}: there is no such file; correct `file` in dataset.yaml") from None
-    except IsADirectoryError:
-        raise BadInput(f"{shown}: is a folder, not a CSV file") from None
-    except PermissionError:
-        raise BadInput(f"{shown}: you may not read this file; change its rights (chmod u+r)") from None
+def _content(path: Path, folder: Path, shown: str, notes: list[str]) -> Bytes:
+    """The file's bytes as UTF-8."""
+    raw = read_regular(
+        path, shown, LIMIT_BYTES, inside=folder, missing=lambda: "; correct `file` in dataset.yaml"
+    )
+    if not raw:
+        raise BadInput(f"{shown}:1: the file is empty; record again or take it out of dataset.yaml")
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        notes.append(f"{shown}:1: is UTF-16, read as such")
+        if len(raw) > UTF16_LIMIT_BYTES:
+            raise BadInput(
+                f"{shown}: has {len(raw) / 1e6:.0f} MB in UTF-16, more than {UTF16_LIMIT_BYTES / 1e6:.0f} MB;"
+                " save it as UTF-8"
+            )
+        try:
+            return np.frombuffer(raw.decode("utf-16").encode("utf-8"), dtype=np.uint8)
+        except UnicodeError as error:
+            raise BadInput(f"{shown}: begins as UTF-16 but is none ({error}); save it as UTF-8") from None
+    if raw.startswith(b"\xef\xbb\xbf"):
+        notes.append(f"{shown}:1: starts with a byte order mark, which is skipped")
+    return np.frombuffer(raw, dtype=np.uint8)

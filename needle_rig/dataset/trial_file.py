@@ -22,10 +22,15 @@ _SI = {"time": 1.0, "angle": math.pi / 180.0, "torque": 1e-3}
 _DEFAULT_UNIT = {"time": "s", "angle": "deg", "torque": "nmm"}
 
 
-def read_trial(path: Path, sensors: tuple[str, ...], command: TrialCommand, start_s: float) -> DatasetTrial:
-    """The trial in the file at `path`. Raises BadInput with file and line, LeftOut when it has no use."""
+def read_trial(
+    path: Path, folder: Path, sensors: tuple[str, ...], command: TrialCommand, start_s: float
+) -> DatasetTrial:
+    """The trial in the file at `path`, which must lie in `folder`.
+
+    Raises BadInput with file and line, LeftOut when it has no use.
+    """
     shown = show_path(path)
-    table = read_table(path, shown, "phase", "time")
+    table = read_table(path, folder, shown, "phase", "time")
     notes = list(table.notes)
     found = _columns(table, shown)
     time_s = _required(table, found, "time", "time", shown)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import binascii
 import datetime
+import io
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from needle_rig.config.regular_file import read_regular
 from needle_rig.errors import BadInput
 from needle_rig.firmware.pins import PAGE_SIZE
 
@@ -18,6 +20,9 @@ HALL_SENSORS = 4
 NEUTRAL_MID_COUNTS = 2048
 NEUTRAL_COUNTS_PER_TURN = 360_000
 NEUTRAL_DUTY_PER_VELOCITY = 1193
+
+LIMIT_BYTES = 1_000_000
+"""A page takes 1 kB of Intel hex; a tool that writes its whole sector of 128 kB makes 360 kB."""
 
 _HEADER = struct.Struct("<IIIHH")
 _MAGIC = {"hall": 0x314C4148, "torque": 0x31515254, "drive": 0x31565244}
@@ -81,9 +86,10 @@ def read_page(path: Path) -> bytes:
     """The page in a hex file, as flash holds it. Raises BadInput when there is none."""
     from intelhex import HexReaderError, IntelHex
 
+    raw = read_regular(path, str(path), LIMIT_BYTES, missing=lambda: "; make one: needle-rig calibrate")
     try:
-        image = IntelHex(str(path))
-    except (OSError, HexReaderError) as error:
+        image = IntelHex(io.StringIO(raw.decode("ascii")))
+    except (UnicodeDecodeError, HexReaderError) as error:
         raise BadInput(
             f"{path}: no calibration page can be read ({error}); make one: needle-rig calibrate"
         ) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ def effect_directories(extra: Iterable[str | Path] = ()) -> tuple[Path, ...]:
     """Folders with users' effects: `effects` of the config folders, then `extra`."""
     folders = [*(folder / "effects" for folder in config_directories()), *(Path(e) for e in extra)]
     for folder in map(Path, extra):
-        if not folder.is_dir():
+        if not os.path.isdir(folder):
             raise BadInput(f"{folder}: there is no such folder of effects; name one with --effects DIR")
     return tuple(dict.fromkeys(folder.resolve() for folder in folders))
 

@@ -11,6 +11,7 @@ import importlib
 import importlib.util
 import inspect
 import math
+import os
 import sys
 import traceback
 from collections.abc import Iterable
@@ -18,9 +19,13 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+from needle_rig.config.regular_file import open_regular
 from needle_rig.errors import BadInput
 from needle_rig.physics import effects as built_in
 from needle_rig.physics.effect import Effect, ParameterInfo
+
+LIMIT_BYTES = 1_000_000
+"""A law takes a page; what is a thousand times longer is no effect."""
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "shape": ("self", "rod", "trial"),
@@ -63,9 +68,9 @@ def built_in_effects() -> dict[str, type[Effect]]:
 
 def load_effect(path: Path) -> type[Effect]:
     """The effect in the file `path`. Raises BadInput with file and line when it is missing or broken."""
-    path = path.resolve()
-    stamp = path.stat().st_mtime_ns
-    return _load(path, stamp)
+    with open_regular(path, str(path), LIMIT_BYTES) as file:
+        stamp = os.fstat(file.fileno()).st_mtime_ns
+    return _load(path.parent.resolve() / path.name, stamp)
 
 
 @cache

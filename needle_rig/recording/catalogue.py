@@ -45,7 +45,7 @@ def find_run(named: str, directory: str | os.PathLike[str]) -> RunFile:
 
     Raises BadInput, naming what is there, when none or several fit.
     """
-    if Path(named).is_file():
+    if os.path.isfile(named):
         return RunFile(named)
     shown = show_path(directory)
     names = [run.name for run in list_runs(directory) if run.status != "unreadable"]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import math
 import os
-import struct
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
@@ -20,11 +19,11 @@ from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput
+from needle_rig.recording.hdf5_file import read_hdf5
+from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
 from needle_rig.recording.tables import FORMAT
 
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-SUPERBLOCK = struct.Struct("<8sB19xQ")
-"""Signature, version and end of file of a superblock with 8-byte addresses."""
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -54,10 +53,9 @@ class RunFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Raises BadInput when there is no file at `path` or it is no run."""
         self.path = Path(path)
-        with self._open() as file:
-            self.attributes: dict[str, Any] = {key: _plain(value) for key, value in file.attrs.items()}
-            self.attributes |= _late(file)
-            self.tables: tuple[str, ...] = tuple(sorted(set(file) - {"events", "late_attributes"}))
+        self.attributes: dict[str, Any]
+        self.tables: tuple[str, ...]
+        self.attributes, self.tables = self._read(_about)
         if self.attributes.get("format") != FORMAT:
             raise BadInput(f"{self._shown}: is HDF5 but no run of needle-rig (no attribute format: {FORMAT})")
 
@@ -70,14 +68,13 @@ class RunFile:
         """All rows of table `name` as a structured array (see `tables.run_tables`)."""
         if name not in self.tables:
             raise BadInput(f"{self._shown}: has no table {name}; it has {', '.join(self.tables)}")
-        with self._open() as file:
-            return np.asarray(file[name][:])
+        rows: npt.NDArray[Any] = self._read(lambda file: _rows(file, name))
+        return rows
 
     @property
     def events(self) -> tuple[Event, ...]:
         """The events in order of writing."""
-        with self._open() as file:
-            rows = file["events"][:]
+        rows = self._read(lambda file: _rows(file, "events"))
         events: list[Event] = []
         for time_s, kind, raw in rows:
             text = raw.decode("utf-8", "replace")
@@ -104,14 +101,7 @@ class RunFile:
 
     def ending(self) -> Ending:
         """How far the run has come by now, in one look at the file."""
-        with self._open() as file:
-            events = file["events"]
-            found = _late(file).get("result")
-            return Ending(
-                complete=bool(len(events) and events[-1]["kind"] == b"end"),
-                result=found if isinstance(found, dict) else None,
-                span_s=_span(file, self.tables),
-            )
+        return self._read(lambda file: _ending(file, self.tables))
 
     @property
     def config(self) -> RigConfig:
@@ -122,43 +112,32 @@ class RunFile:
     def _shown(self) -> str:
         return show_path(self.path)
 
-    @contextmanager
-    def _open(self) -> Iterator[h5py.File]:
-        if not self.path.is_file():
-            raise BadInput(f"{self._shown}: there is no such run; list them with: needle-rig runs")
-        self._refuse_cut()
-        try:
-            file = h5py.File(self.path, "r", swmr=True)
-        except OSError as error:
-            empty = self.path.stat().st_size == 0
-            reason = (
-                "is empty: it was cut off before it began" if empty else f"is not a readable run ({error})"
-            )
-            raise BadInput(f"{self._shown}: {reason}") from None
-        try:
-            yield file
-        except (OSError, KeyError, RuntimeError) as error:
-            raise BadInput(f"{self._shown}: the file is damaged: {error}") from None
-        finally:
-            file.close()
+    def _read(self, take: Callable[[h5py.File], Found]) -> Found:
+        return read_hdf5(self.path, self._shown, take)
 
-    def _refuse_cut(self) -> None:
-        """HDF5 hangs on a file that lost its end, or reads zeros there: see before it does.
 
-        The superblock (version 2 and 3, HDF5 file format specification III.A) tells where the file ends; a
-        writer that was killed leaves that at or before the true end.
-        """
-        with self.path.open("rb") as stream:
-            head = stream.read(SUPERBLOCK.size)
-        if len(head) < SUPERBLOCK.size:
-            return
-        signature, version, end = SUPERBLOCK.unpack(head)
-        size = self.path.stat().st_size
-        if signature == HDF5_SIGNATURE and version in (2, 3) and end > size:
-            raise BadInput(
-                f"{self._shown}: lost its end on the way: it has {size} of {end} bytes;"
-                " copy it again from where it was recorded"
-            )
+def _about(file: h5py.File) -> tuple[dict[str, Any], tuple[str, ...]]:
+    attributes = {key: _plain(value) for key, value in file.attrs.items()} | _late(file)
+    check_attributes(attributes)
+    return attributes, tuple(sorted(set(file) - NOT_TABLES))
+
+
+def _rows(file: h5py.File, name: str) -> npt.NDArray[Any]:
+    rows = np.asarray(file[name][:])
+    check_times(name, rows["time_s"])
+    return rows
+
+
+def _ending(file: h5py.File, tables: tuple[str, ...]) -> Ending:
+    events = file["events"]
+    found = _late(file).get("result")
+    if isinstance(found, dict) and not str(found.get("status", "")).isprintable():
+        raise ValueError("the status of its result has characters that cannot be shown")
+    return Ending(
+        complete=bool(len(events) and events[-1]["kind"] == b"end"),
+        result=found if isinstance(found, dict) else None,
+        span_s=_span(file, tables),
+    )
 
 
 def _late(file: h5py.File) -> dict[str, Any]:
@@ -166,8 +145,9 @@ def _late(file: h5py.File) -> dict[str, Any]:
     known: dict[str, Any] = {}
     if "late_attributes" in file:
         for line in bytes(file["late_attributes"][:]).splitlines():
-            with suppress(ValueError):
-                known |= json.loads(line)
+            with suppress(ValueError, RecursionError):
+                said = json.loads(line)
+                known |= said if isinstance(said, dict) else {}
     return known
 
 
@@ -175,10 +155,16 @@ def _span(file: h5py.File, tables: tuple[str, ...]) -> tuple[float, float]:
     filled = [name for name in tables if len(file[name]) and "time_s" in file[name].dtype.names]
     filled = filled or (["events"] if len(file["events"]) else [])
     times = [float(file[name][row]["time_s"]) for name in filled for row in (0, -1)]
+    check_times(" or ".join(filled), np.array(times))
     return (min(times), max(times)) if times else (math.nan, math.nan)
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
-    return value.item() if isinstance(value, np.generic) else value
+    plain = value.item() if isinstance(value, np.generic) else value
+    if isinstance(plain, str):  # h5py keeps bytes that are no UTF-8 as lone surrogates
+        return plain.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    if not isinstance(plain, int | float | np.ndarray):
+        raise ValueError("an attribute is neither a text nor numbers")
+    return plain

@@ -77,18 +77,18 @@ class Tap:
 
     def __init__(self, seed: int) -> None:
         self.fault = "restore"
-        self._last: bytes | None = None
+        self._last: dict[int, bytes] = {}
         self._random = random.Random(seed)
 
-    def through(self, data: bytes) -> bytes | None:
+    def through(self, data: bytes, frame_id: int = 0) -> bytes | None:
         """What leaves the node instead of `data`; None when nothing does."""
         if self.fault in ("unplug", "silence"):
             return None
         if self.fault == "garble":
             return self._random.randbytes(len(data))
         if self.fault == "freeze":
-            return self._last
-        self._last = data
+            return self._last.get(frame_id)
+        self._last[frame_id] = data
         return data
 
 
@@ -238,7 +238,7 @@ class BenchLoop:
         self._hub.flush()
 
     def _send(self, link: str, frame: Frame) -> None:
-        data = self._taps[link].through(frame[1])
+        data = self._taps[link].through(frame[1], frame[0])
         if data is None:
             return
         if link == "torque" and self._taps["drive"].fault != "unplug":

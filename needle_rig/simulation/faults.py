@@ -50,24 +50,25 @@ class Link:
     """`silence`, `garble` or `freeze`, as the bench's."""
     delay_s: float = 0.0
     seed: int = 0
-    _last: bytes | None = None
-    _waiting: deque[tuple[float, bytes]] = field(default_factory=deque)
+    _last: dict[int, bytes] = field(default_factory=dict)
+    _waiting: dict[int, deque[tuple[float, bytes]]] = field(default_factory=dict)
     _random: random.Random | None = None
 
-    def through(self, data: bytes, now_s: float) -> bytes | None:
-        """What arrives at `now_s`, when `data` is sent; None when nothing does."""
+    def through(self, data: bytes, now_s: float, frame_id: int = 0) -> bytes | None:
+        """What arrives at `now_s` under `frame_id`, when `data` is sent; None when nothing does."""
         if self.fault == "silence":
             return None
         if self.fault == "garble":
             self._random = self._random or random.Random(self.seed)
             return self._random.randbytes(len(data))
         if self.fault == "freeze":
-            return self._last
-        self._waiting.append((now_s + self.delay_s, data))
-        if self._waiting[0][0] > now_s:
-            return None
-        self._last = self._waiting.popleft()[1]
-        return self._last
+            return self._last.get(frame_id)
+        waiting = self._waiting.setdefault(frame_id, deque())
+        waiting.append((now_s + self.delay_s, data))
+        arrived = None
+        while waiting and waiting[0][0] <= now_s:
+            arrived = self._last[frame_id] = waiting.popleft()[1]
+        return arrived
 
 
 @dataclass

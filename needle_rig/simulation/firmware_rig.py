@@ -92,6 +92,11 @@ class FirmwareRig:
         return self.plant.shaft_rad()
 
     @property
+    def sent(self) -> int:
+        """How many commands the host has sent: its counter and heartbeat."""
+        return self._sent
+
+    @property
     def faults(self) -> Faults:
         """What is broken in the machine."""
         return self.plant.faults
@@ -130,7 +135,7 @@ class FirmwareRig:
     def send(self, frame_id: int, data: bytes) -> None:
         """Put any frame on the bus; the host takes a command for the drive that is not its own as foreign."""
         if self._own:
-            arrived = self.links.command.through(data, self.plant.time_s)
+            arrived = self.links.command.through(data, self.plant.time_s, frame_id)
             if arrived is not None:
                 self.nodes.drive.receive(self._ticks * 1000, frame_id, arrived)
             return
@@ -171,14 +176,16 @@ class FirmwareRig:
             emergency_stop=plant.faults.emergency_stop,
         )
         faded = self.links.hall_faded
-        pairs = [NO_FIELD if i in faded else pair for i, pair in enumerate(counts.hall)] if faded else counts.hall
+        pairs = (
+            [NO_FIELD if i in faded else pair for i, pair in enumerate(counts.hall)] if faded else counts.hall
+        )
         hall = nodes.hall.step(now_us, pairs)
         if self._heard is not None:
             for frame in (torque, *(data for _, data in drive), hall):
                 self._heard(frame)
         self._take_torque(arrived)
         for frame_id, data in drive:
-            reached = self.links.drive.through(data, plant.time_s)
+            reached = self.links.drive.through(data, plant.time_s, frame_id)
             self._take_drive(None if reached is None else self.codec.decode(frame_id, reached))
         self._take_hall(self.links.hall.through(hall, plant.time_s))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 Q8 = 256
 UNITS_PER_MDEG = 10_000_000
-SLOWEST_TURN = 1000
+SLOWEST_TURN = 3000
 FARTHEST_MDEG = 1_000_000
 
 
@@ -27,10 +27,13 @@ class MotionSettings:
 
     lag_us: int = 20_000
     memory_us: int = 400_000
-    slack_us: int = 45_000
+    slack_us: int = 50_000
     rest_us: int = 200_000
     floor_mdeg: int = 250
     rest_mdeg: int = 1000
+    speed_us: int = 5000
+    speed_percent: int = 130
+    speed_floor: int = 150_000
 
 
 class MotionMonitor:
@@ -62,23 +65,25 @@ class MotionMonitor:
         self.following += quotient(self.expected_q8 * elapsed_us, Q8) - moved
         if elapsed_us > 0:
             turn = quotient(moved, elapsed_us)
-            self._turning = _closer(self._turning, turn, elapsed_us, settings.lag_us)
+            self._turning = _closer(self._turning, turn, elapsed_us, settings.speed_us)
         self.pace_q8 = max(_closer(self.pace_q8, 0, elapsed_us, settings.memory_us), abs(asked) * Q8)
         if self.resting:
             far = abs(self.following) > settings.rest_mdeg * UNITS_PER_MDEG
             return Verdict.UNASKED if far else Verdict.FOLLOWS
-        limit = settings.floor_mdeg * UNITS_PER_MDEG + self.pace_q8 * settings.slack_us // Q8
-        verdict = self._named() if abs(self.following) > limit else Verdict.FOLLOWS
+        fastest = self.pace_q8 // Q8 * settings.speed_percent // 100 + settings.speed_floor
+        farthest = settings.floor_mdeg * UNITS_PER_MDEG + self.pace_q8 * settings.slack_us // Q8
+        wrong = abs(self._turning) > fastest or abs(self.following) > farthest
+        verdict = self._named() if wrong else Verdict.FOLLOWS
         if self._unasked_us >= settings.rest_us:
             self.rest(angle_mdeg)
         return verdict
 
     def _named(self) -> Verdict:
         way = self.expected_q8
-        if way == 0 or (way > 0) != (self.following > 0):
-            return Verdict.RUNS
         back = -self._turning if way > 0 else self._turning
-        return Verdict.AGAINST if back > abs(way) // Q8 // 4 + SLOWEST_TURN else Verdict.STALLS
+        if way and back > abs(way) // Q8 // 4 + SLOWEST_TURN:
+            return Verdict.AGAINST
+        return Verdict.RUNS if way == 0 or (way > 0) != (self.following > 0) else Verdict.STALLS
 
 
 def quotient(value: int, by: int) -> int:

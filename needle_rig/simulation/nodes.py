@@ -160,7 +160,11 @@ class DriveNode:
             uptime_s,
             0 if said is None else said.counter + 1,
         )
-        if said is not None and now_us - self._health_us < HEALTH_PERIOD_US and _flags(health) == _flags(said):
+        if (
+            said is not None
+            and now_us - self._health_us < HEALTH_PERIOD_US
+            and _flags(health) == _flags(said)
+        ):
             return ()
         self._health, self._health_us = health, now_us
         return ((DRIVE_HEALTH_ID, self._codec.encode_health(health)),)

@@ -228,7 +228,9 @@ class Plant:
         faults = self.faults
         torque = faults.torque.of(_quantised(torque, nm(settings.torque_step_nmm)))
         seen = (np.rint(hall / rad(settings.hall_step_deg)) * rad(settings.hall_step_deg)).tolist()
-        angles = tuple(faults.hall[i].of(angle) if i in faults.hall else angle for i, angle in enumerate(seen))
+        angles = tuple(
+            faults.hall[i].of(angle) if i in faults.hall else angle for i, angle in enumerate(seen)
+        )
         self._encoder_rad = faults.encoder.of(self.motor.angle_rad)
         self._torque_read_nm = torque
         base = _quantised(self._base_rad(), rad(settings.encoder_step_deg))

@@ -53,7 +53,9 @@ class HallTurns:
 
     def refer(self, base_rad: float) -> None:
         """The base stands at `base_rad`, says somebody who knows: lost turns are those nearest to it."""
-        self._told_rad = [base_rad if lost else told for lost, told in zip(self._lost, self._told_rad, strict=True)]
+        self._told_rad = [
+            base_rad if lost else told for lost, told in zip(self._lost, self._told_rad, strict=True)
+        ]
 
     def _follow(self, index: int, angle: float, now_s: float, base_rad: float) -> str:
         last_rad, told_rad = self._angle_rad[index], self._told_rad[index]

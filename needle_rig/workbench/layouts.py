@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from needle_rig.config.places import read_yaml
@@ -22,10 +23,10 @@ def layout_named(name: str) -> Layout:
     if name == "model":
         return MODEL_LAYOUT
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(path):
         description, places = read_description(path)
         return layout_of(description.rig, places)
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise BadInput(f"--layout {name}: is neither experiment nor model, nor a rig file or dataset folder")
     data, places = read_yaml(path)
     if data.get("format") == "needle-rig/1":

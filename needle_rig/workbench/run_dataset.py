@@ -81,5 +81,5 @@ def _trial(run: RunFile, start_s: float) -> DatasetTrial:
 def _started(run: RunFile) -> float:
     try:
         return datetime.datetime.fromisoformat(str(run.attributes["started_utc"])).timestamp()
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, OverflowError):
         return 0.0

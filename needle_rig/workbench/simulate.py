@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 REST_S = 0.5
 WINDOW_S = 0.5
 """Length over which the torque is averaged at the end of a hold."""
+SAMPLES_LIMIT = 1_000_000
+"""Of one trial: five hours at 50 a second, which take 1 GB and some seconds."""
 DIAMETER_M = 0.39e-3
 DENSITY_KG_M3 = 6450.0
 
@@ -177,7 +179,12 @@ def _settled(
 
 
 def driven(motions: tuple[Motion, ...], end_s: float, place: Trial, rate_hz: float) -> Trial:
-    """The trial at `place` in its series that these motions make, up to `end_s`."""
+    """The trial at `place` in its series that these motions make, up to `end_s`; BadInput when it is long."""
+    if end_s * rate_hz > SAMPLES_LIMIT:
+        raise BadInput(
+            f"trial {place.index + 1} lasts {end_s:g} s, more than {SAMPLES_LIMIT} samples at {rate_hz:g} a"
+            " second; let it turn faster or settle for less time"
+        )
     time_s = np.arange(max(2, math.ceil(end_s * rate_hz - 1e-9))) / rate_hz
     return dataclasses.replace(place, time_s=time_s, base_angle_rad=base_path(motions, time_s))
 

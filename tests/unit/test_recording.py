@@ -147,7 +147,7 @@ def test_which_run_is_meant(tmp_path, monkeypatch):
         find_run("2026", "runs")
     with pytest.raises(BadInput, match=r"no such run in runs; did you mean 2026-01-01_a\?"):
         find_run("2026-01-01_c", "runs")
-    with pytest.raises(BadInput, match="there is no such run"):
+    with pytest.raises(BadInput, match="there is no such file; list the runs"):
         RunFile("runs/none.h5")
 
 
