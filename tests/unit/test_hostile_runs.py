@@ -260,7 +260,7 @@ with RunWriter(sys.argv[1], {"strategy": "none"}, run_tables(sensors=4)) as writ
             writer.append(name, [(float(row + n + 1), 0.0, n, 0.1, 0, 0)[: 4 if name == "torque" else 6]
                                  for n in range(20)])
         row += 20
-        writer.flush()
+        writer.sync()
 """
 
 
