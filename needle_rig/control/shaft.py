@@ -224,7 +224,7 @@ def _fault(name: FaultName, link: str, text: str) -> Fault:
 
 
 def shaft_limits(disagreement_deg: float, windup_limit_deg: float, travel_limit_deg: float) -> ShaftLimits:
-    """Limits from a rig file's numbers; neighbouring Hall sensors may disagree as encoder and first one may."""
+    """Limits from a rig file's numbers; neighbouring Hall sensors may disagree like encoder and first one."""
     return ShaftLimits(
         disagreement_rad=rad(disagreement_deg),
         disagreement_share=0.05,
