@@ -16,6 +16,7 @@ import h5py
 
 from needle_rig.config.regular_file import open_regular
 from needle_rig.errors import BadInput
+from needle_rig.recording.global_heap import check_heaps
 from needle_rig.recording.image import journal_as_hdf5
 from needle_rig.recording.structure import check_structure
 from needle_rig.recording.superblock import SIGNATURE, SUPERBLOCK_BYTES, Superblock
@@ -97,6 +98,7 @@ class _Content:
         got = os.preadv(self._descriptor, [wanted], self._at)
         if got < len(wanted):
             raise OSError(f"byte {self._at + len(wanted)} was asked for in a file of {self.size_bytes}")
+        check_heaps(self._descriptor, self._at, got)
         head = self._head[self._at : self._at + got]
         wanted[: len(head)] = head
         self._at += got

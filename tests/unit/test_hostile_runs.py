@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -91,6 +92,22 @@ def test_a_damaged_head_holds_up_no_command(good: Path, tmp_path: Path) -> None:
     assert (compared.returncode, compared.stdout) == (2, "")
     assert "is no readable run" in compared.stderr
     assert len(compared.stderr.splitlines()) == 1
+
+
+def test_texts_whose_sizes_lead_nowhere_hold_up_no_command(good: Path, tmp_path: Path) -> None:
+    """libhdf5 walks the objects of a global heap, which has no checksum, and never ends on a size of 0."""
+    raw = good.read_bytes()
+    heap = raw.index(b"GCOL")
+    assert struct.unpack_from("<HH4xQ", raw, heap + 16)[0] == 1, "its first object"
+    second = heap + 16 + 16 + (struct.unpack_from("<Q", raw, heap + 24)[0] + 7) // 8 * 8
+    damage = {"longer": (second + 8, b"\4\x08"), "endless": (second + 8, b"\xff" * 8)}
+    damage |= {"nothing": (second, bytes(16)), "heap": (heap + 8, b"\xff" * 8), "short": (heap + 8, bytes(8))}
+    for name, (at, content) in damage.items():
+        (tmp_path / f"{name}.h5").write_bytes(raw[:at] + content + raw[at + len(content) :])
+    listed = in_bounded_time("runs", "--dir", tmp_path, "--json")
+    assert listed.returncode == 0, listed.stderr
+    status = {entry["name"]: entry["status"] for entry in json.loads(listed.stdout)}
+    assert status == dict.fromkeys(damage, "unreadable")
 
 
 def test_a_cut_file_is_read_to_its_end_and_says_so(tmp_path: Path) -> None:
