@@ -17,7 +17,10 @@ class DriveState(enum.IntEnum):
 
 
 class DriveFault(enum.IntFlag):
-    """Reasons for which the drive stopped by itself (DRIVE_STATUS.faults in the DBC)."""
+    """Reasons for which the drive stopped by itself.
+
+    The low byte is DRIVE_STATUS.faults of the DBC, the next one DRIVE_HEALTH.motion_faults.
+    """
 
     NONE = 0
     COMMAND_AGE = 1  # temporary: no valid command for 50 ms
@@ -28,6 +31,12 @@ class DriveFault(enum.IntFlag):
     ENCODER = 32
     FRAME = 64  # too many damaged frames
     TORQUE_AGE = 128  # the torque node went quiet
+    STALL = 256  # asked to turn, and the encoder does not follow
+    RUNAWAY = 512  # it turns more than it was asked to
+    DIRECTION = 1024  # it turns against what was asked
+    IDLE_MOTION = 2048  # it moves while nothing is asked
+    MASTER = 4096  # commands of another master on the bus
+    EMERGENCY_STOP = 8192
 
 
 class Phase(enum.StrEnum):
@@ -38,6 +47,7 @@ class Phase(enum.StrEnum):
     MOVING = "moving"
     SETTLING = "settling"
     MEASURING = "measuring"
+    HOLDING = "holding"
     DONE = "done"
     ABORTED = "aborted"
     FAULT = "fault"
@@ -59,18 +69,35 @@ class Measurement:
     torque_complaint: str = ""
     hall_complaint: str = ""
     """Why a link that speaks gives no good value, such as a magnet out of reach; for the fault's message."""
+    referenced: bool = True
+    """The drive node knows its zero; False after it started, until a reference."""
+    supply_on: bool = True
+    """The safe-torque-off line lets the motor have its supply."""
+    emergency_stop: bool = False
+    index_rad: float = math.nan
+    """Base angle at which the encoder's index mark passed last; NaN until it did."""
+    foreign_commands: int = 0
+    """Commands to the drive that another master sent, counted since the rig was opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the drive is told each tick. `clear` leaves SILENT or FAULT; `enable` False stops."""
+    """What the drive is told each tick. `clear` leaves SILENT or FAULT; `enable` False stops.
+
+    `reference_rad` says at which angle the base stands; the drive takes it as such unless it is running.
+    `release` sends nothing at all: a drive that hears nothing falls silent, its supply opens, and a hand may
+    turn it.
+    """
 
     velocity_rad_s: float = 0.0
     enable: bool = False
     clear: bool = False
+    reference_rad: float | None = None
+    release: bool = False
 
 
 STOP = Command()
+RELEASE = Command(release=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,8 @@ VALUES = (
     "1e308", "-1e308", "1e999", ".nan", ".inf", "-.inf", "0", "-1", "1e-320", "9" * 30, '"x"', "null",
     "true", "[]", "{}", "[1, [2, [3]]]", "2026-01-01", "0x7fffffff", '"<script>alert(1)</script>"',
     '"a\\nb"', '"../../../etc/passwd"', '"/etc/passwd"', '"\\u0000"', '"\\x1b[2J"', '"\\ud800"', '""',
-    "1_000", "12:30:45", "!!python/object/apply:os.getpid []", "&a [*a]", '!!binary "AAAA"', "1e400000",
+    "1_000", '"[/b]"', "12:30:45", "!!python/object/apply:os.getpid []", "&a [*a]", '!!binary "AAAA"',
+    "1e400000",
     "'" + "x" * 5000 + "'",
 )  # fmt: skip
 BOMB = "a0: &a0 [x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10))
@@ -129,7 +130,7 @@ def damaged_csv(raw: bytes, rng: random.Random) -> tuple[str, bytes]:
         rows = [[*row, row[column]] for row in rows]
     elif how == "header":
         rows[0] = [
-            rng.choice((name.upper(), name.replace("_deg", "_rad"), f'"{name}"', "<b>", ""))
+            rng.choice((name.upper(), name.replace("_deg", "_rad"), f'"{name}"', "[/b]", "\x1b[2J", ""))
             for name in rows[0]
         ]
     elif how == "columns":
@@ -242,12 +243,12 @@ def _other_column(file: h5py.File, name: str, rng: random.Random) -> str:
     if kind.names is None:
         return _other_type(file, name, rng)
     column = rng.choice(kind.names)
-    other = rng.choice(
-        (None, "i8", "S4", "f4", "u1", "?", ("f8", (3,)), ("f8", (2, 2)), "c16", h5py.string_dtype(), "O")
-    )
+    other = rng.choice((None, "i8", "S4", "f4", "u1", "?", ("f8", (3,)), ("f8", (2, 2)), "c16", "O"))
     fields = [(n, kind[n] if n != column else other) for n in kind.names if n != column or other is not None]
     fields = [(n, h5py.string_dtype() if k == "O" else k) for n, k in fields]
     rows = np.zeros(rng.choice((0, 5, 500)), fields or [("nothing", "u1")])
+    if other == "O":
+        rows[column] = "text"
     _replace(file, name, rows)
     return f"{name}.{column} is {other}"
 

@@ -16,8 +16,14 @@ struct nr_board {
     bool (*load_cell)(void *context, int32_t *counts);
     /* encoder counter; false when the encoder reports an error */
     bool (*encoder)(void *context, int32_t *counts);
+    /* whether the encoder stands over its index mark */
+    bool (*index)(void *context);
+    /* whether the emergency stop is pressed, or its loop broken anywhere */
+    bool (*emergency_stop)(void *context);
     /* motor duty, +-2^15; 0 switches the bridge off */
     void (*duty)(void *context, int32_t duty);
+    /* safe-torque-off line: false takes the bridge's supply away */
+    void (*supply)(void *context, bool on);
     void (*can_send)(void *context, uint32_t id, const uint8_t data[8]);
     bool (*can_receive)(void *context, uint32_t *id, uint8_t data[8], uint32_t *length);
     void (*uart_send)(void *context, const uint8_t *bytes, size_t length);

@@ -1,5 +1,7 @@
 #include "nr_node.h"
 
+#include "../generated/needle_rig.h"
+
 /* A loop that was held up for more than a tick does not catch up: it goes on from now. */
 static bool due(uint32_t now_us, uint32_t *next_us)
 {
@@ -58,6 +60,7 @@ void nr_drive_start(struct nr_drive_app *app, const struct nr_board *board, cons
 {
     nr_drive_init(&app->node, config, board->calibration(board->context));
     app->next_us = board->time_us(board->context);
+    board->supply(board->context, false);
     board->duty(board->context, 0);
 }
 
@@ -73,11 +76,17 @@ bool nr_drive_poll(struct nr_drive_app *app, const struct nr_board *board)
     if (!due(now_us, &app->next_us)) {
         return false;
     }
-    int32_t counts = 0;
-    const bool good = board->encoder(board->context, &counts);
-    int32_t duty = 0;
-    const uint32_t sent = nr_drive_tick(&app->node, now_us, counts, good, &duty, data);
-    board->duty(board->context, duty);
-    board->can_send(board->context, sent, data);
+    struct nr_drive_inputs in = {.counts = 0};
+    in.encoder_good = board->encoder(board->context, &in.counts);
+    in.index = board->index(board->context);
+    in.emergency_stop = board->emergency_stop(board->context);
+    struct nr_drive_outputs out;
+    nr_drive_tick(&app->node, now_us, &in, &out);
+    board->supply(board->context, out.supply);
+    board->duty(board->context, out.duty);
+    if (out.health_due) {
+        board->can_send(board->context, NEEDLE_RIG_DRIVE_HEALTH_FRAME_ID, out.health);
+    }
+    board->can_send(board->context, NEEDLE_RIG_DRIVE_STATUS_FRAME_ID, out.status);
     return true;
 }

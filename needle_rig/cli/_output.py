@@ -45,6 +45,8 @@ def number(value: float | None, digits: int) -> str:
 
 def tell_result(console: Console, ended: Document, figure: str | None) -> None:
     """Table, the paper's three conditions, the verdict and the files of a run that ended."""
+    from rich.markup import escape
+
     if ended["settled"]:
         console.print(settled_table(ended["settled"]))
         console.print()
@@ -60,7 +62,9 @@ def tell_result(console: Console, ended: Document, figure: str | None) -> None:
     status = ended["result"]["status"]
     colour = {"aligned": "green", "not_aligned": "yellow"}.get(status, "red")
     text = ended["text"]
-    console.print(f"[bold {colour}]{text[:1].upper()}{text[1:]}.[/]", highlight=False, soft_wrap=True)
-    console.print(f"run:     {ended['result']['run']}", highlight=False, soft_wrap=True)
+    console.print(
+        f"[bold {colour}]{escape(text[:1].upper() + text[1:])}.[/]", highlight=False, soft_wrap=True
+    )
+    console.print(f"run:     {ended['result']['run']}", highlight=False, markup=False, soft_wrap=True)
     if figure is not None:
-        console.print(f"picture: {figure}", highlight=False, soft_wrap=True)
+        console.print(f"picture: {figure}", highlight=False, markup=False, soft_wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,10 +51,22 @@ def learned_extra_deg(run: RunFile) -> float:
     from needle_rig.errors import BadInput
 
     result = run.result or {}
-    motions = {motion["phase"]: motion for motion in result.get("motions", [])}
-    if result.get("status") not in ("aligned", "not_aligned") or not {"overshoot", "final"} <= set(motions):
-        raise BadInput(f"--after {run.name}: is no run of reed2008 or reed2008_elastic that came to its end")
-    target_deg, lag_deg = result["target_deg"], result["lag_deg"]
-    side = -1.0 if target_deg < 0 else 1.0
-    used_deg = side * (motions["overshoot"]["base_deg"] - target_deg - lag_deg)
-    return float(used_deg + side * (target_deg - motions["final"]["hall_deg"][-1]))
+    try:
+        motions = {motion["phase"]: motion for motion in result.get("motions", [])}
+        if result.get("status") not in ("aligned", "not_aligned") or not {"overshoot", "final"} <= set(
+            motions
+        ):
+            raise BadInput(
+                f"--after {run.name}: is no run of reed2008 or reed2008_elastic that came to its end"
+            )
+        target_deg, lag_deg = result["target_deg"], result["lag_deg"]
+        side = -1.0 if target_deg < 0 else 1.0
+        used_deg = side * (motions["overshoot"]["base_deg"] - target_deg - lag_deg)
+        extra_deg = float(used_deg + side * (target_deg - motions["final"]["hall_deg"][-1]))
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        raise BadInput(
+            f"--after {run.name}: its result is damaged ({type(error).__name__}: {error}); name another run"
+        ) from None
+    if not math.isfinite(extra_deg):
+        raise BadInput(f"--after {run.name}: its result holds no finite angle; name another run")
+    return extra_deg

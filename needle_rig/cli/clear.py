@@ -6,15 +6,16 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._motion import holder, socket_option
+
 
 @click.command()
-@click.option(
-    "--socket", type=click.Path(path_type=Path), help="Socket of the daemon; default: the usual one."
-)
+@socket_option
 def command(socket: Path | None) -> None:
     """Leave a fault once its cause is gone; a cause that is still there brings the fault back."""
     from needle_rig.service.client import the_daemon
 
     client = the_daemon(socket)
-    client.clear()
+    with client.lease(holder("clear")):
+        client.command("clear")
     click.echo(f"The fault is cleared ({client.path}); see `needle-rig status`.")

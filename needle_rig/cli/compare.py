@@ -90,13 +90,16 @@ def command(
 def _show(found: Comparison) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console(highlight=False)
+    # names and notes come from files: brackets in them are no markup
+    console = Console(highlight=False, markup=False)
     model = found.prepared.problem.base.name
-    console.print(
-        f"[bold]{found.prepared.dataset.name}[/bold] against the model {model}: error on commands left out"
+    against = (
+        f" against the model {model}: error on commands left out"
         f" {left_out_error(found.held_out_error)} × the noise, reduced χ² {found.reduced_chi2:.2f}"
     )
+    console.print(Text.assemble((found.prepared.dataset.name, "bold"), against))
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("channel", "rmse", "noise", "in units of the noise"):
         table.add_column(heading)
@@ -119,12 +122,15 @@ def _show(found: Comparison) -> None:
 def _show_settled(found: SettledComparison) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console(highlight=False)
-    console.print(
-        f"[bold]{found.dataset}[/bold] against the model {found.model}: error on motions left out"
+    # names and notes come from files: brackets in them are no markup
+    console = Console(highlight=False, markup=False)
+    against = (
+        f" against the model {found.model}: error on motions left out"
         f" {left_out_error(found.held_out_error)} × the scatter, reduced χ² {found.reduced_chi2:.2f}"
     )
+    console.print(Text.assemble((found.dataset, "bold"), against))
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("value", "measured", "model", "apart"):
         table.add_column(heading)

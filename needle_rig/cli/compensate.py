@@ -6,8 +6,6 @@ import contextlib
 import json
 import math
 import os
-import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,12 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from needle_rig.errors import BadInput, NeedleRigError, RigFault
+from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, view
+from needle_rig.errors import BadInput, NeedleRigError
 
 if TYPE_CHECKING:
-    from types import FrameType
-
-    from needle_rig.cli._live import View
     from needle_rig.service.client import DaemonClient
 
 Document = dict[str, Any]
@@ -94,6 +90,7 @@ def command(
         out = rig.get("out")
         extra = learned_extra_deg(the_run(after, Path(out) if out else None, rig.get("config")))
         click.echo(f"extra turn learned from {after}: {extra:.1f}°", err=True)
+    end_as_by_ctrl_c()
     orders = _orders(target, protocol, strategy, options, extra, settle, speed)
     picture = not as_json if picture is None else picture
     if picture:
@@ -104,9 +101,10 @@ def command(
         if len(orders) > 1:
             click.echo(f"trial {number} of {len(orders)}", err=True)
         with _daemon(socket, rig) as client:
-            if number > 1 and not client.private:
-                _run(client, _RELAX, _view(as_json))
-            ended = _run(client, order, _view(as_json))
+            with client.lease(holder("compensate")):
+                if number > 1 and not client.private:
+                    _run(client, _RELAX, as_json)
+                ended = _run(client, order, as_json)
             client.let_go()
             if as_json:
                 click.echo(json.dumps(ended["result"]))
@@ -209,46 +207,15 @@ def _get_ready() -> None:
     import websockets.sync.client  # noqa: F401
 
 
-def _view(as_json: bool) -> View:
-    from needle_rig.cli._live import LiveDisplay, PhaseLines
-
-    if as_json or not sys.stdout.isatty():
-        return PhaseLines()
-    from rich.console import Console
-
-    return LiveDisplay(Console())
-
-
-def _run(client: DaemonClient, order: Document, view: View) -> Document:
+def _run(client: DaemonClient, order: Document, quiet: bool) -> Document:
     """Start the run, show it until it has ended, and return how."""
-    with client.stream() as documents, view:
-        view.show(next(documents))
-        run = client.compensate(order)["run"]
-        with _ctrl_c_stops(client):
-            for document in documents:
-                view.show(document)
-                if document["type"] == "ended" and document["result"]["run"] == run:
-                    return document
-    raise RigFault(f"the daemon ended during the run; what was recorded until then is in {run}")
+    return follow(client, lambda: client.compensate(order), view(quiet), _ended)
 
 
-@contextmanager
-def _ctrl_c_stops(client: DaemonClient) -> Iterator[None]:
-    """Ctrl-C (or a closed terminal) stops the drive; the run then ends in order. A second one gives up."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        for each in before:
-            signal.signal(each, signal.default_int_handler)
-        client.stop("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
-
-    before = {
-        number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _ended(told: Document, document: Document) -> bool:
+    if document["type"] == "state" and document["run"] != told["run"] and document["last"]:
+        document.update(document["last"])  # it ended while the connection was made again
+    return "result" in document and bool(document["result"]["run"] == told["run"])
 
 
 def _load_figure() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +18,8 @@ from needle_rig.errors import NeedleRigError
 if TYPE_CHECKING:
     from needle_rig.service.daemon import Daemon
 
+_ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
 
 @click.command()
 @click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("--socket", type=click.Path(path_type=Path), help="Where to listen; default: the usual place.")
 @click.option("--group", help="Group whose members may use the socket.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the runs.")
-@click.option("--private", is_flag=True, hidden=True, help="Child of one client; ends with standard input.")
+@click.option("--private", type=click.Path(path_type=Path), hidden=True, help="Folder of one client.")
 def command(
     config: str | None,
     parameters: str | None,
@@ -41,9 +44,9 @@ def command(
     socket: Path | None,
     group: str | None,
     out: Path | None,
-    private: bool,
+    private: Path | None,
 ) -> None:
-    """Own the rig and serve it on a Unix socket, until a signal (TERM, INT) ends it.
+    """Own the rig and serve it on a Unix socket, until a signal (TERM, INT, HUP) ends it.
 
     Only the socket's owner and --group may use it (mode 0660). The rig's drive is told to stop at the end,
     whatever ended it. Under systemd it says when it is ready and feeds the watchdog from ticks that met their
@@ -53,27 +56,29 @@ def command(
         with _place(socket, private) as path:
             options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
             options["simulation.nodes"] = bench_nodes(rig, image)
-            daemon = _build(config, options, model, fast, out, absolute=not private)
-            _serve(daemon, path, group, private)
+            daemon = _build(config, options, model, fast, out, absolute=private is None)
+            _serve(daemon, path, group, private=private is not None)
     except NeedleRigError as error:
-        if not private:
+        if private is None:
             raise
         _tell(error=str(error), exit_code=error.exit_code)
         sys.exit(error.exit_code)
 
 
 @contextmanager
-def _place(socket: Path | None, private: bool) -> Iterator[Path]:
-    """Where to listen; a private daemon makes a folder of its own and takes it away."""
-    import tempfile
+def _place(socket: Path | None, private: Path | None) -> Iterator[Path]:
+    """Where to listen; a private daemon takes its client's folder away, in case the client was killed."""
+    import shutil
 
-    from needle_rig.service.endpoint import socket_for_daemon
+    from needle_rig.service.endpoint import private_socket, socket_for_daemon
 
-    if private:
-        with tempfile.TemporaryDirectory(prefix="needle-rig-") as folder:
-            yield Path(folder) / "daemon.sock"
-    else:
+    if private is None:
         yield socket or socket_for_daemon()
+        return
+    try:
+        yield private_socket(private)
+    finally:
+        shutil.rmtree(private, ignore_errors=True)
 
 
 def _build(
@@ -103,32 +108,37 @@ def _build(
     )
 
 
-def _serve(daemon: Daemon, path: Path, group: str | None, private: bool) -> None:
+def _serve(daemon: Daemon, path: Path, group: str | None, *, private: bool) -> None:
     import asyncio
 
     from needle_rig.service.endpoint import listening
 
     _log(private)
+    # one that comes before the loop takes it, or a second one at the very end, must not leave the socket
+    for number in _ENDS:
+        signal.signal(number, lambda *_: daemon.end())
     with listening(path, group) as listener:
 
         async def serve() -> None:
-            with _ends(daemon, private):
-                await daemon.run(listener, lambda: _tell(socket=str(path)) if private else None)
+            _end_by_signal(daemon, private)
+            await daemon.run(listener, lambda: _tell(socket=str(path)) if private else None)
 
-        # told to end before it was ready
-        with suppress(asyncio.CancelledError):
-            asyncio.run(serve())
+        try:
+            # told to end before it was ready
+            with suppress(asyncio.CancelledError):
+                asyncio.run(serve())
+        finally:
+            for number in _ENDS:
+                signal.signal(number, signal.SIG_IGN)
 
 
-@contextmanager
-def _ends(daemon: Daemon, private: bool) -> Iterator[None]:
+def _end_by_signal(daemon: Daemon, private: bool) -> None:
     """A signal ends the daemon; so does the end of standard input of a private one: its client has gone."""
     import asyncio
     import os
-    import signal
 
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in _ENDS:
         loop.add_signal_handler(number, daemon.end)
 
     def on_input() -> None:
@@ -138,7 +148,6 @@ def _ends(daemon: Daemon, private: bool) -> Iterator[None]:
 
     if private:
         loop.add_reader(0, on_input)
-    yield
 
 
 def _tell(**content: Any) -> None:

@@ -85,9 +85,12 @@ def command(
 def _show(found: Answer) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console(highlight=False, soft_wrap=False)
-    console.print(f"[bold]{found.dataset}[/bold] against the model {found.model}: {_verdict(found)}")
+    # names and notes come from files: brackets in them are no markup
+    console = Console(highlight=False, soft_wrap=False, markup=False)
+    against = f" against the model {found.model}: {_verdict(found)}"
+    console.print(Text.assemble((found.dataset, "bold"), against))
     before, after = left_out_error(found.held_out_error_before), left_out_error(found.held_out_error_after)
     console.print(
         f"Error on {found.left_out} left out: {before} → {after} (noise is {found.noise_floor:.2f})"
@@ -110,7 +113,7 @@ def _show(found: Answer) -> None:
         names = [d for d in found.decisions.values() if d.decision == kind]
         if names:
             said = ", ".join(d.effect if kind == "present" else d.sentence() for d in names)
-            console.print(f"[bold]{kind.replace('_', ' ')}[/bold]: {said}")
+            console.print(Text.assemble((kind.replace("_", " "), "bold"), f": {said}"))
     for sentence in found.left_in_words():
         console.print(f"left over: {sentence}")
     if found.next_experiment:

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
+from needle_rig.cli._motion import socket_option
+
 
 @click.command()
-@click.option(
-    "--socket", type=click.Path(path_type=Path), help="Socket of the daemon; default: the usual one."
-)
+@socket_option
 @click.option("--json", "as_json", is_flag=True, help="Print the whole state as one JSON object.")
 def command(socket: Path | None, as_json: bool) -> None:
     """Show where the running daemon stands: phase, sensors, drive, and how well its ticks keep time."""
@@ -39,7 +39,7 @@ def _text(state: dict[str, Any], path: str) -> str:
             f"torque:  {number(sensors['torque_nmm'], 4)} N·mm",
             f"hall:    {halls}",
             f"ages:    {ages}",
-            f"drive:   {sensors['drive_state']}{faults}",
+            f"drive:   {sensors['drive_state']}{faults}{_supply(sensors)}",
         ]
     if ticks:
         lines.append(
@@ -47,6 +47,8 @@ def _text(state: dict[str, Any], path: str) -> str:
             f"{number(ticks['late_p50_ms'], 2)} ms (half), {number(ticks['late_p99_ms'], 2)} ms (99 %), "
             f"{number(ticks['late_max_ms'], 2)} ms at most"
         )
+    if state["lease"]:
+        lines.append(f"lease:   {state['lease']}")
     if state["run"]:
         lines.append(f"run:     {state['run']}")
     if state["fault"]:
@@ -59,3 +61,14 @@ def _text(state: dict[str, Any], path: str) -> str:
     ]
     lines += [f"warning: {warning}" for warning in state["warnings"]]
     return "\n".join(lines)
+
+
+def _supply(sensors: dict[str, Any]) -> str:
+    said = []
+    if not sensors["referenced"]:
+        said.append("its zero is not known: needle-rig home")
+    if sensors["emergency_stop"]:
+        said.append("emergency stop is pressed")
+    elif not sensors["supply_on"]:
+        said.append("no supply")
+    return "".join(f"; {each}" for each in said)

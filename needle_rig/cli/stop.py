@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._motion import socket_option
+
 
 @click.command()
-@click.option(
-    "--socket", type=click.Path(path_type=Path), help="Socket of the daemon; default: the usual one."
-)
+@socket_option
 @click.option("--reason", default="stopped by a person", help="What the record says.")
 def command(socket: Path | None, reason: str) -> None:
     """Stop the drive; a run that goes on ends as aborted. The daemon itself stays."""

@@ -13,6 +13,9 @@ from needle_rig.config.hints import meant_key, meant_value, number, number_from_
 from needle_rig.config.places import DataPath, Places, dotted, kind_of
 from needle_rig.errors import BadInput
 
+MOST_SENTENCES = 20
+"""What fills a screen; a line in a wrong place makes every key below it unknown."""
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -29,7 +32,7 @@ def validate(model: type[Model], data: dict[str, Any], places: Places) -> Model:
     missing: dict[DataPath, list[str]] = {}
     lines: list[tuple[tuple[int, int], str]] = []
     for error in sorted(errors, key=lambda e: e["type"] == "missing"):
-        path: DataPath = tuple(error["loc"])
+        path = _place(error, data)
         if error["type"] == "missing" and isinstance(path[-1], str):
             if path not in explained:
                 missing.setdefault(path[:-1], []).append(path[-1])
@@ -44,7 +47,23 @@ def validate(model: type[Model], data: dict[str, Any], places: Places) -> Model:
         verb, them = ("is", "it") if len(keys) == 1 else ("are", "them")
         sentence = f"{places.of(path)}: {inside}{', '.join(keys)} {verb} missing; add {them}"
         lines.append((places.values.get(path, (0, 0)), sentence))
-    raise BadInput("\n".join(line for _, line in sorted(lines, key=lambda entry: entry[0])))
+    told = [line for _, line in sorted(lines, key=lambda entry: entry[0])]
+    if len(told) > MOST_SENTENCES:
+        told[MOST_SENTENCES:] = [f"{places.file}: and {len(told) - MOST_SENTENCES} more; mend these first"]
+    raise BadInput("\n".join(told))
+
+
+def _place(error: ErrorDetails, data: Any) -> DataPath:
+    """Keys and positions that lead to the error; pydantic also names the members of a union on the way."""
+    path: list[str | int] = []
+    for part in error["loc"]:
+        listed = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        if listed or (isinstance(data, dict) and part in data):
+            data = data[part]
+        elif error["type"] != "missing" or part != error["loc"][-1]:
+            continue
+        path.append(part)
+    return tuple(path)
 
 
 def _sentence(

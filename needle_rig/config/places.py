@@ -114,7 +114,10 @@ def parse_yaml(text: str, name: str) -> tuple[dict[str, Any], Places]:
 
 
 def write_yaml(data: Mapping[str, Any]) -> str:
-    """`data` (plain dicts, lists, text, numbers) as YAML text that `parse_yaml` reads back equal."""
+    """`data` (plain dicts, lists, text, numbers) as YAML text that `parse_yaml` reads back equal.
+
+    Text with control characters is written too, and refused when it is read.
+    """
     return str(
         yaml.dump(
             data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
@@ -174,6 +177,7 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
+_UNSHOWABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 _INT = re.compile(r"[-+]?(?:[0-9]+|0x[0-9a-fA-F]+|0o[0-7]+)")
 _FLOAT = re.compile(
     r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
@@ -221,7 +225,7 @@ class _Reader:
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self.refuse(key_node, "a key must be a plain word")
-            key = str(key_node.value)
+            key = self.shown(key_node)
             here = (*path, key)
             if key == "<<":
                 raise self.refuse(key_node, "merge keys (<<) are not read here; write the keys out")
@@ -235,7 +239,7 @@ class _Reader:
         return data
 
     def scalar(self, node: yaml.ScalarNode, path: DataPath) -> Any:
-        text = self.written[path] = str(node.value)
+        text = self.written[path] = self.shown(node)
         kind = node.tag.removeprefix("tag:yaml.org,2002:")
         if kind == "str":
             return text
@@ -250,6 +254,14 @@ class _Reader:
         if kind == "float" and (_INT.fullmatch(text) or _FLOAT.fullmatch(text)):
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
         raise self.refuse(node, f"the tag {node.tag} is not read here; write the value plainly")
+
+    def shown(self, node: yaml.ScalarNode) -> str:
+        """The text of a scalar; quotes let into YAML what a terminal or a file name cannot bear."""
+        text = str(node.value)
+        found = _UNSHOWABLE.search(text)
+        if found:
+            raise self.refuse(node, f"character U+{ord(found[0]):04X} may not stand in a key or value")
+        return text
 
     def refuse(self, node: yaml.Node, sentence: str) -> BadInput:
         line, column = _place(node)

@@ -73,6 +73,20 @@ class DriveSection(Section):
     velocity_limit_deg_s: Annotated[float, Field(gt=0, le=360)] = 60
     acceleration_limit_deg_s2: Annotated[float, Field(gt=0, le=20_000)] = 360
     torque_limit_nmm: Annotated[float, Field(gt=0, le=50)] = 2.0
+    windup_limit_deg: Annotated[float, Field(gt=0, le=3600)] = 270
+    """What the needle bears between base and tip."""
+    travel_limit_deg: Annotated[float, Field(gt=0, le=360_000)] = 7200
+    """All turns of the base in one sequence, both ways added."""
+    following_deg: Annotated[float, Field(ge=0.1, le=30)] = 1.5
+    """How far the base may be from what was commanded so far, at standstill."""
+    response_ms: Annotated[float, Field(ge=1, le=1000)] = 60
+    """What bus, drive and motor may take to answer a command; at speed the base may lag by that."""
+    disagreement_deg: Annotated[float, Field(ge=0.5, le=90)] = 8
+    """How far the encoder may be from what torque and first Hall angle say, within one motion."""
+    reference_tolerance_deg: Annotated[float, Field(ge=0.5, le=90)] = 5
+    """How well encoder and Hall angles must agree to confirm the zero of a drive that was switched on."""
+    index_deg: Annotated[float, Field(ge=-180, le=180)] = 0
+    """Base angle at which the encoder's index mark stands, within one turn."""
 
 
 class PidSection(Section):

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.compensation import ACTIVE, Event, Sequence, Think, after, think_at_once
-from needle_rig.control.limits import Fault, Limits, find_fault, gate, heard_age_s, tick_fault
+from needle_rig.control.faults import Fault, FaultName
+from needle_rig.control.in_si import layout_of, limits_of, supervision_of, torsional_rigidity_nm2
+from needle_rig.control.limits import find_fault, gate, heard_age_s, slow_host_fault, tick_fault
+from needle_rig.control.manual import SEARCH_RAD_S, SETTLE_S, WINDOW_S, Turn
 from needle_rig.control.pid import PositionLoop
 from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion, Status
 from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
 from needle_rig.control.verdict import judge, outcome
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.physics.rod import Layout
-from needle_rig.records import STOP, Command, DriveState, Measurement, Phase, Sample
-from needle_rig.units import deg, m, nm, rad
+from needle_rig.records import RELEASE, STOP, Command, DriveState, Measurement, Phase, Sample
+from needle_rig.units import deg, nm, rad
 
 if TYPE_CHECKING:
     from needle_rig.physics.needle_model import NeedleModel
@@ -26,7 +28,10 @@ CLEAR_S = 1.0
 CLEAR_EVERY = 4
 """Ticks from one clear to the next: the drive takes only one that follows a command without."""
 LISTENING_PERIODS = 2.0
-"""Of a longer tick only so much counts as time in which the links were listened to."""
+"""Of one longer tick only so much counts as time in which the links were listened to; a second in a row is a
+host that is too slow."""
+SLOWEST_RAD_S = rad(0.1)
+"""At a slower speed a turn over the whole range would last longer than four hours."""
 
 
 class Brain:
@@ -52,6 +57,8 @@ class Brain:
         self._layout = layout_of(config)
         self._torsional_rigidity_nm2 = torsional_rigidity_nm2(config)
         self._limits = limits_of(config)
+        self._supervision = supervision_of(config)
+        self._index_rad = rad(config.drive.index_deg)
         self._listening_s = LISTENING_PERIODS / config.tick_hz
         self._heard_age_s: tuple[float, ...] = (math.inf, math.inf, math.inf)
         self._loop = PositionLoop(
@@ -63,45 +70,96 @@ class Brain:
         self._outcome: Outcome | None = None
         self._fault: Fault | None = None
         self._clear_s = 0.0
+        self._released = False
+        self._hold_rad: float | None = None
+        self._late_ticks = 0
+        self._command = STOP
         self._tick = 0
         self._measurement: Measurement | None = None
-        self._velocity_rad_s = 0.0
         self._limited = False
 
     def compensate(self, request: Request) -> None:
-        """Start a sequence at the next step.
-
-        Raises BadInput when the request cannot be run, RigFault while a fault holds the drive.
-        """
-        if self._phase in ACTIVE:
-            raise BadInput("a sequence is running; stop it first: needle-rig stop")
-        if self._phase is Phase.FAULT and self._fault is not None:
-            raise RigFault(self._fault.text)
-        task = self._task(request)
-        strategy = request.strategy
-        if not isinstance(strategy, Strategy):
-            strategy = make_strategy(strategy, request.options)
-        strategy.check(task)
+        """Start a sequence at the next step; raises what `check` raises."""
+        task, strategy = self._judged(request)
         config = self._sequence_config
-        self._sequence = Sequence(
-            task,
-            strategy,
-            rad(config.still_deg),
-            config.torque_window_s,
-            config.motion_timeout_s,
-            self._think,
-        )
-        self._request, self._outcome = request, None
-        self._phase = after(self._phase, Event.START)
-        self._clear_s = CLEAR_S
-        self._loop.reset()
+        self._begin(task, strategy, config.torque_window_s)
+        self._request = request
+
+    def check(self, request: Request) -> None:
+        """Judge a request without starting anything.
+
+        Raises BadInput when it cannot be run, RigFault while a fault holds the drive.
+        """
+        self._judged(request)
+
+    def jog(
+        self, by_rad: float | None = None, to_rad: float | None = None, speed_rad_s: float | None = None
+    ) -> None:
+        """Turn the base by or to an angle, at the next step; raises BadInput or RigFault."""
+        if (by_rad is None) == (to_rad is None):
+            raise BadInput("give either how far to turn or where to, as in: needle-rig jog --by 5")
+        self._refuse_unless_free()
+        target_rad = to_rad if to_rad is not None else self._seen().base_angle_rad + (by_rad or 0.0)
+        self._turn("jog", target_rad, speed_rad_s)
+
+    def home(self, by: str = "angle", angle_rad: float = 0.0, speed_rad_s: float | None = None) -> None:
+        """Bring the base to `angle_rad` (`by` angle), or find a zero that was lost.
+
+        `by` hall takes what torque and first Hall angle say, index turns the base slowly until the index mark
+        passes, here takes `angle_rad` as where the base stands. Raises BadInput or RigFault.
+        """
+        if by == "angle":
+            self._refuse_unless_free()
+            self._turn("home", angle_rad, speed_rad_s)
+            return
+        now = self._free_to_refer()
+        reference = self._supervision.reference
+        if by == "hall":
+            reference.tell(reference.by_hall_rad(now))
+        elif by == "here":
+            if not abs(angle_rad) <= self._limits.angle_rad:
+                raise BadInput(
+                    f"the base cannot stand at {deg(angle_rad):g}°, outside ±{deg(self._limits.angle_rad):g}°"
+                    " (drive.angle_limit_deg)"
+                )
+            reference.tell(angle_rad)
+        elif by == "index" and math.isnan(now.index_rad):
+            self._search(now, speed_rad_s)
+            return
+        elif by == "index":
+            reference.tell(reference.by_index_rad(now, self._index_rad))
+        else:
+            raise BadInput(f"home by {by!r} is unknown; there are angle, hall, index, here")
+        self._phase, self._fault = after(self._phase, Event.CLEAR), None
+        self._released = False
+
+    def hold(self) -> None:
+        """Keep the base where it stands, against the needle, until a release or a stop.
+
+        Raises BadInput while something else goes on, RigFault while a fault holds the drive.
+        """
+        self._refuse_unless_free()
+        self._phase = after(self._phase, Event.HOLD)
+        self._sequence, self._request, self._outcome, self._hold_rad = None, None, None, None
+        self._start_drive()
+
+    def release(self) -> None:
+        """Let go of the base: nothing is sent to the drive, its supply opens, and a hand may turn it.
+
+        Raises BadInput while a sequence runs.
+        """
+        if self._phase in ACTIVE and self._phase is not Phase.HOLDING:
+            raise BadInput("a sequence is running; stop it first: needle-rig stop")
+        self._phase = after(self._phase, Event.RELEASE)
+        self._released = True
 
     def stop(self, reason: str) -> Command:
         """Abort; the command returned, and every one from the next step on, stops the drive."""
         if self._phase in ACTIVE:
             self._end("aborted", f"aborted: {reason}")
         self._phase = after(self._phase, Event.ABORT)
-        self._velocity_rad_s, self._limited = 0.0, False
+        self._supervision.reference.searching = False
+        self._command, self._limited = STOP, False
         return STOP
 
     def clear(self) -> None:
@@ -113,6 +171,8 @@ class Brain:
             raise BadInput("a sequence is running; stop it first: needle-rig stop")
         self._phase = after(self._phase, Event.CLEAR)
         self._fault = None
+        self._released = False
+        self._supervision.clear(self._measurement)
         self._clear_s = CLEAR_S
 
     def step(self, measurement: Measurement, dt_s: float) -> tuple[Command, Sample]:
@@ -125,9 +185,8 @@ class Brain:
             self._fail(fault)
         elif self._phase is Phase.FAULT and self._fault is not None and not self._fault.latching:
             self._phase, self._fault = after(self._phase, Event.CLEAR), None
-        command = self._act(judged, dt_s)
-        self._velocity_rad_s = command.velocity_rad_s
-        return command, self._sample(measurement, dt_s, command)
+        self._command = self._act(judged, dt_s)
+        return self._command, self._sample(measurement, dt_s, self._command)
 
     @property
     def state(self) -> BrainState:
@@ -135,6 +194,8 @@ class Brain:
         sequence, measurement = self._sequence, self._measurement
         waypoint = sequence.waypoint if sequence else None
         waiting, remaining = sequence.waiting(self._phase) if sequence else ("", None)
+        if self._phase is Phase.HOLDING:
+            waiting = "a release or a stop"
         if self._phase is Phase.FAULT and self._fault is not None:
             waiting = "a clear" if self._fault.latching else f"the {self._fault.link} link"
         return BrainState(
@@ -149,12 +210,14 @@ class Brain:
             target_rad=sequence.task.target_rad if sequence else None,
             strategy=sequence.strategy.name if sequence else None,
             waypoint_rad=waypoint.angle_rad if waypoint else None,
-            velocity_rad_s=self._velocity_rad_s,
+            velocity_rad_s=self._command.velocity_rad_s,
             limited=self._limited,
+            released=self._released,
             measurement=measurement,
             settled=self.settled,
             outcome=self._outcome,
             fault=self._fault.text if self._fault else None,
+            fault_name=self._fault.name.value if self._fault else None,
             latched=self._fault is not None and self._fault.latching,
         )
 
@@ -167,6 +230,73 @@ class Brain:
         if self._sequence is None:
             return 0
         return max(self._sequence.strategy.expected_motions(self._sequence.task), len(self.settled))
+
+    def _judged(self, request: Request) -> tuple[Task, Strategy]:
+        """What `request` means; raises BadInput or RigFault when it cannot be run."""
+        self._refuse_unless_free()
+        task = self._task(request)
+        strategy = request.strategy
+        if not isinstance(strategy, Strategy):
+            strategy = make_strategy(strategy, request.options)
+        strategy.check(task)
+        return task, strategy
+
+    def _refuse_unless_free(self) -> None:
+        if self._phase is Phase.HOLDING:
+            raise BadInput("the base is held; release it first: needle-rig release")
+        if self._phase in ACTIVE:
+            raise BadInput("a sequence is running; stop it first: needle-rig stop")
+        if self._phase is Phase.FAULT and self._fault is not None:
+            raise RigFault(self._fault.text)
+
+    def _free_to_refer(self) -> Measurement:
+        """The newest measurement, when the zero may be set now: at rest, with no fault but a lost zero."""
+        if self._fault is None or self._fault.name is not FaultName.REFERENCE_LOST:
+            self._refuse_unless_free()
+        return self._seen()
+
+    def _seen(self) -> Measurement:
+        """The newest measurement; RigFault when there is none that may be used."""
+        if self._measurement is None:
+            raise RigFault("no reading came yet; wait for the first one")
+        fault = find_fault(self._measurement, self._limits)
+        if fault is not None and fault.name in (FaultName.LINK_DEAD, FaultName.NOT_A_NUMBER):
+            raise RigFault(fault.text)
+        return self._measurement
+
+    def _begin(self, task: Task, strategy: Strategy, window_s: float) -> None:
+        config = self._sequence_config
+        self._sequence = Sequence(
+            task, strategy, rad(config.still_deg), window_s, config.motion_timeout_s, self._think
+        )
+        self._request, self._outcome = None, None
+        self._phase = after(self._phase, Event.START)
+        self._start_drive()
+
+    def _start_drive(self) -> None:
+        self._released = False
+        self._clear_s = CLEAR_S
+        self._loop.reset()
+        self._supervision.begin()
+
+    def _turn(self, motion: str, target_rad: float, speed_rad_s: float | None) -> None:
+        request = Request(target_rad, Turn(motion), settle_s=SETTLE_S, speed_rad_s=speed_rad_s)
+        self._begin(self._task(request), Turn(motion), WINDOW_S)
+
+    def _search(self, now: Measurement, speed_rad_s: float | None) -> None:
+        """Turn up to one turn, towards zero as far as is known, until the index mark passes."""
+        reference = self._supervision.reference
+        believed_rad = now.base_angle_rad if not now.hall_rad else reference.by_hall_rad(now)
+        reach_rad = math.copysign(math.tau + rad(5.0), -believed_rad or 1.0)
+        speed_rad_s = min(speed_rad_s or SEARCH_RAD_S, SEARCH_RAD_S)
+        request = Request(
+            now.base_angle_rad + reach_rad, Turn("index"), settle_s=SETTLE_S, speed_rad_s=speed_rad_s
+        )
+        task = self._task(request)
+        if self._phase is Phase.FAULT:
+            self._phase, self._fault = after(self._phase, Event.CLEAR), None
+        self._begin(task, Turn("index"), WINDOW_S)
+        reference.searching = True
 
     def _task(self, request: Request) -> Task:
         limit = self._limits.angle_rad
@@ -183,10 +313,10 @@ class Brain:
         if not 0.1 <= settle_s <= 600.0:
             raise BadInput(f"the settling time {settle_s} s is outside 0.1 to 600 s")
         speed = rad(config.speed_deg_s) if request.speed_rad_s is None else request.speed_rad_s
-        if not 0.0 < speed <= self._limits.velocity_rad_s:
+        if not SLOWEST_RAD_S <= speed <= self._limits.velocity_rad_s:
             raise BadInput(
-                f"the speed {deg(speed):g}°/s is outside 0 to {deg(self._limits.velocity_rad_s):g}°/s"
-                " (drive.velocity_limit_deg_s)"
+                f"the speed {deg(speed):g}°/s is outside {deg(SLOWEST_RAD_S):g} to"
+                f" {deg(self._limits.velocity_rad_s):g}°/s (drive.velocity_limit_deg_s)"
             )
         before = (
             self._sequence if self._outcome and self._outcome.status in ("aligned", "not_aligned") else None
@@ -215,6 +345,10 @@ class Brain:
     def _as_heard(self, measurement: Measurement, dt_s: float) -> Measurement:
         """`measurement` with the ages that may be held against its links; see `heard_age_s`."""
         ages_s = (measurement.torque_age_s, measurement.hall_age_s, measurement.drive_age_s)
+        self._late_ticks = self._late_ticks + 1 if dt_s > self._listening_s else 0
+        if self._late_ticks > 1:
+            self._heard_age_s = ages_s
+            return measurement
         torque_s, hall_s, drive_s = self._heard_age_s = tuple(
             heard_age_s(before_s, age_s, dt_s, self._listening_s)
             for before_s, age_s in zip(self._heard_age_s, ages_s, strict=True)
@@ -226,14 +360,27 @@ class Brain:
     def _look(self, measurement: Measurement, dt_s: float) -> Fault | None:
         """What forbids motion now. While a clear goes out, the drive's own faults are not news."""
         fault = find_fault(measurement, self._limits) or tick_fault(dt_s)
+        if fault is None and self._late_ticks > 1:
+            fault = slow_host_fault(measurement, dt_s, self._limits)
+        if fault is not None and fault.link == "drive":
+            self._supervision.lost_sight()
         awake = measurement.drive_state in (DriveState.READY, DriveState.RUNNING)
         if self._clear_s > 0.0:
             drive_says = measurement.drive_state is DriveState.FAULT or bool(measurement.drive_faults)
             self._clear_s = 0.0 if awake and not drive_says else self._clear_s - dt_s
             if fault is not None and fault.link == "drive" and drive_says:
                 return None
-        elif fault is None and self._phase in ACTIVE and not awake:
-            return Fault("drive", "the drive restarted by itself; check its supply", latching=False)
+        if fault is not None:
+            return fault
+        running = self._phase in ACTIVE and self._phase is not Phase.HOLDING
+        fault = self._supervision.step(measurement, self._command, dt_s, active=running)
+        if fault is None and self._clear_s <= 0.0 and self._phase in ACTIVE and not awake:
+            return Fault(
+                FaultName.DRIVE_RESTARTED,
+                "drive",
+                "the drive fell silent by itself; check its supply",
+                latching=False,
+            )
         return fault
 
     def _fail(self, fault: Fault) -> None:
@@ -245,41 +392,72 @@ class Brain:
 
     def _act(self, measurement: Measurement, dt_s: float) -> Command:
         self._limited = False
+        if self._supervision.reference.wanted_rad is not None:
+            return Command(reference_rad=self._supervision.reference.wanted_rad)
+        if self._released:
+            return RELEASE
         awake = measurement.drive_state in (DriveState.READY, DriveState.RUNNING)
         passing = self._fault is not None and not self._fault.latching
         clearing = self._clear_s > 0.0 or (passing and measurement.drive_state is DriveState.FAULT)
         if clearing and not awake:
             return Command(clear=self._tick % CLEAR_EVERY == 0)
-        sequence = self._sequence
-        if sequence is None or self._phase not in ACTIVE:
+        if self._phase not in ACTIVE:
             return STOP
+        wish = self._held(measurement, dt_s) if self._sequence is None else self._moved(measurement, dt_s)
+        if wish is None:
+            return STOP
+        gated = gate(wish, measurement, self._command.velocity_rad_s, dt_s, self._limits)
+        self._limited = gated.limited
+        if gated.fault is not None:
+            self._fail(gated.fault)
+        return gated.command
+
+    def _held(self, measurement: Measurement, dt_s: float) -> float:
+        """The velocity that keeps the base where it stood when the drive woke up."""
+        if self._hold_rad is None:
+            self._hold_rad = measurement.base_angle_rad
+        speed_rad_s = rad(self._sequence_config.speed_deg_s)
+        return self._loop.step(measurement.base_angle_rad, self._hold_rad, speed_rad_s, dt_s)
+
+    def _moved(self, measurement: Measurement, dt_s: float) -> float | None:
+        """The velocity that the sequence asks for; None when it asks for none."""
+        sequence = self._sequence
+        assert sequence is not None
+        if self._found_index(measurement):
+            return None
         self._advance(sequence, measurement, dt_s)
         if self._phase not in ACTIVE or sequence.setpoint_rad is None:
-            return STOP
-        wish = self._loop.step(
+            return None
+        return self._loop.step(
             measurement.base_angle_rad,
             sequence.setpoint_rad,
             sequence.speed_rad_s,
             dt_s,
             sequence.feedforward_rad_s,
         )
-        gated = gate(wish, measurement, self._velocity_rad_s, dt_s, self._limits)
-        self._limited = gated.limited
-        if gated.fault is not None:
-            self._fail(gated.fault)
-        return gated.command
+
+    def _found_index(self, measurement: Measurement) -> bool:
+        """Whether the index mark that was looked for has passed; the search is over then."""
+        reference = self._supervision.reference
+        if not reference.searching or math.isnan(measurement.index_rad):
+            return False
+        self._phase = after(self._phase, Event.FINISHED)
+        reference.tell(reference.by_index_rad(measurement, self._index_rad))
+        return True
 
     def _advance(self, sequence: Sequence, measurement: Measurement, dt_s: float) -> None:
         try:
             event = sequence.step(self._phase, measurement, dt_s)
         except NeedleRigError as refusal:
-            self._fail(Fault("control", str(refusal), latching=False))
+            self._fail(Fault(FaultName.CONTROL, "control", str(refusal), latching=False))
             return
         late = sequence.overdue()
         if event is not None:
             self._phase = after(self._phase, event)
+            if event is Event.NEXT:
+                self._supervision.motion()
         elif late is not None:
-            self._fail(Fault("drive", late, latching=False))
+            self._fail(Fault(FaultName.NOT_TURNING, "drive", late, latching=True))
         if self._phase is Phase.DONE and self._request is not None:
             config = self._sequence_config
             self._outcome = judge(
@@ -316,33 +494,3 @@ class Brain:
             hall_age_s=measurement.hall_age_s,
             drive_age_s=measurement.drive_age_s,
         )
-
-
-def layout_of(config: RigConfig) -> Layout:
-    """The layout of a rig file in metres."""
-    return Layout(
-        needle_length_m=m(config.needle.length_mm),
-        tissue_sections_m=tuple((m(a), m(b)) for a, b in config.layout.tissue_sections_mm),
-        sensor_positions_m=tuple(m(sensor.position_mm) for sensor in config.layout.hall_sensors),
-    )
-
-
-def torsional_rigidity_nm2(config: RigConfig) -> float:
-    """JG of the needle in N·m²: as stated, or shear modulus times π d⁴/32."""
-    if config.needle.torsional_rigidity_nmm2 is not None:
-        return config.needle.torsional_rigidity_nmm2 * 1e-6
-    diameter = m(config.needle.diameter_mm)
-    return config.needle.shear_modulus_gpa * 1e9 * math.pi * diameter**4 / 32.0
-
-
-def limits_of(config: RigConfig) -> Limits:
-    """The gate's limits of a rig file in SI."""
-    return Limits(
-        angle_rad=rad(config.drive.angle_limit_deg),
-        velocity_rad_s=rad(config.drive.velocity_limit_deg_s),
-        acceleration_rad_s2=rad(config.drive.acceleration_limit_deg_s2),
-        torque_nm=nm(config.drive.torque_limit_nmm),
-        torque_age_s=config.links.torque_age_limit_ms * 1e-3,
-        hall_age_s=config.links.hall_age_limit_ms * 1e-3,
-        drive_age_s=config.links.drive_age_limit_ms * 1e-3,
-    )

@@ -29,16 +29,20 @@ class Event(enum.StrEnum):
     ARRIVED = "arrived"
     SETTLED = "settled"
     DISTURBED = "disturbed"  # the base moved while the torque was averaged
-    FINISHED = "finished"  # the strategy has nothing more to do
+    FINISHED = "finished"  # the strategy has nothing more to do, or what was looked for is found
     ABORT = "abort"
     FAULT = "fault"
     CLEAR = "clear"
+    HOLD = "hold"
+    RELEASE = "release"
 
 
 # A fault outlives an abort: only a clear leaves it.
 TRANSITIONS: dict[Phase, dict[Event, Phase]] = {
     Phase.IDLE: {
         Event.START: Phase.REST,
+        Event.HOLD: Phase.HOLDING,
+        Event.RELEASE: Phase.IDLE,
         Event.ABORT: Phase.ABORTED,
         Event.FAULT: Phase.FAULT,
         Event.CLEAR: Phase.IDLE,
@@ -51,11 +55,13 @@ TRANSITIONS: dict[Phase, dict[Event, Phase]] = {
     },
     Phase.MOVING: {
         Event.ARRIVED: Phase.SETTLING,
+        Event.FINISHED: Phase.DONE,
         Event.ABORT: Phase.ABORTED,
         Event.FAULT: Phase.FAULT,
     },
     Phase.SETTLING: {
         Event.SETTLED: Phase.MEASURING,
+        Event.FINISHED: Phase.DONE,
         Event.ABORT: Phase.ABORTED,
         Event.FAULT: Phase.FAULT,
     },
@@ -66,25 +72,36 @@ TRANSITIONS: dict[Phase, dict[Event, Phase]] = {
         Event.ABORT: Phase.ABORTED,
         Event.FAULT: Phase.FAULT,
     },
+    Phase.HOLDING: {
+        Event.RELEASE: Phase.IDLE,
+        Event.ABORT: Phase.ABORTED,
+        Event.FAULT: Phase.FAULT,
+    },
     Phase.DONE: {
         Event.START: Phase.REST,
+        Event.HOLD: Phase.HOLDING,
+        Event.RELEASE: Phase.IDLE,
         Event.ABORT: Phase.ABORTED,
         Event.FAULT: Phase.FAULT,
         Event.CLEAR: Phase.IDLE,
     },
     Phase.ABORTED: {
         Event.START: Phase.REST,
+        Event.HOLD: Phase.HOLDING,
+        Event.RELEASE: Phase.IDLE,
         Event.ABORT: Phase.ABORTED,
         Event.FAULT: Phase.FAULT,
         Event.CLEAR: Phase.IDLE,
     },
     Phase.FAULT: {
+        Event.RELEASE: Phase.FAULT,
         Event.ABORT: Phase.FAULT,
         Event.FAULT: Phase.FAULT,
         Event.CLEAR: Phase.IDLE,
     },
 }
-ACTIVE = frozenset({Phase.REST, Phase.MOVING, Phase.SETTLING, Phase.MEASURING})
+ACTIVE = frozenset({Phase.REST, Phase.MOVING, Phase.SETTLING, Phase.MEASURING, Phase.HOLDING})
+"""Phases in which the drive may be enabled."""
 
 
 def after(phase: Phase, event: Event) -> Phase:

@@ -9,21 +9,42 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from needle_rig.control.faults import Fault, FaultName
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
 from needle_rig.units import deg, nmm
 
 ROUNDING = 1e-9
 
 DRIVE_SENTENCES: dict[DriveFault, str] = {
-    DriveFault.COMMAND_AGE: "no valid command reached it for 50 ms; check the bus and this computer's load",
+    DriveFault.COMMAND_AGE: "no valid command reached it for 50 ms; check the bus, this computer's load, and"
+    " that no other master speaks to it",
     DriveFault.HEARTBEAT: "this computer's heartbeat stood still; check its load",
     DriveFault.VELOCITY: "it turned faster than its own limit; check the commands and the encoder",
     DriveFault.ANGLE: "it left its own angle range; turn the base back by hand",
     DriveFault.TORQUE_TRIP: "the torque at the base passed its own trip level; free the needle",
-    DriveFault.ENCODER: "its encoder failed; check the cable",
+    DriveFault.ENCODER: "its encoder reports an error; check the cable",
     DriveFault.FRAME: "too many commands or torque frames arrived damaged; check the bus and its termination",
     DriveFault.TORQUE_AGE: "the torque node went quiet; check its power and the bus",
+    DriveFault.STALL: "it was asked to turn and did not: the motor is dead, blocked or off its supply, or the"
+    " encoder stands still; check them",
+    DriveFault.RUNAWAY: "it turned more than it was asked to; check the power stage and the encoder's scale",
+    DriveFault.DIRECTION: "it turned against what was asked; check the wiring of motor and encoder",
+    DriveFault.IDLE_MOTION: "it moved while nothing was asked of it; check the power stage (if you turned it"
+    " by hand, `needle-rig release` it first)",
+    DriveFault.MASTER: "another master sends it commands; take that one off the bus",
+    DriveFault.EMERGENCY_STOP: "the emergency stop is pressed; release it",
 }
+_NAMES = {
+    DriveFault.STALL: FaultName.NOT_TURNING,
+    DriveFault.RUNAWAY: FaultName.RUNAWAY,
+    DriveFault.DIRECTION: FaultName.WRONG_DIRECTION,
+    DriveFault.IDLE_MOTION: FaultName.IDLE_MOTION,
+    DriveFault.MASTER: FaultName.SECOND_MASTER,
+    DriveFault.EMERGENCY_STOP: FaultName.EMERGENCY_STOP,
+    DriveFault.ANGLE: FaultName.ANGLE_LIMIT,
+    DriveFault.TORQUE_TRIP: FaultName.TORQUE_LIMIT,
+}
+"""What the drive node and this host both know keeps one name; for a fault of several bits the bits say it."""
 TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
 
 
@@ -38,15 +59,6 @@ class Limits:
     torque_age_s: float
     hall_age_s: float
     drive_age_s: float
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Why the drive may not move; `link` is torque, hall, drive or control."""
-
-    link: str
-    text: str
-    latching: bool
 
 
 @dataclass(frozen=True)
@@ -68,29 +80,52 @@ def heard_age_s(before_s: float, age_s: float, dt_s: float, listening_s: float) 
     return min(age_s, before_s + min(dt_s, listening_s)) if age_s < math.inf else age_s
 
 
+def slow_host_fault(measurement: Measurement, dt_s: float, limits: Limits) -> Fault | None:
+    """For a host whose ticks come late in a row: a link that will be too old at the next tick, which comes in
+    `dt_s`, is dead at this one; or None. A slow host shall not make a dead link look alive.
+    """
+    for link, age_s, limit_s, _ in _ages(measurement, limits):
+        if age_s + dt_s > limit_s:
+            return Fault(
+                FaultName.LATE_TICK,
+                link,
+                f"this computer is too slow for the {link} link: its newest value is {age_s * 1e3:.0f} ms"
+                f" old, the next look at it comes in {dt_s * 1e3:.0f} ms, limit {limit_s * 1e3:g} ms;"
+                " end other programs, or lower tick_hz",
+                latching=False,
+            )
+    return None
+
+
 def find_fault(measurement: Measurement, limits: Limits) -> Fault | None:
     """The first thing in `measurement` that forbids motion, or None: dead links before bad values."""
-    for link, age_s, limit_s, complaint in (
-        ("torque", measurement.torque_age_s, limits.torque_age_s, measurement.torque_complaint),
-        ("hall", measurement.hall_age_s, limits.hall_age_s, measurement.hall_complaint),
-        ("drive", measurement.drive_age_s, limits.drive_age_s, ""),
-    ):
+    for link, age_s, limit_s, complaint in _ages(measurement, limits):
         if not age_s <= limit_s:
-            return Fault(link, _stale(link, age_s, limit_s, complaint), latching=False)
+            return Fault(FaultName.LINK_DEAD, link, _stale(link, age_s, limit_s, complaint), latching=False)
     if not math.isfinite(measurement.torque_nm):
         return Fault(
-            "torque", "the torque link gives a value that is no number; check the cell", latching=False
+            FaultName.NOT_A_NUMBER,
+            "torque",
+            "the torque link gives a value that is no number; check the cell",
+            latching=False,
         )
     if not all(math.isfinite(angle) for angle in measurement.hall_rad):
         return Fault(
-            "hall", "the hall link gives an angle that is no number; check the sensors", latching=False
+            FaultName.NOT_A_NUMBER,
+            "hall",
+            "the hall link gives an angle that is no number; check the sensors",
+            latching=False,
         )
     if not math.isfinite(measurement.base_angle_rad):
         return Fault(
-            "drive", "the drive link gives an angle that is no number; check the encoder", latching=False
+            FaultName.NOT_A_NUMBER,
+            "drive",
+            "the drive link gives an angle that is no number; check the encoder",
+            latching=False,
         )
     if abs(measurement.torque_nm) > limits.torque_nm:
         return Fault(
+            FaultName.TORQUE_LIMIT,
             "torque",
             f"the base torque is {nmm(measurement.torque_nm):.3f} N·mm, above the limit of"
             f" {nmm(limits.torque_nm):g} N·mm (drive.torque_limit_nmm); free the needle,"
@@ -99,9 +134,17 @@ def find_fault(measurement: Measurement, limits: Limits) -> Fault | None:
         )
     if abs(measurement.base_angle_rad) > limits.angle_rad:
         return Fault(
+            FaultName.ANGLE_LIMIT,
             "drive",
             f"the base stands at {deg(measurement.base_angle_rad):.1f}°, outside ±{deg(limits.angle_rad):g}°"
             " (drive.angle_limit_deg); turn it back by hand, then: needle-rig clear",
+            latching=True,
+        )
+    if measurement.emergency_stop:
+        return Fault(
+            FaultName.EMERGENCY_STOP,
+            "drive",
+            "the emergency stop is pressed; release it, then: needle-rig clear",
             latching=True,
         )
     return drive_fault(measurement.drive_state, measurement.drive_faults)
@@ -114,14 +157,24 @@ def drive_fault(state: DriveState, faults: DriveFault) -> Fault | None:
     reasons = [sentence for bit, sentence in DRIVE_SENTENCES.items() if bit in faults]
     latching = not reasons or bool(faults & ~TEMPORARY)
     text = "the drive stopped by itself: " + ("; ".join(reasons) or "it gives no reason")
-    return Fault("drive", text + (", then: needle-rig clear" if latching else ""), latching)
+    return Fault(
+        _NAMES.get(faults, FaultName.DRIVE),
+        "drive",
+        text + (", then: needle-rig clear" if latching else ""),
+        latching,
+    )
 
 
 def tick_fault(dt_s: float) -> Fault | None:
     """A tick whose length cannot be right, or None."""
     if 0.0 < dt_s < math.inf:
         return None
-    return Fault("control", f"a tick took {dt_s} s; check the clock of this computer", latching=False)
+    return Fault(
+        FaultName.LATE_TICK,
+        "control",
+        f"a tick took {dt_s} s; check the clock of this computer",
+        latching=False,
+    )
 
 
 def gate(
@@ -135,7 +188,10 @@ def gate(
     fault = find_fault(measurement, limits)
     if fault is None and not math.isfinite(velocity_rad_s):
         fault = Fault(
-            "control", "the control loop asks for a speed that is no number; report this", latching=True
+            FaultName.CONTROL,
+            "control",
+            "the control loop asks for a speed that is no number; report this",
+            latching=True,
         )
     fault = fault or tick_fault(dt_s)
     if fault is not None:
@@ -152,6 +208,15 @@ def gate(
 
 def _braking_speed(room_rad: float, limits: Limits) -> float:
     return math.sqrt(2.0 * limits.acceleration_rad_s2 * max(room_rad, 0.0))
+
+
+def _ages(measurement: Measurement, limits: Limits) -> tuple[tuple[str, float, float, str], ...]:
+    """Every link with its age, its limit and its complaint."""
+    return (
+        ("torque", measurement.torque_age_s, limits.torque_age_s, measurement.torque_complaint),
+        ("hall", measurement.hall_age_s, limits.hall_age_s, measurement.hall_complaint),
+        ("drive", measurement.drive_age_s, limits.drive_age_s, ""),
+    )
 
 
 def _stale(link: str, age_s: float, limit_s: float, complaint: str) -> str:

@@ -108,11 +108,15 @@ class BrainState:
     waypoint_rad: float | None
     velocity_rad_s: float
     limited: bool
+    released: bool
+    """Nothing is sent to the drive: a hand may turn it."""
     measurement: Measurement | None
     settled: tuple[SettledMotion, ...]
     """Settled motions of the present or last sequence, without the rest before the first."""
     outcome: Outcome | None
     fault: str | None
     """The fault that holds the brain, as a sentence; None when there is none."""
+    fault_name: str | None
+    """Its name; see faults.FaultName."""
     latched: bool
     """The fault stays until a clear."""

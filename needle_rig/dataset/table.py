@@ -59,6 +59,9 @@ def read_table(path: Path, folder: Path, shown: str, text_column: str, time_stem
             f"{shown}:{header_line}: one column, {header[:60]!r}; separate columns with commas, "
             "semicolons or tabs"
         )
+    strange = next((name for name in columns if not name.isprintable()), None)
+    if strange is not None:
+        raise BadInput(f"{shown}:{header_line}: column {strange!r} has characters that cannot be shown")
     if len(columns) > MAX_COLUMNS:
         raise BadInput(
             f"{shown}:{header_line}: {len(columns)} columns, more than {MAX_COLUMNS}; keep those of the rig"

@@ -16,13 +16,17 @@ from needle_rig.devices.link_clock import LinkClock
 from needle_rig.devices.ports import port_reason
 from needle_rig.errors import RigFault
 from needle_rig.rig import RawReadings
-from needle_rig.wire.hall_frames import CLOCK_PERIOD_S, HEALTHY_FIELD, HallFrame, HallStream
+from needle_rig.wire.hall_frames import CLOCK_PERIOD_S, HallFrame, HallStream
+from needle_rig.wire.hall_turns import HallTurns
 
 _READ_BYTES = 65536
 
 
 class HallSerial(asyncio.Protocol):
-    """Newest angle of every sensor. A sensor whose magnet is out of reach keeps its value and grows old."""
+    """Newest angle of every sensor. A sensor whose magnet is out of reach keeps its value and grows old.
+
+    `base` gives the base's angle in rad, NaN while it is not known: after an outage it tells the turns.
+    """
 
     def __init__(
         self,
@@ -30,6 +34,7 @@ class HallSerial(asyncio.Protocol):
         sensors: tuple[str, ...],
         raw: RawReadings | None = None,
         now: Callable[[], float] = time.monotonic,
+        base: Callable[[], float] = lambda: math.nan,
     ) -> None:
         self._config = config
         self._sensors = sensors
@@ -37,8 +42,9 @@ class HallSerial(asyncio.Protocol):
         self._now = now
         self._stream = HallStream()
         self._clock = LinkClock(CLOCK_PERIOD_S)
-        self._angle_rad: list[float] = [math.nan] * len(sensors)
-        self._healthy_s = [-math.inf] * len(sensors)
+        self._turns = HallTurns(sensors)
+        self._base = base
+        self._misfit = ""
         self._port: serial.Serial | None = None
         self._transport: asyncio.Transport | None = None
         self._closed: asyncio.Future[None] | None = None
@@ -46,17 +52,24 @@ class HallSerial(asyncio.Protocol):
         """The newest frame, with its field amplitudes; for calibration."""
         self.lost = False
         """Whether the port went away."""
-        self.complaint = ""
-        """What is wrong with frames that do come, for the message of a missing link."""
 
     @property
     def angle_rad(self) -> tuple[float, ...]:
         """Unwrapped angles in the order of the sensors; NaN before the first."""
-        return tuple(self._angle_rad)
+        return self._turns.angle_rad
+
+    @property
+    def complaint(self) -> str:
+        """What is wrong with frames that do come, for the message of a missing link."""
+        return self._misfit or self._turns.complaint
+
+    def refer(self, base_rad: float) -> None:
+        """The base stands at `base_rad`: sensors whose turns were lost take those nearest to it."""
+        self._turns.refer(base_rad)
 
     def age_s(self, now_s: float) -> float:
         """Age of the oldest sensor's newest value; infinite until every sensor gave one."""
-        return max(self._clock.age_s(now_s), now_s - min(self._healthy_s))
+        return max(self._clock.age_s(now_s), now_s - self._turns.healthy_s)
 
     def open(self) -> None:
         """Claim the port and listen. Raises RigFault in one sentence."""
@@ -105,20 +118,12 @@ class HallSerial(asyncio.Protocol):
         if self._raw is not None:
             self._raw("hall", (now_s, frame.node_time_s, float(frame.counter), *frame.angle_rad))
         if len(frame.angle_rad) != len(self._sensors):
-            self.complaint = (
+            self._misfit = (
                 f"the node sends {len(frame.angle_rad)} sensors, layout.hall_sensors has {len(self._sensors)}"
             )
             return
+        self._misfit = ""
         if not self._clock.accept(frame.counter, frame.node_time_s, now_s):
             return
         self.frame = frame
-        lost = []
-        for index, (angle, field) in enumerate(zip(frame.angle_rad, frame.field, strict=True)):
-            if not HEALTHY_FIELD[0] <= field <= HEALTHY_FIELD[1]:
-                lost.append(f"{self._sensors[index]} sees a field of {field}, healthy is 20000 to 60000")
-                continue
-            self._healthy_s[index] = now_s
-            last = self._angle_rad[index]
-            turned = angle if math.isnan(last) else last + math.remainder(angle - last, math.tau)
-            self._angle_rad[index] = turned
-        self.complaint = "; ".join(lost)
+        self._turns.take(frame, now_s, self._base())

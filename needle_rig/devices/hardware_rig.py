@@ -17,12 +17,20 @@ from needle_rig.devices.torque_can import TorqueCan
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.records import STOP, Command, Measurement
 from needle_rig.rig import RawReadings
-from needle_rig.wire.can_frames import CanCodec, DriveStatus, TorqueStatus
+from needle_rig.wire.can_frames import (
+    CanCodec,
+    DriveCommand,
+    DriveHealth,
+    DriveReference,
+    DriveStatus,
+    TorqueStatus,
+)
 from needle_rig.wire.hall_frames import HallFrame
 
 _POLL_S = 0.005
 _LAST_STOPS = 3
 _RETRY_S = 0.5
+_FRESH_S = 0.1
 
 
 class HardwareRig:
@@ -46,8 +54,9 @@ class HardwareRig:
         self._torque = TorqueCan(self._codec.torque_clock_period_s, raw)
         self._drive = DriveCan(self._codec, self._can.send, raw)
         sensors = tuple(sensor.name for sensor in config.layout.hall_sensors)
-        self._hall = HallSerial(config.links.hall, sensors, raw, now)
+        self._hall = HallSerial(config.links.hall, sensors, raw, now, self._base_now)
         self._watching: asyncio.TimerHandle | None = None
+        self._foreign_commands = 0
 
     async def open(self, timeout_s: float = 3.0) -> None:
         """Connect and wait for the first reading of every link; RigFault names a missing one and its port.
@@ -87,6 +96,11 @@ class HardwareRig:
             drive_age_s=self._drive.age_s(now_s),
             torque_complaint=self._torque.complaint,
             hall_complaint=self._hall.complaint,
+            referenced=self._drive.referenced,
+            supply_on=self._drive.supply_on,
+            emergency_stop=self._drive.emergency_stop,
+            index_rad=self._drive.index_rad,
+            foreign_commands=self._foreign_commands,
         )
 
     @property
@@ -97,6 +111,8 @@ class HardwareRig:
     def write(self, command: Command) -> None:
         """Send one command; never blocks. A dead link shows in the ages of later readings."""
         self._drive.command(command)
+        if command.reference_rad is not None:
+            self._hall.refer(command.reference_rad)
 
     async def close(self) -> None:
         """Stop the drive and release every port; safe to call twice."""
@@ -121,6 +137,16 @@ class HardwareRig:
             self._torque.take(content, now_s)
         elif isinstance(content, DriveStatus):
             self._drive.take(content, now_s)
+        elif isinstance(content, DriveHealth):
+            self._drive.take_health(content, now_s)
+        elif isinstance(content, DriveCommand | DriveReference):
+            # Neither slcan nor SocketCAN gives us our own frames back: this is another master's.
+            self._foreign_commands += 1
+
+    def _base_now(self) -> float:
+        """The base's angle, for the Hall sensors' turns; NaN when it is old."""
+        fresh = self._drive.age_s(self._now()) <= _FRESH_S
+        return self._drive.angle_rad if fresh else math.nan
 
     def _missing(self) -> list[str]:
         """The links without a first reading, as a person would look for them."""

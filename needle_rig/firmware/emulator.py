@@ -25,7 +25,7 @@ TIM1_CCR1, TIM1_CCR2, TIM1_BDTR = 0x10034, 0x10038, 0x10044
 USART_SR, USART_DR = 0x11000, 0x11004
 ADC_SR, ADC_SQR3, ADC_DR = 0x12000, 0x12034, 0x1204C
 SPI_SR, SPI_DR = 0x13008, 0x1300C
-GPIOB_IDR = 0x20410
+GPIOB_IDR, GPIOB_BSRR = 0x20410, 0x20418
 RCC_CR, RCC_CFGR = 0x23800, 0x23808
 RCC_READY, RCC_ON_PLL = 1 << 17 | 1 << 25, 2 << 2
 
@@ -69,8 +69,7 @@ class ImageNode:
             CAN_RDL0R: lambda: int.from_bytes(pins.can_in[0][1][:4], "little"),
             CAN_RDH0R: lambda: int.from_bytes(pins.can_in[0][1][4:8], "little"),
             TIM5_CNT: lambda: pins.encoder_counts & 0xFFFFFFFF,
-            # PB1: load cell not ready, PB10: encoder error
-            GPIOB_IDR: lambda: (pins.load_cell is None) << 1 | (not pins.encoder_good) << 10,
+            GPIOB_IDR: self._inputs,
             SPI_DR: lambda: self._spi_words.pop(0),
         }
         self._acts: dict[int, Callable[[int], None]] = {
@@ -81,6 +80,7 @@ class ImageNode:
             CAN_RF0R: self._release,
             CAN_MCR: lambda value: self._registers.__setitem__(CAN_MSR, value & 1),
             TIM1_BDTR: self._switch_bridge,
+            GPIOB_BSRR: self._switch_supply,
             IWDG_KR: self._feed,
             RCC_CR: lambda value: self._registers.__setitem__(RCC_CR, value | RCC_READY),
             RCC_CFGR: lambda value: self._registers.__setitem__(RCC_CFGR, value | RCC_ON_PLL),
@@ -183,6 +183,16 @@ class ImageNode:
         # The bridge switches after both compares were set.
         forward, backward = self._registers.get(TIM1_CCR1, 0), self._registers.get(TIM1_CCR2, 0)
         self.pins.duty = (forward - backward) * 8 if value else 0
+
+    def _inputs(self) -> int:
+        # PB1: load cell not ready, PB10: encoder error, PB13: emergency stop, PB14: index
+        pins = self.pins
+        low = (pins.load_cell is None) << 1 | (not pins.encoder_good) << 10
+        return low | pins.emergency_stop << 13 | pins.index << 14
+
+    def _switch_supply(self, value: int) -> None:
+        if value & (1 << 12 | 1 << 28):
+            self.pins.supply = bool(value & 1 << 12)
 
     def _shift_load_cell(self, _word: int) -> None:
         if not self._spi_words and self.pins.load_cell is not None:

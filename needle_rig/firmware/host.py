@@ -69,6 +69,9 @@ def _board(nodes: HostNodes, pins: Pins, page: Any) -> tuple[Any, list[Any]]:
         counts[0] = (pins.encoder_counts + 2**31) % 2**32 - 2**31
         return pins.encoder_good
 
+    def supply(_context: Any, on: bool) -> None:
+        pins.supply = bool(on)
+
     def duty(_context: Any, value: int) -> None:
         pins.duty = value
 
@@ -91,7 +94,10 @@ def _board(nodes: HostNodes, pins: Pins, page: Any) -> tuple[Any, list[Any]]:
         "adc": lambda _context, channel: pins.adc[channel],
         "load_cell": load_cell,
         "encoder": encoder,
+        "index": lambda _context: pins.index,
+        "emergency_stop": lambda _context: pins.emergency_stop,
         "duty": duty,
+        "supply": supply,
         "can_send": can_send,
         "can_receive": can_receive,
         "uart_send": uart_send,

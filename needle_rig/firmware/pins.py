@@ -15,7 +15,7 @@ class Pins:
 
     `adc` are 12-bit counts (sine, cosine of each Hall sensor in turn), `load_cell` signed 24-bit counts or
     None when the converter has nothing new, `encoder_counts` a 32-bit counter, `duty` the motor's duty
-    (±2¹⁵), `page` the calibration page.
+    (±2¹⁵), `supply` the safe-torque-off line, `page` the calibration page.
     """
 
     time_us: int = 0
@@ -23,11 +23,14 @@ class Pins:
     load_cell: int | None = None
     encoder_counts: int = 0
     encoder_good: bool = True
+    index: bool = False
+    emergency_stop: bool = False
     page: bytes = b"\xff" * PAGE_SIZE
     can_in: deque[tuple[int, bytes]] = field(default_factory=deque)
     can_out: list[tuple[int, bytes]] = field(default_factory=list)
     uart_out: bytearray = field(default_factory=bytearray)
     duty: int = 0
+    supply: bool = False
 
     def take_can(self) -> list[tuple[int, bytes]]:
         """Frames that the node sent since the last call."""

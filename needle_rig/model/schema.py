@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from needle_rig.config.schema import Section
 
@@ -54,6 +54,16 @@ class FittedList(Section):
     unit: str = ""
 
 
+def _one_or_several(entry: Any) -> str:
+    value = entry.get("value") if isinstance(entry, dict) else getattr(entry, "value", None)
+    return "several" if isinstance(value, list | tuple) else "one"
+
+
+Fitted = Annotated[
+    Annotated[FittedValue, Tag("one")] | Annotated[FittedList, Tag("several")], Discriminator(_one_or_several)
+]
+
+
 class LayoutOfModel(Section):
     """Where the needle runs through tissue and where it is seen."""
 
@@ -93,5 +103,5 @@ class ModelFile(Section):
     starts_from: str
     layout: LayoutOfModel
     base: dict[str, FittedValue]
-    effects: dict[str, dict[str, FittedValue | FittedList]] = Field(default_factory=dict)
+    effects: dict[str, dict[str, Fitted]] = Field(default_factory=dict)
     history: tuple[HistoryEntry, ...] = ()

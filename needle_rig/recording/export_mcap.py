@@ -48,7 +48,7 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
             columns = {at_edge(field)[0]: _values(rows[field], at_edge(field)[1]) for field in fields}
             for number, values in enumerate(zip(*columns.values(), strict=True)):
                 message = dict(zip(columns, values, strict=True))
-                when_ns = begin_ns + round((float(rows["time_s"][number]) - begin_s) * 1e9)
+                when_ns = max(0, begin_ns + round((float(rows["time_s"][number]) - begin_s) * 1e9))
                 messages.append((when_ns, channel, number, json.dumps(message).encode()))
         events = {"time_s": {"type": "number"}, "kind": {"type": "string"}, "text": {"type": "string"}}
         channel = _channel(writer, "events", events)
@@ -95,9 +95,14 @@ def _text(value: Any) -> str:
     return json.dumps(value.tolist() if isinstance(value, np.ndarray) else value, ensure_ascii=False)
 
 
+_LAST_NS = 1 << 62
+"""MCAP counts in 64 bits; the year 2116 leaves room for the run."""
+
+
 def _started_ns(run: RunFile) -> int:
     try:
         started = datetime.datetime.fromisoformat(str(run.attributes["started_utc"]))
-    except (KeyError, ValueError):
+        started_ns = round(started.timestamp() * 1e9)
+    except (KeyError, ValueError, OverflowError):
         return 0
-    return round(started.timestamp() * 1e9)
+    return started_ns if 0 < started_ns < _LAST_NS else 0

@@ -23,7 +23,7 @@ from needle_rig.recording.hdf5_file import read_hdf5, read_journal
 from needle_rig.recording.image import LATE
 from needle_rig.recording.journal import SUFFIX, Frames, journal_path
 from needle_rig.recording.liveness import being_written
-from needle_rig.recording.structure import NOT_TABLES, check_attributes
+from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
 from needle_rig.recording.tables import FORMAT
 
 Found = TypeVar("Found")
@@ -74,13 +74,13 @@ class RunFile:
         """All rows of table `name` as a structured array (see `tables.run_tables`)."""
         if name not in self.tables:
             raise BadInput(f"{self._shown}: has no table {name}; it has {', '.join(self.tables)}")
-        rows: npt.NDArray[Any] = self._read(lambda file: np.asarray(file[name][:]))
+        rows: npt.NDArray[Any] = self._read(lambda file: _rows(file, name))
         return rows
 
     @property
     def events(self) -> tuple[Event, ...]:
         """The events in order of writing."""
-        rows = self._read(lambda file: file["events"][:])
+        rows = self._read(lambda file: _rows(file, "events"))
         events: list[Event] = []
         for time_s, kind, raw in rows:
             text = raw.decode("utf-8", "replace")
@@ -143,9 +143,17 @@ def _about(file: h5py.File) -> tuple[dict[str, Any], tuple[str, ...]]:
     return attributes, tuple(sorted(set(file) - NOT_TABLES))
 
 
+def _rows(file: h5py.File, name: str) -> npt.NDArray[Any]:
+    rows = np.asarray(file[name][:])
+    check_times(name, rows["time_s"])
+    return rows
+
+
 def _ending(file: h5py.File, tables: tuple[str, ...]) -> Ending:
     events = file["events"]
     found = _late(file).get("result")
+    if isinstance(found, dict) and not str(found.get("status", "")).isprintable():
+        raise ValueError("the status of its result has characters that cannot be shown")
     return Ending(
         complete=bool(len(events) and events[-1]["kind"] == b"end"),
         result=found if isinstance(found, dict) else None,
@@ -168,6 +176,7 @@ def _span(file: h5py.File, tables: tuple[str, ...]) -> tuple[float, float]:
     filled = [name for name in tables if len(file[name]) and "time_s" in file[name].dtype.names]
     filled = filled or (["events"] if len(file["events"]) else [])
     times = [float(file[name][row]["time_s"]) for name in filled for row in (0, -1)]
+    check_times(" or ".join(filled), np.array(times))
     return (min(times), max(times)) if times else (math.nan, math.nan)
 
 

@@ -8,11 +8,14 @@ from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from needle_rig.recording.tables import EVENT, run_tables
 
 NOT_TABLES = frozenset({"events", "late_attributes"})
 MEMBERS_LIMIT = 100
+LONGEST_S = 1e9
+"""The clock of a run counts from a computer's start; thirty years are none."""
 
 _NEEDED: Mapping[str, tuple[str, ...]] = {
     "ticks": ("time_s", "phase", "motion", "base_angle_rad", "torque_nm", "hall_rad", "waypoint_rad"),
@@ -62,6 +65,13 @@ def check_attributes(attributes: Mapping[str, Any]) -> None:
     along = np.asarray(attributes.get("shaft_position_m", ()))
     if along.ndim != 1 or along.dtype.kind not in "fiu" or not np.isfinite(along).all():
         raise ValueError("attribute shaft_position_m is no list of numbers")
+
+
+def check_times(name: str, time_s: npt.NDArray[Any]) -> None:
+    """Raise ValueError when a time of table `name` is none."""
+    wrong = time_s[~(np.abs(time_s) < LONGEST_S)]
+    if wrong.size:
+        raise ValueError(f"table {name}: {wrong[0]:g} s is no time of a run")
 
 
 def _filters(dataset: h5py.Dataset) -> set[int]:

@@ -1,131 +1,255 @@
-"""The daemon's API over its socket: compensate, stop, clear, state, stream."""
+"""The API over the daemon's socket: what each request asks of the daemon, and what comes back.
+
+Commands that move the rig (`/compensate /jog /home /hold`) and `/clear`, `/release` may need a lease: while
+somebody holds one, they must carry it in the header `Lease`; while nobody does, they need none. `POST /lease`
+takes it (with the header: renews it), `DELETE /lease` returns it; it also ends when it is not used for 10 s
+while the rig is still, and with every stop. `/stop` needs no lease and waits behind nothing. A request of
+which the first byte came before a stop was acknowledged, or which carries a lease from before, is refused;
+one that came in the same instant as the acknowledgement may be, and can be sent again.
+Anybody may read `/state` and watch `/stream`.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-import uvicorn
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.errors import Aborted, BadInput
+from needle_rig.service.openapi import ROUTES, Path, openapi_document
+from needle_rig.service.orders import read_order
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from starlette.types import Receive, Scope, Send
 
-    from needle_rig.service.daemon import Daemon
+    from needle_rig.service.connections import Connections
+    from needle_rig.service.stream import Stream
 
-_BODY_LIMIT_BYTES = 1 << 20
+BODY_LIMIT_BYTES = 64 * 1024
+"""An order with every option full of numbers takes a third of this."""
+PACE_S = 0.01
+"""From one question to the daemon to the next: a tick of 5 ms meets one at most, however many ask."""
+PATIENCE_S = 2.0
 
-Model = TypeVar("Model", bound=BaseModel)
-
-
-class Order(BaseModel):
-    """The body of POST /compensate. `options` are the strategy's own, by name."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    target_deg: float
-    strategy: str = "reed2008"
-    options: dict[str, Any] = {}
-    settle_s: Annotated[float, Field(ge=0.1, le=600)] | None = None
-    speed_deg_s: Annotated[float, Field(gt=0, le=360)] | None = None
-    lag_left_deg: float | None = None
+Document = dict[str, Any]
 
 
-class Reason(BaseModel):
-    """The body of POST /stop."""
+@dataclass(frozen=True)
+class Answer:
+    """What the daemon answers: a document, and the HTTP status of a refusal; 0 when it was done."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    status: int
+    content: Document
 
-    reason: Annotated[str, Field(min_length=1, max_length=200)] = "stopped by a person"
+
+Ask = Callable[[str, Document, float, str | None], Awaitable[Answer]]
+"""Asks the daemon: name of the order, its content, when its first byte came, and its lease."""
 
 
-def application(daemon: Daemon) -> Starlette:
-    """The web application; its handlers share the daemon's event loop and are short."""
+class TooMany(BadInput):
+    """More is asked than the daemon should hear."""
 
-    async def compensate(request: Request) -> Response:
-        return _answer(await daemon.compensate(await _body(request, Order)), 202)
+
+class Shared:
+    """One question for all who ask it at a time; who asks while it is on its way gets the next answer.
+
+    Of questions with different contents the first is sent.
+    """
+
+    def __init__(self, ask: Callable[[Document], Awaitable[Answer]]) -> None:
+        self._ask = ask
+        self._asking: asyncio.Task[Answer] | None = None
+        self._next: asyncio.Task[Answer] | None = None
+
+    async def __call__(self, content: Document) -> Answer:
+        """The answer to a question that was not sent before this call."""
+        if self._next is None:
+            self._next = asyncio.create_task(self._after(self._asking, content))
+        return await asyncio.shield(self._next)
+
+    async def _after(self, before: asyncio.Task[Answer] | None, content: Document) -> Answer:
+        if before is not None:
+            await asyncio.wait({before})
+        self._asking, self._next = self._next, None
+        return await self._ask(content)
+
+
+class Desk:
+    """Passes requests on to the daemon: stops at once, the others one by one and none during a stop."""
+
+    def __init__(self, ask: Ask, connections: Connections) -> None:
+        self._ask_daemon = ask
+        self._connections = connections
+        self._stopping = 0
+        self._stopped = asyncio.Event()
+        self._stopped.set()
+        self._acknowledged_s = -1.0
+        self._next_s = 0.0
+        self._state = Shared(self._ask_state)
+        self._stop = Shared(lambda content: ask("stop", content, time.monotonic(), None))
+
+    async def ask(self, order: str, content: Document, begun_s: float, lease: str | None) -> Answer:
+        """Pass on an order that is no stop; raises Aborted for one that began before a stop."""
+        await self._turn()
+        await self._stopped.wait()
+        if begun_s <= self._acknowledged_s:
+            raise Aborted("stopped by a person before it began; ask for it anew")
+        return await self._ask_daemon(order, content, begun_s, lease)
+
+    async def state(self) -> Answer:
+        """The state as it is after this call."""
+        return await self._state({})
+
+    async def stop(self, content: Document) -> Answer:
+        """Pass on a stop; the orders that come meanwhile wait until `acknowledged` is called."""
+        self._stopping += 1
+        self._stopped.clear()
+        return await self._stop(content)
+
+    def acknowledged(self) -> None:
+        """The answer to a stop was written, or its client has gone."""
+        self._acknowledged_s = self._connections.all_begun()
+        self._stopping -= 1
+        if not self._stopping:
+            self._stopped.set()
+
+    async def _ask_state(self, content: Document) -> Answer:
+        await self._turn()
+        return await self._ask_daemon("state", content, time.monotonic(), None)
+
+    async def _turn(self) -> None:
+        now_s = time.monotonic()
+        wait_s = self._next_s - now_s
+        if wait_s > PATIENCE_S:
+            raise TooMany(f"more than {1 / PACE_S:g} requests a second; ask less often")
+        self._next_s = max(now_s, self._next_s) + PACE_S
+        if wait_s > 0:
+            await asyncio.sleep(wait_s)
+
+
+class Acknowledgement(JSONResponse):
+    """The answer to a stop, which tells the desk when it was written."""
+
+    def __init__(self, answer: Answer, desk: Desk) -> None:
+        super().__init__(answer.content, answer.status or 202)
+        self._desk = desk
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """See Response."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._desk.acknowledged()
+
+
+def application(ask: Ask, stream: Stream, connections: Connections) -> Starlette:
+    """The web application; `connections` must serve it, since they know when a request's first byte came."""
+    desk = Desk(ask, connections)
+
+    def route(path: Path) -> Route:
+        async def answer(request: Request) -> Response:
+            content = read_order(path.order, await _body(request)).model_dump()
+            begun_s, lease = request.state.begun_s, request.headers.get("lease")
+            told = await desk.ask(path.order, content, begun_s, lease)
+            return JSONResponse(told.content, told.status or path.status)
+
+        return Route(path.path, answer, methods=[path.method], name=path.order)
 
     async def stop(request: Request) -> Response:
-        daemon.stop((await _body(request, Reason)).reason)
-        return _answer({"stopping": True}, 202)
-
-    async def clear(request: Request) -> Response:
-        daemon.clear()
-        return _answer({"clearing": True}, 202)
+        content = read_order("stop", await _body(request)).model_dump()
+        try:
+            answer = await desk.stop(content)
+        except BaseException:
+            desk.acknowledged()
+            raise
+        return Acknowledgement(answer, desk)
 
     async def state(request: Request) -> Response:
-        return _answer({**daemon.describe(), "ticks": daemon.describe_timing()})
+        return JSONResponse((await desk.state()).content)
 
-    async def stream(socket: WebSocket) -> None:
-        await socket.accept()
-        with daemon.stream.listen() as listener, contextlib.suppress(WebSocketDisconnect):
-            listener.put_event(json.dumps(daemon.describe(), allow_nan=False))
+    async def openapi(request: Request) -> Response:
+        return JSONResponse(openapi_document())
+
+    async def send_all(socket: WebSocket) -> None:
+        with stream.listen() as listener:
+            state = (await desk.state()).content
+            await socket.send_text(json.dumps({name: state[name] for name in state if name != "ticks"}))
             async for text in listener.messages():
                 await socket.send_text(text)
             await socket.close()
 
-    async def refuse(request: Request, error: Exception) -> Response:
-        assert isinstance(error, NeedleRigError)
-        status = 422 if isinstance(error, BadInput) else 409
-        return _answer({"error": str(error), "exit_code": error.exit_code}, status)
+    async def watch(socket: WebSocket) -> None:
+        await socket.accept()
+        both = {asyncio.create_task(send_all(socket)), asyncio.create_task(_until_gone(socket))}
+        try:
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in both:
+                task.cancel()
+            for task in both:
+                with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, TooMany):
+                    await task
 
+    own = {"stop": stop, "state": state}
     return Starlette(
         routes=[
-            Route("/compensate", compensate, methods=["POST"]),
-            Route("/stop", stop, methods=["POST"]),
-            Route("/clear", clear, methods=["POST"]),
-            Route("/state", state),
-            WebSocketRoute("/stream", stream),
+            *(
+                Route(path.path, own[path.order], methods=[path.method]) if path.order in own else route(path)
+                for path in ROUTES
+            ),
+            Route("/openapi.json", openapi),
+            WebSocketRoute("/stream", watch),
         ],
-        exception_handlers={NeedleRigError: refuse},
+        exception_handlers={
+            BadInput: _refuse,
+            Aborted: _refuse,
+            HTTPException: _refuse_path,
+        },
     )
 
 
-def server(daemon: Daemon) -> uvicorn.Server:
-    """A server for the application that leaves signals, sockets and logs to the daemon."""
-    return _Server(
-        uvicorn.Config(
-            application(daemon),
-            lifespan="off",
-            access_log=False,
-            log_config=None,
-            ws="websockets-sansio",
-            timeout_graceful_shutdown=1,
-        )
-    )
+async def _until_gone(socket: WebSocket) -> None:
+    """Drop what a watcher says until it leaves."""
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass
 
 
-class _Server(uvicorn.Server):
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        yield
+class TooLong(BadInput):
+    """A body beyond the limit."""
 
 
-async def _body(request: Request, model: type[Model]) -> Model:
-    """The request's JSON body as `model`; an empty body stands for all defaults."""
+async def _body(request: Request) -> bytes:
     content = bytearray()
     try:
         async for chunk in request.stream():
-            content += chunk
-            if len(content) > _BODY_LIMIT_BYTES:
-                raise BadInput(f"the request is longer than {_BODY_LIMIT_BYTES} bytes")
+            # what is too long is read all the same: its client reads no answer before
+            if len(content) <= BODY_LIMIT_BYTES:
+                content += chunk
     except ClientDisconnect:
-        raise BadInput("the request broke off") from None
-    try:
-        return model.model_validate_json(bytes(content) or b"{}")
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the request"
-        raise BadInput(f"{place}: {first['msg'].lower()}") from None
+        raise BadInput("the request broke off; send it again") from None
+    if len(content) > BODY_LIMIT_BYTES:
+        raise TooLong(f"the request is longer than {BODY_LIMIT_BYTES} bytes; send less")
+    return bytes(content)
 
 
-def _answer(document: dict[str, Any], status: int = 200) -> Response:
-    return JSONResponse(document, status)
+async def _refuse(request: Request, error: Exception) -> Response:
+    assert isinstance(error, BadInput | Aborted)
+    status = {TooLong: 413, TooMany: 429, Aborted: 409}.get(type(error), 422)
+    return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status)
+
+
+async def _refuse_path(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    text = f"{request.method} {request.url.path}: {error.detail.lower()}; see /openapi.json"
+    return JSONResponse({"error": text, "exit_code": BadInput.exit_code}, error.status_code, error.headers)

@@ -10,20 +10,27 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
-from needle_rig.service.endpoint import sockets_for_client
+from needle_rig.folders import temporary_folder
+from needle_rig.service.endpoint import private_socket, sockets_for_client
 
 Document = dict[str, Any]
 
+_DAEMON = (sys.executable, "-m", "needle_rig", "daemon")
+_PREFIX = "needle-rig-daemon-"
 _TIMEOUT_S = 15.0
 _START_TIMEOUT_S = 600.0
 _PATIENCE_S = 5.0
 _END_TIMEOUT_S = 15.0
+_AGAIN_S = 10.0
+"""A daemon whose API process died has a new one long before."""
+_AGAIN_EVERY_S = 0.05
 
 
 class DaemonClient:
@@ -32,6 +39,7 @@ class DaemonClient:
     def __init__(self, path: Path, process: subprocess.Popen[bytes] | None = None) -> None:
         self.path = path
         self._process = process
+        self._lease: str | None = None
 
     @property
     def private(self) -> bool:
@@ -45,52 +53,100 @@ class DaemonClient:
 
     def state(self) -> Document:
         """What the daemon says of itself."""
-        return self._ask("GET", "/state")
+        return self._ask("GET", "/state", again_s=_AGAIN_S)
+
+    @contextmanager
+    def lease(self, holder: str) -> Iterator[None]:
+        """Be the one who commands, inside a with block; BadInput says who does when it is somebody else."""
+        self._lease = self._ask("POST", "/lease", {"holder": holder})["lease"]
+        try:
+            yield
+        finally:
+            # it ends by itself where this fails, and a stop has ended it already
+            with contextlib.suppress(NeedleRigError):
+                self._ask("DELETE", "/lease")
+            self._lease = None
 
     def compensate(self, order: Document) -> Document:
-        """Start a run; raises BadInput or RigFault when it cannot start."""
+        """Start a run; raises BadInput or RigFault when it cannot start, Aborted when a stop came before."""
         return self._ask("POST", "/compensate", order)
+
+    def command(self, name: str, order: Document | None = None) -> Document:
+        """Give another order, such as `jog`; raises as `compensate`."""
+        return self._ask("POST", f"/{name}", order or {})
 
     def stop(self, reason: str) -> None:
         """Stop the drive in the next tick."""
-        self._ask("POST", "/stop", {"reason": reason})
-
-    def clear(self) -> None:
-        """Leave a fault."""
-        self._ask("POST", "/clear", {})
+        self._ask("POST", "/stop", {"reason": reason}, again_s=_AGAIN_S)
 
     @contextmanager
     def stream(self) -> Iterator[Iterator[Document]]:
-        """Everything that happens from now on; the first document is the whole state."""
-        from websockets.exceptions import ConnectionClosed
-        from websockets.sync.client import unix_connect
+        """Everything that happens from now on; the first document is the whole state.
+
+        A connection that breaks is made again, and the state comes again; it ends when the daemon is gone.
+        """
+        from websockets.exceptions import ConnectionClosed, InvalidHandshake
+        from websockets.sync.client import ClientConnection, unix_connect
+
+        def connect() -> ClientConnection:
+            return unix_connect(
+                str(self.path), uri="ws://daemon/stream", max_size=None, compression=None, close_timeout=1
+            )
 
         def documents() -> Iterator[Document]:
-            with contextlib.suppress(ConnectionClosed):
-                for text in connection:
-                    yield json.loads(text)
-
-        with unix_connect(
-            str(self.path), uri="ws://daemon/stream", max_size=None, compression=None
-        ) as connection:
-            yield documents()
-
-    def _ask(self, method: str, path: str, content: Document | None = None) -> Document:
-        import httpx
+            while True:
+                with contextlib.suppress(ConnectionClosed):
+                    for text in connections[-1]:
+                        yield json.loads(text)
+                connections[-1].close()
+                try:
+                    connections.append(connect())
+                except (OSError, InvalidHandshake, EOFError):
+                    return
 
         try:
-            with httpx.Client(
-                transport=httpx.HTTPTransport(uds=str(self.path)),
-                base_url="http://daemon",
-                timeout=_TIMEOUT_S,
-            ) as client:
-                response = client.request(method, path, json=content)
-        except httpx.TransportError as error:
+            connections = [connect()]
+        except (OSError, InvalidHandshake, EOFError) as error:
             raise RigFault(f"{self.path}: the daemon does not answer ({error}); look at its log") from None
+        try:
+            yield documents()
+        finally:
+            connections[-1].close()
+
+    def _ask(
+        self, method: str, path: str, content: Document | None = None, *, again_s: float = 0.0
+    ) -> Document:
+        """The daemon's answer; for `again_s` it is asked again when the connection breaks."""
+        import httpx
+
+        deadline_s = time.monotonic() + again_s
+        headers = {} if self._lease is None else {"Lease": self._lease}
+        while True:
+            try:
+                with httpx.Client(
+                    transport=httpx.HTTPTransport(uds=str(self.path)),
+                    base_url="http://daemon",
+                    timeout=_TIMEOUT_S,
+                ) as client:
+                    response = client.request(method, path, json=content, headers=headers)
+                break
+            except httpx.TransportError as error:
+                if _nobody_there(error) or time.monotonic() > deadline_s:
+                    raise RigFault(
+                        f"{self.path}: the daemon does not answer ({error}); look at its log"
+                    ) from None
+                time.sleep(_AGAIN_EVERY_S)
         answer: Document = response.json()
         if "error" in answer:
             raise failure(answer)
         return answer
+
+
+def _nobody_there(error: BaseException | None) -> bool:
+    """Whether no daemon listens; a queue that is full or a process that died is no reason to give up."""
+    while error is not None and not isinstance(error, ConnectionRefusedError | FileNotFoundError):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def failure(told: Document) -> NeedleRigError:
@@ -139,22 +195,23 @@ def private_daemon(
     ends. `meanwhile` is called while it starts, `on_wait` gets a sentence when that takes long. Raises what
     the daemon says when it cannot start.
     """
-    command = [sys.executable, "-m", "needle_rig", "daemon", "--private", *options]
-    with tempfile.TemporaryFile("w+") as complaints:
+    with temporary_folder(_PREFIX) as folder, tempfile.TemporaryFile("w+") as complaints:
+        command = [*_DAEMON, f"--private={folder}", *options]
         # a session of its own: Ctrl-C in the terminal reaches the client alone, which stops the run in order
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints, start_new_session=True
         )
         try:
             meanwhile()
-            yield DaemonClient(Path(_first_word(process, complaints, on_wait)["socket"]), process)
+            _wait_until_ready(process, complaints, on_wait)
+            yield DaemonClient(private_socket(folder), process)
         finally:
             _end(process)
 
 
-def _first_word(
+def _wait_until_ready(
     process: subprocess.Popen[bytes], complaints: IO[str], on_wait: Callable[[str], None]
-) -> Document:
+) -> None:
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], _PATIENCE_S)
     if not ready:
@@ -165,7 +222,7 @@ def _first_word(
         told: Document = json.loads(line)
         if "error" in told:
             raise failure(told)
-        return told
+        return
     if not ready:
         raise RigFault(
             f"the daemon did not start within {_START_TIMEOUT_S:g} s; run `needle-rig daemon` to see why"

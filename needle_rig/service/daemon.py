@@ -14,13 +14,15 @@ import structlog
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
-from needle_rig.control.reports import Request
+from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
+from needle_rig.service.api_link import ApiLink, Document
+from needle_rig.service.lease import LEASE_S, Claim, Lease
 from needle_rig.service.loop import ControlLoop
+from needle_rig.service.orders import Holder, Home, Jog, Model, Order, Reason, read_order
 from needle_rig.service.recorder import Recorder
-from needle_rig.service.stream import Document, Stream
 from needle_rig.units import rad
 
 if TYPE_CHECKING:
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
 
     from needle_rig.config.schema import RigConfig
     from needle_rig.rig import RawReadings, Rig
-    from needle_rig.service.api import Order
     from needle_rig.service.clock import Clock
     from needle_rig.service.notify import Notify
 
@@ -55,7 +56,8 @@ class Daemon:
     """Serves one rig until `end`. All methods belong to the event loop that runs `run`."""
 
     def __init__(self, parts: Parts, runs: Path, notify: Notify) -> None:
-        self.stream = Stream()
+        self._api = ApiLink(self._do)
+        self._lease = Lease(lambda: self._occupied)
         self._parts = parts
         self._brain = parts.brain
         self._runs = runs
@@ -68,6 +70,11 @@ class Daemon:
         self._told: tuple[Phase, str] = (Phase.IDLE, "")
         self._run: Path | None = None
         self._starting = False
+        self._closed = asyncio.Event()
+        self._closed.set()
+        self._ending = False
+        self._motions = 0
+        self._moving = False
         self._finishing: asyncio.Task[None] | None = None
         self._failure: str | None = None
         self._last: Document | None = None
@@ -77,9 +84,12 @@ class Daemon:
     async def run(self, listener: socket.socket, on_ready: Callable[[], None]) -> None:
         """Open the rig, serve until `end`, then stop the drive and release everything."""
         self._main = asyncio.current_task()
+        if self._ending:
+            return
         try:
-            # the writer gets ready while the rig is built
+            # both get ready while the rig is built
             await self._recorder.start(self._runs)
+            self._api.start(listener)
             rig = self._parts.make_rig(self._recorder.raw)
             try:
                 await rig.open()
@@ -87,20 +97,18 @@ class Daemon:
             finally:
                 await rig.close()
         finally:
+            await self._api.close()
             await self._recorder.close()
             self._parts.close()
             log.info("ended")
 
     async def _serve(self, rig: Rig, listener: socket.socket, on_ready: Callable[[], None]) -> None:
-        from needle_rig.service.api import server
-
         self._warnings = self._parts.make_steady()
         for warning in self._warnings:
             log.warning("not steady", reason=warning)
         clock = self._parts.make_clock(rig)
         self._loop = ControlLoop(rig, self._brain, clock, self._on_sample, self._notify.alive)
-        api = server(self)
-        serving = asyncio.create_task(api.serve(sockets=[listener]), name="api")
+        self._api.serve()
         self._notify.send(READY=1, STATUS="idle")
         log.info("ready", rig=self._parts.config.name, socket=str(listener.getsockname()))
         on_ready()
@@ -114,46 +122,97 @@ class Daemon:
                 self._finish_soon()
             if self._finishing is not None:
                 await self._finishing
-            await self.stream.end()  # a server told to exit may close before how the run ended is sent
-            api.should_exit = True
-            await serving
+            await self._api.close()
 
     def end(self) -> None:
-        """Stop the drive in the next tick and leave `run`."""
+        """Stop the drive in the next tick and leave `run`, also when it has not begun yet."""
+        self._ending = True
         if self._loop is not None:
-            if self._run is not None:
+            self._lease.stop()
+            if self._occupied:
                 self._brain.stop("the daemon was told to end")
             self._loop.end()
         elif self._main is not None:
             self._main.cancel()
 
-    async def compensate(self, order: Order) -> Document:
-        """Start a run; the answer names its file. Raises BadInput or RigFault when it cannot start."""
-        if self._run is not None or self._starting or self._loop is None:
+    async def _do(self, name: str, content: Document, claim: Claim) -> Document:
+        """Carry out one order of the API; raises what forbids it."""
+        order = read_order(name, content)
+        match name, order:
+            case "state", _:
+                return {**self.describe(), "ticks": self.describe_timing()}
+            case "stop", Reason():
+                self.stop(order.reason)
+                return {"stopping": True}
+            case "take_lease", Holder():
+                lease = self._lease.take(order.holder, claim)
+                return {"lease": lease, "holder": order.holder, "expires_s": LEASE_S}
+            case "return_lease", _:
+                self._lease.give_back(claim)
+                return {"returned": True}
+        self._lease.check(claim)
+        if self._loop is None:
+            raise BadInput("the daemon is not ready; ask again")
+        if self._starting or (self._run is not None and self._brain.state.phase in ACTIVE):
             raise BadInput("a sequence is running; wait for it, or stop it first: needle-rig stop")
         self._starting = True
-        path: Path | None = None
         try:
-            path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
-            self._brain.compensate(_request(order, path))
-        except NeedleRigError:
-            if path is not None:
-                await self._recorder.discard()
-            raise
+            await self._closed.wait()  # a run that was just stopped
+            self._lease.check(claim)
+            return (
+                await self._compensate(order, claim)
+                if isinstance(order, Order)
+                else self._command(name, order)
+            )
         finally:
             self._starting = False
+
+    async def _compensate(self, order: Order, claim: Claim) -> Document:
+        """Start a run; the answer names its file."""
+        request = _request(order)
+        self._brain.check(request)
+        path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
+        try:
+            self._lease.check(claim)
+            self._brain.compensate(dataclasses.replace(request, run=str(path)))
+        except NeedleRigError:
+            await self._recorder.discard()
+            raise
         self._run, self._failure, self._last = path, None, None
-        self._loop.busy = True
+        self._closed.clear()
+        self._set_busy()
         log.info("run", target_deg=order.target_deg, strategy=order.strategy, file=str(path))
         return {"run": str(path)}
 
-    def stop(self, reason: str) -> None:
-        """Stop the drive in the next tick; the run ends as aborted."""
-        self._brain.stop(reason)
+    def _command(self, name: str, order: Model) -> Document:
+        """A motion that is no run, or a change of state; the answer numbers motions."""
+        brain = self._brain
+        match order:
+            case Jog():
+                brain.jog(_rad(order.by_deg), _rad(order.to_deg), _rad(order.speed_deg_s))
+            case Home():
+                brain.home(order.by, rad(order.angle_deg), _rad(order.speed_deg_s))
+            case _:
+                {"hold": brain.hold, "release": brain.release, "clear": brain.clear}[name]()
+        self._set_busy()
+        if name in ("release", "clear"):
+            return {"done": name}
+        self._motions += 1
+        self._moving = True
+        log.info(name, motion=self._motions, **order.model_dump())
+        return {"motion": self._motions}
 
-    def clear(self) -> None:
-        """Leave a fault. Raises BadInput while a sequence runs."""
-        self._brain.clear()
+    def stop(self, reason: str) -> None:
+        """Stop the drive in the next tick; the run ends as aborted, what was asked before does not begin."""
+        self._lease.stop()
+        self._brain.stop(reason)
+        self._set_busy()
+
+    @property
+    def _occupied(self) -> bool:
+        return self._run is not None or self._starting or self._moving
+
+    def _set_busy(self) -> None:
         if self._loop is not None:
             self._loop.busy = True
 
@@ -166,6 +225,9 @@ class Daemon:
             "last": self._last,
             "warnings": self._warnings,
             "unfinished": self._recorder.unfinished,
+            "lease": self._lease.holder,
+            "motions": self._motions,
+            "moving": self._moving,
             **report.state_document(self._brain.state),
         }
 
@@ -208,10 +270,14 @@ class Daemon:
         if told != self._told:
             self._told = told
             self._on_phase(sample)
-        if self._run is not None and self._finishing is None and not active:
-            self._finish_soon()
+        if not active:
+            if self._run is not None and self._finishing is None:
+                self._finish_soon()
+            if self._moving:
+                self._moving = False
+                self._api.event({**self.describe(), "type": "moved", "moved": self._motions})
         now_s = time.monotonic()
-        self.stream.state(now_s, self.describe)
+        self._api.state(now_s, self.describe)
         if now_s >= self._next_status_s:
             self._next_status_s = now_s + _STATUS_EVERY_S
             self._notify.send(STATUS=f"{sample.phase} {sample.motion}".strip())
@@ -225,7 +291,7 @@ class Daemon:
         if sample.phase is Phase.FAULT:
             self._recorder.event(sample.time_s, "fault", state.fault or "")
             log.error("fault", reason=state.fault)
-        self.stream.event({**self.describe(), "type": "phase"})
+        self._api.event({**self.describe(), "type": "phase"})
 
     def _on_recorder_failure(self, sentence: str) -> None:
         log.error("recorder", reason=sentence)
@@ -234,11 +300,11 @@ class Daemon:
             self._brain.stop(sentence)
 
     def _finish_soon(self) -> None:
-        self._finishing = asyncio.create_task(self._finish(), name="finish run")
+        self._finishing = asyncio.create_task(self._finish(self._brain.state), name="finish run")
 
-    async def _finish(self) -> None:
+    async def _finish(self, state: BrainState) -> None:
         """Close the run's file, then tell how it ended."""
-        state, run = self._brain.state, self._run
+        run = self._run
         outcome = state.outcome
         assert outcome is not None
         parameters = self._rig_document["parameters"]
@@ -259,17 +325,21 @@ class Daemon:
             "settled": [report.settled_document(motion) for motion in state.settled],
         }
         self._run, self._finishing = None, None
+        self._closed.set()
         log.info("run ended", status=outcome.status, text=outcome.text)
-        self.stream.event({"type": "ended", **self._last})
+        self._api.event({"type": "ended", **self._last})
 
 
-def _request(order: Order, path: Path) -> Request:
+def _request(order: Order) -> Request:
     return Request(
         target_rad=rad(order.target_deg),
         strategy=order.strategy,
         options=order.options,
         settle_s=order.settle_s,
-        speed_rad_s=None if order.speed_deg_s is None else rad(order.speed_deg_s),
-        lag_left_rad=None if order.lag_left_deg is None else rad(order.lag_left_deg),
-        run=str(path),
+        speed_rad_s=_rad(order.speed_deg_s),
+        lag_left_rad=_rad(order.lag_left_deg),
     )
+
+
+def _rad(angle_deg: float | None) -> float | None:
+    return None if angle_deg is None else rad(angle_deg)

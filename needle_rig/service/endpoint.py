@@ -17,8 +17,8 @@ from needle_rig.errors import BadInput, RigFault
 
 _NAME = "daemon.sock"
 _SYSTEM_FOLDER = Path("/run/needle-rig")
-BACKLOG = 64
-"""Connections that may wait to be accepted."""
+QUEUE = 1024
+"""Connections that may wait to be accepted; a client that meets a full queue is turned away at once."""
 _LAST_BREATH_S = 1.0
 """So long the children of a killed daemon may hold its socket."""
 _PROBE_EVERY_S = 0.05
@@ -31,6 +31,11 @@ def socket_for_daemon(environment: Mapping[str, str] = os.environ) -> Path:
     if folder := environment.get("XDG_RUNTIME_DIR"):
         return Path(folder) / "needle-rig" / _NAME
     return _SYSTEM_FOLDER / _NAME
+
+
+def private_socket(folder: Path) -> Path:
+    """Where a daemon listens that one client starts for itself, in a folder of the client's."""
+    return folder / "socket" / _NAME
 
 
 def sockets_for_client(environment: Mapping[str, str] = os.environ) -> list[Path]:
@@ -59,7 +64,7 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
                 finally:
                     os.umask(before)
                 made = Made.at(path)
-                listener.listen(BACKLOG)
+                listener.listen(QUEUE)
         except OSError as error:
             raise BadInput(
                 f"{path}: cannot make the daemon's socket ({error.strerror or error}); choose --socket"

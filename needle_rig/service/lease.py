@@ -57,7 +57,7 @@ class Lease:
         return lease
 
     def check(self, claim: Claim) -> None:
-        """Raise Aborted for what was asked before the last stop, Taken or BadInput for what may not command."""
+        """Raise Aborted for what was asked before the last stop, Taken or BadInput for who may not."""
         if claim.begun_s <= self._stopped_s or claim.lease in self._ended_by_stop:
             raise Aborted("stopped by a person before it began; ask for it anew")
         holder = self.holder

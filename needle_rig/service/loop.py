@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from needle_rig.control.brain import Brain
 from needle_rig.records import STOP, Sample
@@ -44,7 +45,7 @@ class ControlLoop:
         self._on_sample, self._on_met = on_sample, on_met
         self._ticks = 0
         self._missed = 0
-        self._late_s: deque[float] = deque(maxlen=_REMEMBERED_TICKS)
+        self._late_s = np.zeros(_REMEMBERED_TICKS)
         self._ending = False
         self.busy = False
         """Something is going on; while nothing is, virtual time may stand still."""
@@ -65,8 +66,8 @@ class ControlLoop:
                 command, sample = brain.step(measurement, dt_s)
                 rig.write(command)
                 self._on_sample(sample)
+                self._late_s[self._ticks % _REMEMBERED_TICKS] = clock.lateness_s
                 self._ticks += 1
-                self._late_s.append(clock.lateness_s)
                 overrun = clock.overrun()
                 self._missed += skipped + overrun
                 if not overrun:
@@ -80,11 +81,7 @@ class ControlLoop:
 
     def timing(self) -> Timing:
         """Counts since the start; lateness over the newest ticks."""
-        late_s = sorted(self._late_s) or [0.0]
-        return Timing(
-            self._ticks,
-            self._missed,
-            late_s[len(late_s) // 2],
-            late_s[int(len(late_s) * 0.99)],
-            late_s[-1],
-        )
+        late_s = self._late_s[: max(self._ticks, 1)]
+        places = [len(late_s) // 2, int(len(late_s) * 0.99), len(late_s) - 1]
+        p50_s, p99_s, max_s = np.partition(late_s, places)[places]
+        return Timing(self._ticks, self._missed, float(p50_s), float(p99_s), float(max_s))

@@ -108,7 +108,7 @@ MODELS: dict[str, type[Model]] = {
 
 
 def read_order(name: str, content: bytes | dict[str, Any]) -> Model:
-    """The order from its JSON text (an empty one stands for `{}`) or its document; BadInput says what is wrong."""
+    """The order from its JSON text (an empty one stands for `{}`) or its document; raises BadInput."""
     model = MODELS[name]
     try:
         if isinstance(content, bytes):
@@ -127,8 +127,8 @@ def _complaint(error: ValidationError) -> str:
     if first["loc"][:1] == ("options",) and len(first["loc"]) > 1:
         option = str(first["loc"][1])[:_SHOWN_LETTERS]
         return (
-            f"option {option!r}: is {shown}; give a number within ±{ANGLE_DEG:g}, true, false, null, a name of"
-            f" small letters, or up to {STEPS} numbers"
+            f"option {option!r}: is {shown}; give a number within ±{ANGLE_DEG:g}, true, false, null, a name"
+            f" of small letters, or up to {STEPS} numbers"
         )
     place = ".".join(str(part) for part in first["loc"])[:_SHOWN_LETTERS] or "the request"
     return f"{place}: {first['msg'].lower()}, not {shown}"

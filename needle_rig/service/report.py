@@ -62,7 +62,9 @@ def state_document(state: BrainState) -> Document:
         "sensors": None if state.measurement is None else _sensors(state.measurement),
         "settled": [settled_document(motion) for motion in state.settled],
         "fault": state.fault,
+        "fault_name": state.fault_name,
         "latched": state.latched,
+        "released": state.released,
     }
 
 
@@ -72,6 +74,9 @@ def _sensors(measurement: Measurement) -> Document:
         "torque_nmm": _nmm(measurement.torque_nm),
         "hall_deg": _degrees(measurement.hall_rad),
         "drive_state": measurement.drive_state.name.lower(),
+        "referenced": measurement.referenced,
+        "supply_on": measurement.supply_on,
+        "emergency_stop": measurement.emergency_stop,
         "drive_faults": [
             (fault.name or "").lower() for fault in DriveFault if fault and fault in measurement.drive_faults
         ],

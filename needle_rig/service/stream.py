@@ -1,17 +1,13 @@
-"""Sends what happens to all who listen; a slow listener gets the newest state, not a queue of old ones."""
+"""Hands what happens to all who listen; a slow listener gets the newest state, not a queue of old ones."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
 
 _EVENT_LIMIT = 1000
-
-Document = dict[str, Any]
 
 
 class Listener:
@@ -54,38 +50,34 @@ class Listener:
 
 
 class Stream:
-    """Turns documents into text once and hands it to every listener. States are thinned out to `rate_hz`."""
+    """Hands texts to every listener; `on_count` is told how many there are when that changes."""
 
-    def __init__(self, rate_hz: float = 25.0) -> None:
+    def __init__(self, on_count: Callable[[int], None] = lambda count: None) -> None:
         self._listeners: set[Listener] = set()
+        self._on_count = on_count
         self._all_left = asyncio.Event()
-        self._period_s = 1 / rate_hz
-        self._next_state_s = 0.0
 
-    def event(self, document: Document) -> None:
-        """Send an event at once."""
-        if self._listeners:
-            text = json.dumps(document, allow_nan=False)
-            for listener in self._listeners:
-                listener.put_event(text)
+    def event(self, text: str) -> None:
+        """Hand on an event, which nobody misses."""
+        for listener in self._listeners:
+            listener.put_event(text)
 
-    def state(self, now_s: float, describe: Callable[[], Document]) -> None:
-        """Send the state that `describe` gives, if somebody listens and it is time; `now_s` is wall time."""
-        if self._listeners and now_s >= self._next_state_s:
-            self._next_state_s = now_s + self._period_s
-            text = json.dumps(describe(), allow_nan=False)
-            for listener in self._listeners:
-                listener.put_state(text)
+    def state(self, text: str) -> None:
+        """Hand on a state, which stands in for the one before."""
+        for listener in self._listeners:
+            listener.put_state(text)
 
     @contextmanager
     def listen(self) -> Iterator[Listener]:
         """Listen inside a with block."""
         listener = Listener()
         self._listeners.add(listener)
+        self._on_count(len(self._listeners))
         try:
             yield listener
         finally:
             self._listeners.discard(listener)
+            self._on_count(len(self._listeners))
             if not self._listeners:
                 self._all_left.set()
 

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.records import Measurement
+from needle_rig.simulation.faults import Faults, over_index
 from needle_rig.simulation.node_set import build_nodes
 from needle_rig.simulation.slcan_hub import Frame, Pty, SlcanHub, SlcanPort
 from needle_rig.units import deg, rad
@@ -31,6 +32,14 @@ FAULTS = {
     "fade": "for hall: the magnet of the last sensor is out of reach",
     "restore": "works again",
 }
+MACHINE = {
+    "encoder": ("stick", "halve", "reverse", "restore"),
+    "motor": ("short", "dead", "reverse", "restore"),
+    "coupling": ("slip", "restore"),
+    "torque-cell": ("dead", "stick", "restore"),
+    "estop": ("press", "restore"),
+}
+"""What else can be made to break, and how; `drive reset` restarts the drive node."""
 _LEAST_LOOP_HZ = 1000
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
@@ -39,10 +48,19 @@ _STEPS_A_WAKE = 4
 _TOO_OFTEN = 5
 _ALL_OF_A_CORE = 0.8
 _HAND_RAD_S = rad(120.0)
+_SHORTED_RAD_S = rad(180.0)
+"""The speed of the simulated motor at full duty."""
 
 
 class WorldPlant(Protocol):
     """What the bench needs of the plant."""
+
+    faults: Faults
+    supply_on: bool
+
+    @property
+    def true_base_rad(self) -> float:
+        """True angle of the motor's shaft."""
 
     def read(self) -> Measurement:
         """Sensor values now."""
@@ -50,24 +68,27 @@ class WorldPlant(Protocol):
     def turn(self, velocity_rad_s: float, dt_s: float, *, powered: bool = True) -> None:
         """Let the world go on for `dt_s` with this command at the motor."""
 
+    def turn_by_hand(self, velocity_rad_s: float, dt_s: float) -> None:
+        """The same, with the base turned by a person."""
+
 
 class Tap:
     """Where a link can be made to fail."""
 
     def __init__(self, seed: int) -> None:
         self.fault = "restore"
-        self._last: bytes | None = None
+        self._last: dict[int, bytes] = {}
         self._random = random.Random(seed)
 
-    def through(self, data: bytes) -> bytes | None:
+    def through(self, data: bytes, frame_id: int = 0) -> bytes | None:
         """What leaves the node instead of `data`; None when nothing does."""
         if self.fault in ("unplug", "silence"):
             return None
         if self.fault == "garble":
             return self._random.randbytes(len(data))
         if self.fault == "freeze":
-            return self._last
-        self._last = data
+            return self._last.get(frame_id)
+        self._last[frame_id] = data
         return data
 
 
@@ -180,21 +201,28 @@ class BenchLoop:
         return regained_s
 
     def _step(self) -> None:
-        velocity, powered = self._velocity_rad_s, self._drive.powered
-        if self._by_hand_rad and not powered:
-            dt_s = 1.0 / self._loop_hz
+        dt_s = 1.0 / self._loop_hz
+        if self._by_hand_rad and not self._drive.powered:
             turn = math.copysign(min(abs(self._by_hand_rad), _HAND_RAD_S * dt_s), self._by_hand_rad)
             self._by_hand_rad -= turn
-            velocity, powered = turn / dt_s, True
-        self._plant.turn(velocity, 1.0 / self._loop_hz, powered=powered)
+            self._plant.turn_by_hand(turn / dt_s, dt_s)
+        else:
+            self._plant.supply_on = self._drive.supply_on
+            self._plant.turn(self._velocity_rad_s, dt_s, powered=self._drive.powered)
         self._due += self._samples_a_step
         if self._due < 1.0 - 1e-9:
             return
         self._due -= 1.0
         now_us, counts = self._now_us, self._inputs(self._plant.read())
         self._send("torque", self._torque.step(now_us, counts.torque))
-        status, self._velocity_rad_s = self._drive.step(now_us, counts.encoder)
-        self._send("drive", status)
+        frames, self._velocity_rad_s = self._drive.step(
+            now_us,
+            counts.encoder,
+            index=over_index(self._plant.true_base_rad),
+            emergency_stop=self._plant.faults.emergency_stop,
+        )
+        for frame in frames:
+            self._send("drive", frame)
         if self._drive.state is not self._last_state:
             self._last_state = self._drive.state
             faults = int(self._drive.faults)
@@ -203,14 +231,14 @@ class BenchLoop:
             self._say({"event": "drive", "state": state, "faults": faults, "late_s": round(late_s, 6)})
         hall = self._taps["hall"]
         pairs = (*counts.hall[:-1], (0, 0)) if hall.fault == "fade" else counts.hall
-        frame = hall.through(self._hall.step(now_us, pairs))
+        data = hall.through(self._hall.step(now_us, pairs))
         if self._hall_port is not None:
-            self._hall_port.write(frame or b"")
+            self._hall_port.write(data or b"")
             self._hall_port.flush()
         self._hub.flush()
 
     def _send(self, link: str, frame: Frame) -> None:
-        data = self._taps[link].through(frame[1])
+        data = self._taps[link].through(frame[1], frame[0])
         if data is None:
             return
         if link == "torque" and self._taps["drive"].fault != "unplug":
@@ -239,6 +267,8 @@ class BenchLoop:
             self._say(
                 {
                     "base_deg": round(deg(now.base_angle_rad), 4),
+                    "true_base_deg": round(deg(self._plant.true_base_rad), 4),
+                    "supply_on": self._drive.supply_on,
                     "velocity_deg_s": round(deg(self._velocity_rad_s), 4),
                     "drive": self._drive.state.name.lower(),
                     "faults": {link: tap.fault for link, tap in self._taps.items() if tap.fault != "restore"},
@@ -256,11 +286,35 @@ class BenchLoop:
             if link == "can" and fault in ("unplug", "restore"):
                 self._plug_can(fault == "restore")
             self._say({"event": "fault", "link": link, "fault": fault})
+        elif words == ["drive", "reset"]:
+            self._drive.reset(self._now_us)
+            self._say({"event": "fault", "link": "drive", "fault": "reset"})
+        elif len(words) == 2 and words[1] in MACHINE.get(words[0], ()):
+            self._break(*words)
+            self._say({"event": "fault", "link": words[0], "fault": words[1]})
         elif len(words) == 2 and words[0] in ("turn", "weigh"):
             self._handle(*words)
         elif words:
-            choices = f"{'|'.join(LINKS)} {'|'.join(FAULTS)}"
-            self._say({"error": f"{' '.join(words)!r}: give one of: {choices}; or: status"})
+            choices = [f"{'|'.join(LINKS)} {'|'.join(FAULTS)}", "drive reset"]
+            choices += [f"{place} {'|'.join(ways)}" for place, ways in MACHINE.items()]
+            self._say({"error": f"{' '.join(words)!r}: give one of: {'; '.join(choices)}; or: status"})
+
+    def _break(self, place: str, how: str) -> None:
+        """Break a part of the machine, or mend it: an encoder that was wrong counts on from what it showed."""
+        faults = self._plant.faults
+        if place == "encoder":
+            faults.encoder.stuck = how == "stick"
+            faults.encoder.gain = {"halve": 0.5, "reverse": -1.0}.get(how, 1.0)
+        elif place == "motor":
+            faults.shorted_rad_s = _SHORTED_RAD_S if how == "short" else None
+            faults.motor_gain = {"dead": 0.0, "reverse": -1.0}.get(how, 1.0)
+        elif place == "coupling":
+            faults.coupling_slip = 1.0 if how == "slip" else 0.0
+        elif place == "torque-cell":
+            faults.torque.dead_at = 0.0 if how == "dead" else None
+            faults.torque.stuck = how == "stick"
+        else:
+            faults.emergency_stop = how == "press"
 
     def _handle(self, what: str, amount: str) -> None:
         """What a person does: turn the base by hand (degrees), hang a weight on the cell (N·mm)."""

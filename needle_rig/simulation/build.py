@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from needle_rig.config.schema import RigConfig
-from needle_rig.control.brain import layout_of
+from needle_rig.control.in_si import layout_of
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
 from needle_rig.rig import RawReadings

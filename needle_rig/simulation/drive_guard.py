@@ -1,4 +1,4 @@
-"""The drive's own guard in Python: decides as the firmware's does, but for the motor's rate and stall."""
+"""The drive's own guard in Python: decides as the firmware's does (firmware/core/nr_guard.c)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 from needle_rig.config.schema import DriveSection
 from needle_rig.records import STOP, Command, DriveFault, DriveState
-from needle_rig.units import nm, rad
+from needle_rig.simulation.motion_monitor import MotionMonitor, Verdict
+from needle_rig.units import deg, nm, rad
 
 TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
+ENDS_READY = DriveFault.IDLE_MOTION | DriveFault.EMERGENCY_STOP
 VELOCITY_MARGIN = 1.5
 
 
@@ -20,7 +22,12 @@ class GuardSettings:
     heartbeat_us: int = 50_000
     torque_age_us: int = 50_000
     still_us: int = 100_000
-    """Rest before a latching fault may be cleared."""
+    """Rest before a latching fault may be cleared or a reference taken."""
+    still_mdeg: int = 10
+    contact_us: int = 20_000
+    resync_us: int = 20_000
+    foreign_us: int = 50_000
+    foreign_commands: int = 3
     velocity_rad_s: float = rad(90.0)
     angle_rad: float = rad(720.0)
     """Further out the motor is held; beyond the margin on top it is a fault."""
@@ -48,37 +55,54 @@ class DriveGuard:
     def __init__(self, settings: GuardSettings | None = None) -> None:
         self.state = DriveState.SILENT
         self.faults = DriveFault.NONE
+        self.supply = False
+        """The safe-torque-off line lets the motor have its supply: in READY and RUNNING."""
+        self.referenced = False
         self.command_us: int | None = None
         """When the newest command came."""
+        self.motion = MotionMonitor()
         self._settings = settings or GuardSettings()
         self._command = STOP
-        self._heartbeat: int | None = None
+        self._newest: tuple[Command, int, int] | None = None
+        self._counter = self._heartbeat = 0
+        self._sequence_us: int | None = None
         self._heartbeat_us = 0
+        self._foreign_us = 0
         self._clear_asked = False
         self._torque_nm = 0.0
         self._torque_us: int | None = None
         self._damaged = 0
         self._window_us: int | None = None
+        self._step_us = 0
+        self._still_mdeg = 0
         self._still_since_us = 0
+        self._supply_us = 0
         self._permitted_rad_s = 0.0
 
     @property
-    def powered(self) -> bool:
-        """Whether the motor is on."""
-        return self.state is DriveState.RUNNING
+    def torque_nm(self) -> float:
+        """The newest good torque at the base."""
+        return self._torque_nm
 
-    def receive(self, now_us: int, command: Command, heartbeat: int | None = None) -> None:
-        """A command in sequence; without a `heartbeat` its host is taken to be alive.
+    def receive(self, now_us: int, command: Command, counter: int, heartbeat: int) -> bool:
+        """A command whose checksum was right; False when it is not the next of its master, and not obeyed.
 
         A clear stands until it is granted or the bit goes, and counts when it follows a command without one.
         """
-        if heartbeat is None or heartbeat != self._heartbeat:
-            self._heartbeat, self._heartbeat_us = heartbeat, now_us
-        if command != Command(clear=True):
+        counted, beaten = (counter - self._counter) % 16, (heartbeat - self._heartbeat) % 65536
+        if self._sequence_us is None or not (1 <= counted <= 3 and beaten <= 3):
+            self._out_of_sequence(now_us, command, counter, heartbeat)
+            return False
+        if self.command_us is None or beaten:
+            self._heartbeat_us = now_us
+        self._counter, self._heartbeat, self._sequence_us = counter % 16, heartbeat % 65536, now_us
+        if not command.clear or command.enable or command.velocity_rad_s:
             self._clear_asked = False
         elif not self._command.clear:
             self._clear_asked = True
         self._command, self.command_us = command, now_us
+        self._newest = (command, self._counter, self._heartbeat)
+        return True
 
     def torque(self, now_us: int, torque_nm: float) -> None:
         """A good torque at the base."""
@@ -88,28 +112,50 @@ class DriveGuard:
         """A frame for the drive whose checksum was wrong."""
         self._damaged += 1
 
-    def step(self, now_us: int, angle_rad: float) -> float:
-        """Once a tick: the velocity in rad/s that the motor may have now; 0 unless RUNNING."""
-        causes = self._causes(now_us, angle_rad)
-        self._judge_window(now_us)
-        if self._permitted_rad_s:
-            self._still_since_us = now_us
-        if self.state in (DriveState.READY, DriveState.RUNNING):
-            self._clear_asked = False
-        if self.state in (DriveState.SILENT, DriveState.FAULT):
-            if self._clear_asked:
-                self._try_clear(now_us, causes)
-        elif self.state is DriveState.READY and not self._command.enable:
-            if causes & DriveFault.COMMAND_AGE:
-                self.state = DriveState.SILENT
-        elif causes:
-            self.state, self.faults = DriveState.FAULT, causes
-        else:
-            self.state = DriveState.RUNNING if self._command.enable else DriveState.READY
-        self._permitted_rad_s = self._permitted(angle_rad) if self.powered else 0.0
+    def reference(self, now_us: int, heartbeat: int, angle_rad: float) -> bool:
+        """Whether the shaft stands at `angle_rad` from now on, as one who knows the newest heartbeat says."""
+        known = (
+            self.command_us is not None
+            and now_us - self.command_us <= self._settings.command_age_us
+            and self._newest is not None
+            and heartbeat % 65536 == self._newest[2]
+        )
+        if not known or self.state is DriveState.RUNNING or not self._still(now_us):
+            return False
+        self.referenced = True
+        self._still_mdeg = mdeg(angle_rad)
+        self.motion.rename(self._still_mdeg)
+        return True
+
+    def step(self, now_us: int, angle_rad: float, asked: int = 0, *, emergency_stop: bool = False) -> float:
+        """Once a tick: the velocity in rad/s that the motor may have now; 0 unless RUNNING.
+
+        `asked` is what the drive asked of its motor since the last step, in 1e-4 deg/s.
+        """
+        elapsed_us, self._step_us = now_us - self._step_us, now_us
+        causes = self._causes(now_us, angle_rad, emergency_stop)
+        causes |= self._judge_motion(elapsed_us, mdeg(angle_rad), asked)
+        self._forget(now_us, elapsed_us)
+        if self._permitted_rad_s or abs(mdeg(angle_rad) - self._still_mdeg) > self._settings.still_mdeg:
+            self._still_since_us, self._still_mdeg = now_us, mdeg(angle_rad)
+        self._change_state(now_us, causes)
+        supply = self.state in (DriveState.READY, DriveState.RUNNING)
+        if supply and not self.supply:
+            self._supply_us = now_us
+        self.supply = supply
+        self._permitted_rad_s = self._permitted(angle_rad) if self.state is DriveState.RUNNING else 0.0
         return self._permitted_rad_s
 
-    def _causes(self, now_us: int, angle_rad: float) -> DriveFault:
+    def _out_of_sequence(self, now_us: int, command: Command, counter: int, heartbeat: int) -> None:
+        settings = self._settings
+        if (command, counter % 16, heartbeat % 65536) == self._newest:
+            return
+        if self._foreign_us <= settings.foreign_commands * settings.foreign_us:
+            self._foreign_us += settings.foreign_us
+        if self._sequence_us is None or now_us - self._sequence_us > settings.resync_us:
+            self._counter, self._heartbeat, self._sequence_us = counter % 16, heartbeat % 65536, now_us
+
+    def _causes(self, now_us: int, angle_rad: float, emergency_stop: bool) -> DriveFault:
         """What forbids motion now, whatever the state."""
         settings, velocity_rad_s = self._settings, self._command.velocity_rad_s
         found = DriveFault.NONE
@@ -131,19 +177,49 @@ class DriveGuard:
             found |= DriveFault.ANGLE
         if self._damaged > settings.damaged_frames:
             found |= DriveFault.FRAME
-        return found
+        if self._foreign_us > settings.foreign_commands * settings.foreign_us:
+            found |= DriveFault.MASTER
+        return found | (DriveFault.EMERGENCY_STOP if emergency_stop else DriveFault.NONE)
 
-    def _judge_window(self, now_us: int) -> None:
-        if self._window_us is None:
+    def _judge_motion(self, elapsed_us: int, angle_mdeg: int, asked: int) -> DriveFault:
+        """What the shaft does against what was asked of it; by hand it may be turned while the motor is off."""
+        if self.state in (DriveState.SILENT, DriveState.FAULT):
+            self.motion.rest(angle_mdeg)
+            return DriveFault.NONE
+        verdict = self.motion.step(elapsed_us, angle_mdeg, asked)
+        if verdict is not Verdict.FOLLOWS and self.state is DriveState.READY:
+            return DriveFault.IDLE_MOTION
+        return _MOTION_FAULTS[verdict]
+
+    def _forget(self, now_us: int, elapsed_us: int) -> None:
+        self._foreign_us = max(self._foreign_us - elapsed_us, 0)
+        if self._window_us is None or now_us - self._window_us >= self._settings.damaged_window_us:
             self._window_us, self._damaged = now_us, 0
-        elif now_us - self._window_us >= self._settings.damaged_window_us:
-            self._window_us = None
+
+    def _still(self, now_us: int) -> bool:
+        return now_us - self._still_since_us >= self._settings.still_us
 
     def _try_clear(self, now_us: int, causes: DriveFault) -> None:
         latched = bool(self.faults & ~TEMPORARY)
-        still = now_us - self._still_since_us >= self._settings.still_us
-        if not causes & ~(DriveFault.FRAME | DriveFault.ANGLE) and (not latched or still):
+        if not causes & ~(DriveFault.FRAME | DriveFault.ANGLE) and (not latched or self._still(now_us)):
             self.state, self.faults, self._damaged = DriveState.READY, DriveFault.NONE, 0
+
+    def _change_state(self, now_us: int, causes: DriveFault) -> None:
+        if self.state in (DriveState.SILENT, DriveState.FAULT):
+            if self._clear_asked:
+                self._try_clear(now_us, causes)
+            return
+        self._clear_asked = False
+        waits = self.state is DriveState.READY and not self._command.enable
+        reasons = causes & ENDS_READY if waits else causes
+        if reasons:
+            self.state, self.faults = DriveState.FAULT, reasons
+        elif waits and causes & DriveFault.COMMAND_AGE:
+            self.state = DriveState.SILENT
+        elif not self._command.enable:
+            self.state = DriveState.READY
+        elif now_us - self._supply_us >= self._settings.contact_us:
+            self.state = DriveState.RUNNING
 
     def _permitted(self, angle_rad: float) -> float:
         wanted_rad_s, limit_rad = self._command.velocity_rad_s, self._settings.angle_rad
@@ -151,3 +227,17 @@ class DriveGuard:
             wanted_rad_s < 0.0 and angle_rad <= -limit_rad
         )
         return 0.0 if outward else wanted_rad_s
+
+
+_MOTION_FAULTS = {
+    Verdict.FOLLOWS: DriveFault.NONE,
+    Verdict.STALLS: DriveFault.STALL,
+    Verdict.RUNS: DriveFault.RUNAWAY,
+    Verdict.AGAINST: DriveFault.DIRECTION,
+    Verdict.UNASKED: DriveFault.IDLE_MOTION,
+}
+
+
+def mdeg(angle_rad: float) -> int:
+    """The firmware's unit of angles."""
+    return round(deg(angle_rad) * 1000.0)

@@ -19,6 +19,7 @@ from needle_rig.firmware.pins import PAGE_SIZE, Pins
 from needle_rig.records import DriveFault, DriveState
 from needle_rig.simulation.analogue import AnalogueFrontEnd
 from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.wire.can_frames import DRIVE_HEALTH_ID
 
 BLANK = b"\xff" * PAGE_SIZE
 _LOOKS = 1000
@@ -88,12 +89,22 @@ class HallFirmware:
 
 
 class DriveFirmware:
-    """The drive node: frames and encoder in, duty of the motor's bridge out."""
+    """The drive node: frames, encoder and safety inputs in, duty of the motor's bridge and its supply out."""
 
     def __init__(self, nodes: FirmwareNodes, boot_us: int = 0) -> None:
-        self.node = nodes.make("drive", boot_us)
+        self._nodes = nodes
+        self.reset(boot_us)
+
+    def reset(self, now_us: int) -> None:
+        """The node restarts: silent, its counts from zero."""
+        self.node = self._nodes.make("drive", now_us)
         self.state = DriveState.SILENT
         self.faults = DriveFault.NONE
+
+    @property
+    def supply_on(self) -> bool:
+        """Whether the bridge may have its supply."""
+        return self.node.pins.supply
 
     @property
     def powered(self) -> bool:
@@ -104,13 +115,22 @@ class DriveFirmware:
         """A frame seen on the bus: it waits in the controller until the node looks."""
         self.node.pins.can_in.append((frame_id, data))
 
-    def step(self, now_us: int, encoder_counts: int) -> tuple[Frame, float]:
-        """The status frame of one sample, and the velocity in rad/s that the bridge asks of the motor."""
+    def step(
+        self, now_us: int, encoder_counts: int, *, index: bool = False, emergency_stop: bool = False
+    ) -> tuple[tuple[Frame, ...], float]:
+        """The frames of one sample, and the velocity in rad/s that the bridge asks of the motor."""
         pins = self.node.pins
         pins.time_us, pins.encoder_counts = now_us, encoder_counts
-        frame = _only_frame(self.node)
-        self.state, self.faults = DriveState(frame[1][3] & 3), DriveFault(frame[1][4])
-        return frame, AnalogueFrontEnd.velocity_rad_s(pins.duty)
+        pins.index, pins.emergency_stop = index, emergency_stop
+        _tick(self.node)
+        frames = tuple(pins.take_can())
+        for frame_id, data in frames:
+            if frame_id == DRIVE_HEALTH_ID:
+                self.faults = DriveFault(self.faults & 0xFF | data[0] << 8)
+            else:
+                self.state = DriveState(data[3] & 3)
+                self.faults = DriveFault(self.faults & ~0xFF | data[4])
+        return frames, AnalogueFrontEnd.velocity_rad_s(pins.duty)
 
 
 def _tick(node: Node) -> None:

@@ -48,11 +48,20 @@ class Drive(Protocol):
     def powered(self) -> bool:
         """Whether the motor is on."""
 
+    @property
+    def supply_on(self) -> bool:
+        """Whether the motor may have its supply."""
+
+    def reset(self, now_us: int) -> None:
+        """The node restarts."""
+
     def receive(self, now_us: int, frame_id: int, data: bytes) -> None:
         """A frame seen on the bus."""
 
-    def step(self, now_us: int, encoder_counts: int) -> tuple[Frame, float]:
-        """The status frame of one sample, and the velocity in rad/s asked of the motor."""
+    def step(
+        self, now_us: int, encoder_counts: int, *, index: bool = False, emergency_stop: bool = False
+    ) -> tuple[tuple[Frame, ...], float]:
+        """The frames of one sample, and the velocity in rad/s asked of the motor."""
 
 
 @dataclass(frozen=True)

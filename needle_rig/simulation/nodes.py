@@ -9,20 +9,26 @@ from needle_rig.config.schema import DriveSection
 from needle_rig.records import DriveFault, DriveState
 from needle_rig.simulation.drive_guard import DriveGuard, guard_settings
 from needle_rig.simulation.front_end import ENCODER_COUNTS_PER_DEG, TORQUE_COUNTS_PER_NMM, TORQUE_FULL_SCALE
-from needle_rig.units import nm, rad
+from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.velocity_loop import VelocityLoop
+from needle_rig.units import deg, nm, rad
 from needle_rig.wire.can_frames import (
-    COUNTER_MODULUS,
     DRIVE_COMMAND_ID,
+    DRIVE_HEALTH_ID,
+    DRIVE_REFERENCE_ID,
     DRIVE_STATUS_ID,
     TORQUE_OK,
     TORQUE_STATUS_ID,
     CanCodec,
     DriveCommand,
+    DriveHealth,
+    DriveReference,
     TorqueStatus,
 )
 from needle_rig.wire.hall_frames import encode_hall
 
 _SATURATED = 2
+HEALTH_PERIOD_US = 10_000
 
 
 class TorqueNode:
@@ -55,13 +61,25 @@ class HallNode:
 
 
 class DriveNode:
-    """Velocity commands to the motor, encoder to CAN, behind a `DriveGuard`."""
+    """Velocity commands to the motor, encoder and health to CAN, behind a `DriveGuard`."""
 
     def __init__(self, codec: CanCodec, limits: DriveSection) -> None:
         self._codec = codec
-        self.guard = DriveGuard(guard_settings(limits))
+        self._settings = guard_settings(limits)
+        self.reset(0)
+
+    def reset(self, now_us: int) -> None:
+        """The node restarts: silent, its counts from zero."""
+        self.guard = DriveGuard(self._settings)
+        self._loop = VelocityLoop(self.guard.motion)
+        self._boot_us = self._step_us = now_us
+        self._zero_counts: int | None = None
+        self._angle_rad = 0.0
+        self._counts = 0
+        self._index_rad, self._index_before = math.nan, False
         self._counter = 0
-        self._command_counter: int | None = None
+        self._health: DriveHealth | None = None
+        self._health_us = 0
 
     @property
     def state(self) -> DriveState:
@@ -74,26 +92,85 @@ class DriveNode:
         return self.guard.faults
 
     @property
+    def supply_on(self) -> bool:
+        """Whether the motor may have its supply."""
+        return self.guard.supply
+
+    @property
     def powered(self) -> bool:
         """Whether the motor is on."""
-        return self.guard.powered
+        return self.guard.state is DriveState.RUNNING and not (
+            self._loop.asked == 0 and self.guard.motion.resting
+        )
 
     def receive(self, now_us: int, frame_id: int, data: bytes) -> None:
-        """A frame seen on the bus; a command counts when its counter moved on by one to three."""
+        """A frame seen on the bus."""
         content = self._codec.decode(frame_id, data)
         if isinstance(content, TorqueStatus) and content.state == TORQUE_OK:
             self.guard.torque(now_us, content.torque_nm)
         elif isinstance(content, DriveCommand):
-            last, self._command_counter = self._command_counter, content.counter
-            if last is not None and 1 <= (content.counter - last) % COUNTER_MODULUS <= 3:
-                self.guard.receive(now_us, content.command, content.heartbeat)
-        elif content is None and frame_id in (DRIVE_COMMAND_ID, TORQUE_STATUS_ID):
+            self.guard.receive(now_us, content.command, content.counter, content.heartbeat)
+        elif isinstance(content, DriveReference):
+            self._refer(now_us, content)
+        elif content is None and frame_id in (DRIVE_COMMAND_ID, DRIVE_REFERENCE_ID, TORQUE_STATUS_ID):
             self.guard.damaged()
 
-    def step(self, now_us: int, encoder_counts: int) -> tuple[tuple[int, bytes], float]:
-        """The status frame of one sample, and the velocity in rad/s that the motor may have now."""
-        angle_rad = rad(encoder_counts / ENCODER_COUNTS_PER_DEG)
-        velocity_rad_s = self.guard.step(now_us, angle_rad)
+    def step(
+        self, now_us: int, encoder_counts: int, *, index: bool = False, emergency_stop: bool = False
+    ) -> tuple[tuple[Frame, ...], float]:
+        """The frames of one sample, and the velocity in rad/s that the motor may have now."""
+        if self._zero_counts is None:
+            self._zero_counts, self._index_before = encoder_counts, index
+        self._counts = encoder_counts
+        self._angle_rad = rad((encoder_counts - self._zero_counts) / ENCODER_COUNTS_PER_DEG)
+        permitted = self.guard.step(now_us, self._angle_rad, self._loop.asked, emergency_stop=emergency_stop)
+        if self.state is DriveState.RUNNING:
+            dt_s = (now_us - self._step_us) * 1e-6
+            velocity_rad_s = self._loop.step(permitted, self._angle_rad, self.guard.torque_nm, dt_s)
+        else:
+            velocity_rad_s = 0.0
+            self._loop.reset()
+        self._step_us = now_us
+        if index and not self._index_before:
+            self._index_rad = self._angle_rad
+        self._index_before = index
         self._counter += 1
-        status = self._codec.encode_drive(angle_rad, self.state, self.faults, self._counter, now_us * 1e-6)
-        return (DRIVE_STATUS_ID, status), velocity_rad_s
+        status = self._codec.encode_drive(
+            self._angle_rad, self.state, self.faults, self._counter, now_us * 1e-6
+        )
+        return (*self._report_health(now_us, emergency_stop), (DRIVE_STATUS_ID, status)), velocity_rad_s
+
+    def _refer(self, now_us: int, reference: DriveReference) -> None:
+        if self._zero_counts is None:
+            return
+        if self.guard.reference(now_us, reference.heartbeat, reference.angle_rad):
+            self._zero_counts = self._counts - round(deg(reference.angle_rad) * ENCODER_COUNTS_PER_DEG)
+            self._index_rad += reference.angle_rad - self._angle_rad
+
+    def _report_health(self, now_us: int, emergency_stop: bool) -> tuple[Frame, ...]:
+        """DRIVE_HEALTH when it is due, or when what it says changed."""
+        said = self._health
+        uptime_s = (now_us - self._boot_us) // 1_000_000
+        health = DriveHealth(
+            DriveFault(self.faults & ~0xFF),
+            self.supply_on,
+            emergency_stop,
+            self.guard.referenced,
+            self._index_rad,
+            uptime_s,
+            0 if said is None else said.counter + 1,
+        )
+        if (
+            said is not None
+            and now_us - self._health_us < HEALTH_PERIOD_US
+            and _flags(health) == _flags(said)
+        ):
+            return ()
+        self._health, self._health_us = health, now_us
+        return ((DRIVE_HEALTH_ID, self._codec.encode_health(health)),)
+
+
+def _flags(health: DriveHealth) -> tuple[object, ...]:
+    """What is said at once when it changes."""
+    seen = math.isfinite(health.index_rad)
+    return health.faults, health.supply_on, health.emergency_stop, health.referenced, seen

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,10 +14,12 @@ from needle_rig.config.schema import SimulationSection
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import RodState
-from needle_rig.records import Command, Measurement
+from needle_rig.records import Command, DriveState, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.simulation.drive_guard import DriveGuard, GuardSettings
+from needle_rig.simulation.faults import Faults, Links, over_index
 from needle_rig.simulation.motor import Motor, MotorSettings
+from needle_rig.simulation.velocity_loop import VelocityLoop
 from needle_rig.units import nm, rad
 
 if TYPE_CHECKING:
@@ -24,6 +28,11 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 REMEMBERED = 64
 """Readings kept for effects on the sensors that look back (a stream that is late)."""
+_LINKS = {
+    "torque": ("torque_nm",),
+    "hall": ("hall_rad",),
+    "drive": ("base_angle_rad", "drive_state", "drive_faults", "referenced", "supply_on", "emergency_stop"),
+}
 UNNOTICED_RAD = rad(0.001)
 """A needle that depends on no rate is solved again when its base has moved this far: 1e-5 N·mm."""
 
@@ -58,7 +67,15 @@ class Plant:
                 load_nm=load_nm,
             )
         )
-        self.guard = DriveGuard(guard)
+        self.faults = Faults()
+        self.links = Links()
+        """Between this plant and a host without nodes."""
+        self.supply_on = True
+        """Whether the motor has its supply; the drive's guard decides it in `advance`, nodes do before `turn`."""
+        self._guard_settings = guard
+        self._commands = 0
+        self._foreign_commands = 0
+        self._index_rad = math.nan
         self.time_s = 0.0
         self._raw = raw
         self._place = (start_s, index, travel_before_rad)
@@ -67,11 +84,14 @@ class Plant:
         self._state: RodState | None = None
         self._timeless = _timeless(model.rod(self._trial([(0.0, 0.0)])))
         self._path: list[tuple[float, float]] = [(0.0, 0.0)]
+        self._encoder_rad = 0.0
+        self._sampled_s = {"torque": 0.0, "hall": 0.0, "drive": 0.0}
         self._counter = 0
         self._recent: deque[tuple[float, float, float, Array]] = deque(maxlen=REMEMBERED)
-        self._torque_nm = 0.0
+        self._torque_nm = self._torque_read_nm = 0.0
         self._hall_rad: Array = np.zeros(len(model.layout.sensor_positions_m))
         self._solve()
+        self.reset_drive()
         self._sense()
 
     async def open(self) -> None:
@@ -83,19 +103,67 @@ class Plant:
 
     def write(self, command: Command) -> None:
         """Hand a command to the drive; it acts from the next `advance` on."""
-        self.guard.receive(self._now_us, command)
+        if command.release:
+            return
+        self._commands += 1
+        if self.links.command.fault:
+            return
+        self.guard.receive(self._now_us, command, self._commands, self._commands)
+        angle_rad = command.reference_rad
+        if angle_rad is not None and self.guard.reference(self._now_us, self._commands, angle_rad):
+            self._index_rad += angle_rad - self._base_rad()
+            self._zero_rad = self._encoder_rad - angle_rad
+
+    def write_foreign(self, command: Command, counter: int, heartbeat: int) -> None:
+        """A command of another master on the bus."""
+        self._foreign_commands += 1
+        self.guard.receive(self._now_us, command, counter, heartbeat)
+
+    def reset_drive(self) -> None:
+        """The drive restarts: it is silent and takes the place where it stands for zero."""
+        self.guard = DriveGuard(self._guard_settings)
+        self._loop = VelocityLoop(self.guard.motion)
+        self._zero_rad = self._encoder_rad
+        self._index_rad = math.nan
 
     def advance(self, dt_s: float) -> None:
         """Let `dt_s` pass: drive guard, motor, needle, then one reading of every sensor."""
-        self.guard.torque(self._now_us, self._torque_nm)
-        velocity_rad_s = self.guard.step(self._now_us, self.motor.angle_rad)
-        self.turn(velocity_rad_s, dt_s, powered=self.guard.powered)
+        guard, angle_rad = self.guard, self._base_rad()
+        if self.links.torque.fault != "silence":
+            guard.torque(self._now_us, self._torque_read_nm)
+        stop = self.faults.emergency_stop
+        permitted_rad_s = guard.step(self._now_us, angle_rad, self._loop.asked, emergency_stop=stop)
+        self.supply_on = guard.supply
+        if guard.state is DriveState.RUNNING:
+            velocity_rad_s = self._loop.step(permitted_rad_s, angle_rad, guard.torque_nm, dt_s)
+        else:
+            velocity_rad_s = 0.0
+            self._loop.reset()
+        self.turn(velocity_rad_s, dt_s, powered=velocity_rad_s != 0.0)
 
     def turn(self, velocity_rad_s: float, dt_s: float, *, powered: bool = True) -> None:
         """Like `advance`, with the motor's command given from outside: for nodes that guard it themselves."""
-        self.motor.turn(velocity_rad_s, powered=powered)
+        faults = self.faults
+        if not self.supply_on:
+            self.motor.cut()
+        elif faults.shorted_rad_s is not None:
+            self.motor.turn(faults.shorted_rad_s)
+        else:
+            self.motor.turn(velocity_rad_s * faults.motor_gain, powered=powered)
+        self._pass(dt_s)
+
+    def turn_by_hand(self, velocity_rad_s: float, dt_s: float) -> None:
+        """Like `turn`, by a person: the motor, which is off, gives way."""
+        self.motor.cut()
+        self.motor.turn(velocity_rad_s)
+        self._pass(dt_s)
+
+    def _pass(self, dt_s: float) -> None:
+        shaft_rad, needle_rad = self.motor.angle_rad, self._path[-1][1]
+        was_over = over_index(shaft_rad)
+        grip = 1.0 - self.faults.coupling_slip
         moves = self.motor.advance(dt_s, self._torque_nm)
-        self._path += [(self.time_s + t, angle) for t, angle in moves]
+        self._path += [(self.time_s + t, needle_rad + grip * (angle - shaft_rad)) for t, angle in moves]
         self.time_s += dt_s
         start = self._path[0][1]
         if not self._timeless or any(abs(angle - start) > UNNOTICED_RAD for _, angle in self._path):
@@ -103,10 +171,17 @@ class Plant:
         else:
             del self._path[1:]
         self._sense()
+        if over_index(self.motor.angle_rad) and not was_over:
+            self._index_rad = self._base_rad()
 
     def read(self) -> Measurement:
         """What the sensors showed at the end of the last `advance`."""
         return self._measurement
+
+    @property
+    def true_base_rad(self) -> float:
+        """True angle of the motor's shaft."""
+        return self.motor.angle_rad
 
     @property
     def torque_nm(self) -> float:
@@ -127,6 +202,10 @@ class Plant:
     def _now_us(self) -> int:
         return round(self.time_s * 1e6)
 
+    def _base_rad(self) -> float:
+        """The base's angle as the drive counts it."""
+        return self._encoder_rad - self._zero_rad
+
     def _trial(self, path: list[tuple[float, float]]) -> Trial:
         times, angles = np.array(path).T
         start_s, index, travel = self._place
@@ -146,19 +225,32 @@ class Plant:
             torque, hall = self._observed()
         torque += nm(settings.torque_noise_nmm) * random.standard_normal()
         hall = hall + rad(settings.hall_noise_deg) * random.standard_normal(len(hall))
-        torque = _quantised(torque, nm(settings.torque_step_nmm))
-        angles = tuple((np.rint(hall / rad(settings.hall_step_deg)) * rad(settings.hall_step_deg)).tolist())
-        base = _quantised(self.motor.angle_rad, rad(settings.encoder_step_deg))
-        self._measurement = Measurement(
-            time_s=self.time_s,
-            base_angle_rad=base,
-            torque_nm=torque,
-            hall_rad=angles,
-            drive_state=self.guard.state,
-            drive_faults=self.guard.faults,
-            torque_age_s=0.0,
-            hall_age_s=0.0,
-            drive_age_s=0.0,
+        faults = self.faults
+        torque = faults.torque.of(_quantised(torque, nm(settings.torque_step_nmm)))
+        seen = (np.rint(hall / rad(settings.hall_step_deg)) * rad(settings.hall_step_deg)).tolist()
+        angles = tuple(
+            faults.hall[i].of(angle) if i in faults.hall else angle for i, angle in enumerate(seen)
+        )
+        self._encoder_rad = faults.encoder.of(self.motor.angle_rad)
+        self._torque_read_nm = torque
+        base = _quantised(self._base_rad(), rad(settings.encoder_step_deg))
+        self._measurement = self._arrived(
+            Measurement(
+                time_s=self.time_s,
+                base_angle_rad=base,
+                torque_nm=torque,
+                hall_rad=angles,
+                drive_state=self.guard.state,
+                drive_faults=self.guard.faults,
+                torque_age_s=0.0,
+                hall_age_s=0.0,
+                drive_age_s=0.0,
+                referenced=self.guard.referenced,
+                supply_on=self.guard.supply,
+                emergency_stop=faults.emergency_stop,
+                index_rad=self._index_rad,
+                foreign_commands=self._foreign_commands,
+            )
         )
         if self._raw is not None:
             stamp = (self.time_s, self.time_s, float(self._counter))
@@ -167,8 +259,19 @@ class Plant:
             self._raw("drive", (*stamp, base, float(self.guard.state), float(self.guard.faults)))
             self._counter += 1
 
+    def _arrived(self, now: Measurement) -> Measurement:
+        """`now` with what links that fail keep back: their values stay, and grow old."""
+        kept: dict[str, object] = {}
+        for link, fields in _LINKS.items():
+            if getattr(self.links, link).fault or (link == "hall" and self.links.hall_faded):
+                kept |= {name: getattr(self._measurement, name) for name in fields}
+                kept[f"{link}_age_s"] = self.time_s - self._sampled_s[link]
+            else:
+                self._sampled_s[link] = self.time_s
+        return replace(now, **kept) if kept else now  # type: ignore[arg-type]
+
     def _observed(self) -> tuple[float, Array]:
-        self._recent.append((self.time_s, self.motor.angle_rad, self._torque_nm, self._hall_rad))
+        self._recent.append((self.time_s, self._path[-1][1], self._torque_nm, self._hall_rad))
         trial = self._trial([(time, angle) for time, angle, _, _ in self._recent])
         reading = Reading(
             trial,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needle_rig.control.brain import layout_of, torsional_rigidity_nm2
+from needle_rig.control.in_si import layout_of, torsional_rigidity_nm2
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, in_series
 from needle_rig.dataset.samples import LeftOut, checked_trial
 from needle_rig.errors import BadInput
@@ -81,5 +81,5 @@ def _trial(run: RunFile, start_s: float) -> DatasetTrial:
 def _started(run: RunFile) -> float:
     try:
         return datetime.datetime.fromisoformat(str(run.attributes["started_utc"])).timestamp()
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, OverflowError):
         return 0.0

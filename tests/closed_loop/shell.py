@@ -7,8 +7,9 @@ import os
 import select
 import subprocess
 import sys
+import tempfile
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,7 @@ class Shell:
 
     folder: Path
     mark: str = field(default_factory=lambda: uuid.uuid4().hex)
+    temporary: str = field(default_factory=tempfile.gettempdir)
 
     @property
     def environment(self) -> dict[str, str]:
@@ -32,6 +34,7 @@ class Shell:
         return {
             **known,
             "PYTHONPATH": str(ROOT),
+            "TMPDIR": self.temporary,
             "XDG_RUNTIME_DIR": str(self.folder / "run"),
             MARK: self.mark,
         }
@@ -47,9 +50,9 @@ class Shell:
         )
 
     @contextmanager
-    def start(self, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    def start(self, *arguments: str, before: Sequence[str] = ()) -> Iterator[subprocess.Popen[str]]:
         process = subprocess.Popen(
-            [*PROGRAM, *arguments],
+            [*before, *PROGRAM, *arguments],
             cwd=self.folder,
             env=self.environment,
             stdout=subprocess.PIPE,

@@ -160,7 +160,7 @@ def test_a_killed_client_leaves_nothing_behind(shell: Shell, place: str) -> None
     with shell.start(*arguments) as process:
         wait_for_line(process, lambda line: "rotate" in line)
         alive = shell.processes()
-        assert len(alive) == (3 if fast else 4), alive
+        assert len(alive) == (4 if fast else 5), alive
         process.kill()
         all_gone(alive)
     (path,) = (shell.folder / "runs").glob("*.h5")
@@ -178,7 +178,7 @@ def test_a_killed_daemon_is_told_and_leaves_nothing_behind(shell: Shell) -> None
         _, err = process.communicate(timeout=60)
         all_gone(alive)
     assert process.returncode == 3
-    assert "the daemon ended during the run" in err.splitlines()[-1]
+    assert "the daemon ended during the motion" in err.splitlines()[-1]
     (path,) = (shell.folder / "runs").glob("*.journal")
     assert len(RunFile(path).table("ticks")) > 0
     assert "cut off" in shell.run("runs").stdout

@@ -48,7 +48,7 @@ def test_commands_use_the_running_daemon(shell: Shell, daemon: subprocess.Popen[
     assert "phase:   0%  idle" in status.stdout
     assert str(place) in status.stdout
     result = shell.compensate("--settle", "0.5")
-    assert len(shell.processes()) == 2, "the daemon and its recorder go on"
+    assert len(shell.processes()) == 3, "the daemon, its recorder and its API go on"
     assert (shell.folder / result["run"]).exists()
     state = json.loads(shell.run("status", "--json").stdout)
     assert state["last"]["result"] == result
@@ -64,10 +64,11 @@ def test_stop_ends_the_run_of_another_client(shell: Shell, daemon: subprocess.Po
         wait_for_line(client, lambda line: "settling" in line)
         second = shell.run("compensate", "--target", "45", "--no-picture")
         assert second.returncode == 2
-        assert "a sequence is running" in second.stderr
+        assert "(needle-rig compensate, process" in second.stderr
+        assert "commands this rig" in second.stderr
         cleared = shell.run("clear")
         assert cleared.returncode == 2
-        assert "stop it first" in cleared.stderr
+        assert "commands this rig" in cleared.stderr
         assert shell.run("stop", "--reason", "lunch").returncode == 0
         out, _ = client.communicate(timeout=60)
     assert client.returncode == 4
@@ -122,11 +123,13 @@ BAD_REQUESTS = [
     ("/compensate", b'{"target_deg": 45, "extra": 1}', "extra"),
     ("/compensate", b'{"target_deg": NaN}', "target_deg"),
     ("/compensate", b'{"target_deg": 45, "settle_s": -1}', "settle_s"),
-    ("/compensate", b'{"target_deg": 1e9}', "outside"),
+    ("/compensate", b'{"target_deg": 1e9}', "3600"),
+    ("/compensate", b'{"target_deg": 721}', "outside"),
+    ("/compensate", b'{"target_deg": true}', "target_deg"),
+    ("/compensate", b'{"target_deg": 5, "strategy": "a\\u0000b"}', "strategy"),
     ("/compensate", b'{"target_deg": 45, "options": {"a": 1}}', "no option 'a'"),
     ("/compensate", b'{"target_deg": 45, "strategy": "nonsense"}', "reed2008"),
     ("/stop", b'{"reason": ""}', "reason"),
-    ("/compensate", b"[" * 2_000_000, "longer than"),
 ]
 
 
@@ -136,6 +139,11 @@ def test_a_bad_request_is_one_sentence(shell: Shell, daemon: subprocess.Popen[st
         assert answer.status_code == 422, body[:50]
         assert wanted in answer.json()["error"].lower()
         assert answer.json()["exit_code"] == 2
+    for body in (b"[" * 66_000, b"[" * 2_000_000):
+        answer = ask(shell, "POST", "/compensate", content=body)
+        assert (answer.status_code, answer.json()["exit_code"]) == (413, 2)
+    assert ask(shell, "GET", "/nowhere").json()["exit_code"] == 2
+    assert ask(shell, "PUT", "/state").status_code == 405
     assert ask(shell, "GET", "/state").json()["phase"] == "idle"
     assert not list(shell.folder.glob("runs/*"))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -179,3 +180,23 @@ def test_a_bad_value_in_a_parameter_set(tmp_path):
         BadInput, match=r"soft\.yaml:\d+:\d+: tissue_elasticity\.stiffness.*-1 .* is below 0\.02"
     ):
         load_parameters(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("unsure", "unsure: unknown key"),
+        ("null", "null: unknown key"),
+        ("value", "is given twice"),
+    ],
+)
+def test_a_wrong_key_of_a_fitted_value_is_told_once(key: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml"
+    model = load_parameters("rig_elastic")
+    save_model(path, SavedModel(model, "rig_elastic", dict.fromkeys(model.values(), 0.1)))
+    text = path.read_text(encoding="utf-8")
+    before, after = text.split("effects:", 1)
+    path.write_text(f"{before}effects:{after.replace('uncertainty', key, 1)}", encoding="utf-8")
+    with pytest.raises(BadInput, match=says) as refused:
+        load_model(path)
+    assert len(str(refused.value).splitlines()) == 1

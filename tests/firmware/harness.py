@@ -18,6 +18,7 @@ class Guard:
     angle_mdeg: float = 0.0
     torque: int = 0
     encoder_good: bool = True
+    emergency_stop: bool = False
     counter: int = 0
     heartbeat: int = 0
     host_alive: bool = True
@@ -71,22 +72,33 @@ class Guard:
                 self.say()
             if self.torque_alive:
                 self.lib.nr_guard_torque(self.c, self.now_us % 2**32, self.torque, self.torque_good)
-            self.angle_mdeg += self.follows * self.permitted * 1e-1 * 1e-3
+            self.angle_mdeg += self.follows * self.expected * 1e-1 * 1e-3
             self.permitted = self.step()
         return self.permitted
 
+    @property
+    def expected(self) -> float:
+        """The velocity at which a shaft with the nominal lag turns now, 1e-4 deg/s."""
+        return float(self.c.motion.expected_q8 / 256)
+
     def step(self) -> int:
         """One step of the guard, without anybody speaking."""
-        angle = round(self.angle_mdeg)
-        return int(
-            self.lib.nr_guard_step(self.c, self.now_us % 2**32, angle, self.encoder_good, self.permitted)
-        )
+        senses = self.nodes.ffi.new("struct nr_senses *")
+        senses.angle_mdeg = round(self.angle_mdeg)
+        senses.encoder_good, senses.emergency_stop = self.encoder_good, self.emergency_stop
+        return int(self.lib.nr_guard_step(self.c, self.now_us % 2**32, senses, self.permitted))
+
+    def jump(self, elapsed_us: int) -> None:
+        """The clock stands `elapsed_us` after the last step, the shaft where it should be by then."""
+        self.now_us = self.c.step_us + elapsed_us
+        self.angle_mdeg += self.follows * self.permitted * elapsed_us * 1e-7
 
     def ready(self) -> Guard:
         """Boot, hear the host, be cleared."""
         self.tick(10)
         self.clear_now()
         assert self.state is DriveState.READY
+        self.tick(20)
         return self
 
     def clear_now(self) -> None:

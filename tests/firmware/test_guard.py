@@ -35,7 +35,27 @@ def test_counter_must_move_on_by_one_to_three(nodes: HostNodes, step: int) -> No
         guard = Guard(nodes)
         guard.say(counter=start)
         assert guard.say(counter=(start + step) % 16) == (1 <= step <= 3)
-        assert guard.say(counter=(start + step + 1) % 16)
+
+
+@pytest.mark.parametrize("beats", [0, 1, 2, 3, 4, 100, 32_768, 65_533, 65_535])
+def test_heartbeat_must_move_on_by_none_to_three(nodes: HostNodes, beats: int) -> None:
+    for start in (0, 65_534):
+        guard = Guard(nodes, heartbeat=start, host_thinks=False)
+        guard.say()
+        guard.heartbeat = (start + beats) % 65_536
+        assert guard.say() == (beats <= 3)
+
+
+@pytest.mark.parametrize("quiet_us", [19_999, 20_000, 20_001])
+def test_a_sequence_is_taken_up_anew_once_the_last_is_old_but_its_first_frame_is_not_obeyed(
+    nodes: HostNodes, quiet_us: int
+) -> None:
+    guard = Guard(nodes)
+    guard.say(counter=0)
+    assert guard.say(counter=1)
+    guard.now_us += quiet_us
+    assert not guard.say(counter=9)
+    assert guard.say(counter=10) == (quiet_us > 20_000)
 
 
 def test_frame_with_a_wrong_counter_gives_nothing(nodes: HostNodes) -> None:
@@ -142,9 +162,8 @@ def test_stops_within_the_command_age(nodes: HostNodes) -> None:
 @pytest.mark.parametrize("offset_us", EDGE)
 def test_command_age_edge(nodes: HostNodes, offset_us: int) -> None:
     guard = Guard(nodes).running()
-    guard.now_us = guard.c.command_us + guard.limits.command_age_us + offset_us
+    guard.jump(guard.c.command_us + guard.limits.command_age_us + offset_us - guard.c.step_us)
     guard.c.torque_us = guard.now_us % 2**32
-    guard.c.window_open = False
     assert (guard.step() == 0) == (offset_us > 0)
 
 
@@ -152,9 +171,8 @@ def test_command_age_edge(nodes: HostNodes, offset_us: int) -> None:
 def test_heartbeat_edge(nodes: HostNodes, offset_us: int) -> None:
     guard = Guard(nodes).running()
     guard.host_thinks = False
-    guard.now_us = guard.c.heartbeat_us + guard.limits.heartbeat_us + offset_us
+    guard.jump(guard.c.heartbeat_us + guard.limits.heartbeat_us + offset_us - guard.c.step_us)
     guard.c.torque_us = guard.now_us % 2**32
-    guard.c.window_open = False
     guard.say()
     stopped = guard.step() == 0
     assert stopped == (offset_us > 0)
@@ -164,9 +182,8 @@ def test_heartbeat_edge(nodes: HostNodes, offset_us: int) -> None:
 @pytest.mark.parametrize("offset_us", EDGE)
 def test_torque_age_edge(nodes: HostNodes, offset_us: int) -> None:
     guard = Guard(nodes).running()
-    guard.now_us = guard.c.torque_us + guard.limits.torque_age_us + offset_us
+    guard.jump(guard.c.torque_us + guard.limits.torque_age_us + offset_us - guard.c.step_us)
     guard.say()
-    guard.c.window_open = False
     stopped = guard.step() == 0
     assert stopped == (offset_us > 0)
     assert guard.faults == (DriveFault.TORQUE_AGE if stopped else DriveFault.NONE)
@@ -208,37 +225,6 @@ def test_velocity_command_edge(nodes: HostNodes, sign: int, offset: int) -> None
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize("offset_mdeg", [-50, -2, -1, 0, 1, 2, 50])
-def test_measured_rate_edge(nodes: HostNodes, sign: int, offset_mdeg: int) -> None:
-    guard = Guard(nodes, follows=0.0).running(1000)
-    while guard.c.window_open:
-        guard.tick()
-    guard.tick()
-    window_ms = guard.limits.window_us // 1000
-    most_mdeg = guard.limits.rate_limit // 10 * window_ms // 1000
-    guard.angle_mdeg += sign * (most_mdeg + offset_mdeg)
-    guard.tick(window_ms)
-    assert guard.faults == (DriveFault.VELOCITY if offset_mdeg > 0 else DriveFault.NONE)
-
-
-@pytest.mark.parametrize("share_percent", [0, 10, 19, 20, 21, 50, 100])
-def test_shaft_that_does_not_follow_is_a_fault(nodes: HostNodes, share_percent: int) -> None:
-    guard = Guard(nodes).running(400_000)
-    guard.follows = share_percent / 100
-    guard.tick(100)
-    assert guard.faults == (DriveFault.ENCODER if share_percent < 20 else DriveFault.NONE)
-
-
-def test_windows_with_little_permitted_are_not_judged(nodes: HostNodes) -> None:
-    guard = Guard(nodes, follows=0.0).running(99_000)
-    guard.tick(200)
-    assert guard.faults == DriveFault.NONE
-    guard.velocity = 110_000
-    guard.tick(200)
-    assert guard.faults == DriveFault.ENCODER
-
-
-@pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize("offset_mdeg", [-1000, -1, 0, 1, 1000])
 def test_angle_limit_holds_outward_commands(nodes: HostNodes, sign: int, offset_mdeg: int) -> None:
     guard = Guard(nodes, angle_mdeg=sign * (720_000.0 + offset_mdeg), follows=0.0).ready()
@@ -274,9 +260,7 @@ def test_encoder_error_stops(nodes: HostNodes) -> None:
 @pytest.mark.parametrize("count", range(8, 14))
 def test_damaged_frames_edge(nodes: HostNodes, count: int) -> None:
     guard = Guard(nodes).running()
-    while guard.c.window_open:
-        guard.tick()
-    guard.tick()
+    guard.c.window_start_us = guard.now_us
     for _ in range(count):
         guard.lib.nr_guard_bad_frame(guard.c)
     guard.tick()
@@ -326,6 +310,27 @@ def _break_frames(guard: Guard) -> None:
         guard.lib.nr_guard_bad_frame(guard.c)
 
 
+def _break_stall(guard: Guard) -> None:
+    guard.follows = 0.0
+
+
+def _break_runaway(guard: Guard) -> None:
+    guard.follows = 2.0
+
+
+def _break_direction(guard: Guard) -> None:
+    guard.follows = -1.0
+
+
+def _break_master(guard: Guard) -> None:
+    for _ in range(4):
+        guard.say(counter=(guard.counter + 8) % 16)
+
+
+def _break_emergency_stop(guard: Guard) -> None:
+    guard.emergency_stop = True
+
+
 BREAKS: dict[DriveFault, Callable[[Guard], None]] = {
     DriveFault.COMMAND_AGE: _break_command_age,
     DriveFault.HEARTBEAT: _break_heartbeat,
@@ -335,11 +340,17 @@ BREAKS: dict[DriveFault, Callable[[Guard], None]] = {
     DriveFault.ENCODER: _break_encoder,
     DriveFault.TORQUE_AGE: _break_torque_age,
     DriveFault.FRAME: _break_frames,
+    DriveFault.STALL: _break_stall,
+    DriveFault.RUNAWAY: _break_runaway,
+    DriveFault.DIRECTION: _break_direction,
+    DriveFault.MASTER: _break_master,
+    DriveFault.EMERGENCY_STOP: _break_emergency_stop,
 }
 
 
 def _mend(guard: Guard) -> None:
     guard.host_alive = guard.host_thinks = guard.torque_alive = guard.encoder_good = True
+    guard.emergency_stop, guard.follows = False, 1.0
     guard.torque, guard.velocity = 0, 0
     guard.c.config.angle_limit_mdeg = 720_000
 
@@ -347,26 +358,32 @@ def _mend(guard: Guard) -> None:
 @pytest.mark.parametrize("reason", list(BREAKS))
 def test_every_fault_is_entered_held_and_left(nodes: HostNodes, reason: DriveFault) -> None:
     guard = Guard(nodes).running()
+    assert guard.c.supply
     BREAKS[reason](guard)
-    guard.tick(60)
+    for _ in range(200):
+        guard.tick()
+        assert guard.c.supply == (guard.state is DriveState.RUNNING), "the supply opens in the same tick"
     assert guard.faults == reason
     assert guard.state is DriveState.FAULT
     _mend(guard)
     guard.enable, guard.velocity = True, 100_000
     assert guard.tick(200) == 0, "a fault does not end by itself"
     assert guard.faults == reason
+    assert not guard.c.supply
     guard.clear_now()
     assert guard.state is DriveState.READY
     assert guard.faults == DriveFault.NONE
     guard.enable, guard.velocity = True, 100_000
-    guard.tick(10)
+    guard.tick(30)
     assert guard.permitted == 100_000
 
 
-# Forgiven by a clear: damaged frames and wrong commands are over, a shaft out of range may turn back in.
-LASTING = [
-    fault for fault in BREAKS if fault not in (DriveFault.VELOCITY, DriveFault.FRAME, DriveFault.ANGLE)
-]
+# Forgiven by a clear: what is over by then, and a shaft out of range, which may turn back in.
+OVER = (
+    DriveFault.VELOCITY | DriveFault.FRAME | DriveFault.ANGLE | DriveFault.STALL | DriveFault.RUNAWAY
+    | DriveFault.DIRECTION | DriveFault.MASTER
+)  # fmt: skip
+LASTING = [fault for fault in BREAKS if fault not in OVER]
 
 
 @pytest.mark.parametrize("reason", LASTING)
@@ -426,6 +443,8 @@ def test_the_slowest_command_outward_is_held_at_the_limit(nodes: HostNodes, sign
         (DriveFault.VELOCITY, DriveFault.ENCODER),
         (DriveFault.VELOCITY, DriveFault.ANGLE),
         (DriveFault.ENCODER, DriveFault.FRAME),
+        (DriveFault.FRAME, DriveFault.MASTER),
+        (DriveFault.MASTER, DriveFault.EMERGENCY_STOP),
     ],
 )
 def test_causes_that_come_together_are_all_named(
@@ -435,11 +454,12 @@ def test_causes_that_come_together_are_all_named(
     for reason in reasons:
         BREAKS[reason](guard)
     if DriveFault.HEARTBEAT in reasons:
-        guard.now_us += 50_001
+        guard.jump(50_001 + guard.c.heartbeat_us - guard.c.step_us)
+        guard.host_thinks = False
         guard.say()
         guard.lib.nr_guard_torque(guard.c, guard.now_us, guard.torque, True)
     elif DriveFault.COMMAND_AGE in reasons:
-        guard.now_us += 60_000
+        guard.jump(60_000)
     else:
         if DriveFault.ANGLE in reasons:
             guard.angle_mdeg = 1.0
@@ -449,54 +469,6 @@ def test_causes_that_come_together_are_all_named(
     guard.c.window_start_us = guard.now_us
     guard.step()
     assert guard.faults == reasons[0] | reasons[1]
-
-
-def judged(nodes: HostNodes, steps: list[tuple[int, int]], moved_mdeg: int) -> DriveFault:
-    """Faults after a window with these (velocity asked of the motor, µs) and this turn of the shaft."""
-    guard = Guard(nodes, follows=0.0).running(1000)
-    guard.c.window_open = False
-    guard.step()
-    assert guard.c.window_open
-    guard.angle_mdeg += moved_mdeg
-    for asked, elapsed_us in steps:
-        guard.now_us += elapsed_us
-        fresh(guard)
-        guard.permitted = asked
-        guard.step()
-    assert not guard.c.window_open
-    return guard.faults
-
-
-@pytest.mark.parametrize(
-    ("asked", "moved_mdeg", "faults"),
-    [
-        # 1e-4 deg/s over µs; 400 mdeg are not judged, 401 are, and one unit less than those are not.
-        ([(100_250, 40_000)], 0, DriveFault.ENCODER),
-        ([(39_999, 1), (100_249, 40_000)], 0, DriveFault.NONE),
-        ([(100_000, 40_000)], 0, DriveFault.NONE),
-        ([(-100_250, 40_000)], 0, DriveFault.ENCODER),
-        ([(1_250_000, 40_000)], 999, DriveFault.ENCODER),
-        ([(1_250_000, 40_000)], 1000, DriveFault.NONE),
-        ([(1_250_000, 40_000)], -999, DriveFault.ENCODER),
-        ([(2**31 - 1, 1_000_000)], 121_000, DriveFault.ENCODER | DriveFault.VELOCITY),
-    ],
-)
-def test_stall_to_the_last_unit(
-    nodes: HostNodes, asked: list[tuple[int, int]], moved_mdeg: int, faults: DriveFault
-) -> None:
-    assert judged(nodes, asked, moved_mdeg) == faults
-
-
-def test_rate_to_the_last_unit(nodes: HostNodes) -> None:
-    guard = Guard(nodes, follows=0.0).running(1000)
-    guard.c.config.rate_limit = 9  # 9 x 1 111 111 us is one unit less than a millidegree
-    guard.c.window_open = False
-    guard.step()
-    guard.now_us += 1_111_111
-    fresh(guard)
-    guard.angle_mdeg += 1
-    guard.step()
-    assert guard.faults == DriveFault.VELOCITY
 
 
 @pytest.mark.parametrize("short_us", [1, 0])
@@ -509,6 +481,7 @@ def test_stillness_edge(nodes: HostNodes, short_us: int) -> None:
     guard.say()
     guard.clear = True
     guard.now_us = guard.c.still_since_us + guard.limits.latch_us - short_us
+    guard.c.sequence_us = guard.now_us
     guard.say()
     fresh(guard)
     guard.c.torque = 0
@@ -518,7 +491,6 @@ def test_stillness_edge(nodes: HostNodes, short_us: int) -> None:
 
 def test_a_clear_forgives_damaged_frames_to_the_last(nodes: HostNodes) -> None:
     guard = Guard(nodes).running()
-    guard.c.window_open = False
     guard.step()
     _break_frames(guard)
     guard.step()
@@ -538,7 +510,7 @@ def test_a_clear_forgives_damaged_frames_to_the_last(nodes: HostNodes) -> None:
 
 
 def test_clock_may_wrap_anywhere(nodes: HostNodes) -> None:
-    for before_ms in range(0, 200, 7):
+    for before_ms in range(0, 260, 7):
         guard = Guard(nodes, now_us=2**32 - before_ms * 1000).running()
         assert guard.tick(300) == 100_000
 

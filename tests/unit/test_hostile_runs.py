@@ -23,7 +23,7 @@ from needle_rig.recording.liveness import being_written
 from needle_rig.recording.superblock import SUPERBLOCK_BYTES, Superblock, lookup3
 from needle_rig.recording.tables import EVENT, FORMAT
 
-DAMAGED_HEAD = Path(__file__).resolve().parent.parent / "data/runs/damaged_head.h5"
+DAMAGED_HEAD = Path(__file__).resolve().parent.parent / "data/run_files/damaged_head.h5"
 ROWS = 200
 
 
@@ -144,6 +144,16 @@ def _late(line: bytes) -> Callable[[h5py.File], None]:
     return _with_rows(np.frombuffer(line, "u1"), "late_attributes")
 
 
+def _times(value: float) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        for name in ("ticks", "torque", "events"):
+            rows = np.resize(file[name][:], 5)
+            rows["time_s"][2:] = value
+            _with_rows(rows, name)(file)
+
+    return change
+
+
 def _virtual(file: h5py.File) -> None:
     layout = h5py.VirtualLayout((5,), file["torque"].dtype)
     layout[:] = h5py.VirtualSource("other.h5", "torque", (5,), file["torque"].dtype)
@@ -191,6 +201,8 @@ CHANGES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "a terminal's commands": (_attribute("strategy", "\x1b[2J"), "characters that cannot be shown"),
     "an empty attribute": (_attribute("config", h5py.Empty("f8")), "attribute"),
     "a late text in settle_s": (_late(b'{"settle_s": "x"}\n'), "attribute settle_s is no finite number"),
+    "no time": (_times(np.nan), "nan s is no time of a run"),
+    "a time beyond all": (_times(1e308), "1e+308 s is no time of a run"),
     "a config that is none": (_attribute("config", "x: ["), ""),
 }
 
@@ -236,3 +248,35 @@ def test_an_older_hdf5_file_is_no_run(tmp_path: Path) -> None:
     h5py.File(tmp_path / "a.h5", "w").close()
     with pytest.raises(BadInput, match=r"is HDF5 but no run of needle-rig \(its superblock is of an older"):
         RunFile(tmp_path / "a.h5")
+
+
+WRITER = """
+import select, sys
+from needle_rig.recording import RunWriter, run_tables
+with RunWriter(sys.argv[1], {"strategy": "none"}, run_tables(sensors=4)) as writer:
+    row = 0
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        for name in ("torque", "drive"):
+            writer.append(name, [(float(row + n + 1), 0.0, n, 0.1, 0, 0)[: 4 if name == "torque" else 6]
+                                 for n in range(20)])
+        row += 20
+        writer.sync()
+"""
+
+
+def test_rows_seen_beside_a_writer_are_whole(tmp_path: Path) -> None:
+    path, seen, looks = tmp_path / "live.h5", 0, 0
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE) as writer:
+        assert writer.stdin is not None
+        while looks < 10 or seen <= 100:
+            assert writer.poll() is None
+            if not journal_path(path).is_file() or not journal_path(path).stat().st_size:
+                continue
+            for name in ("torque", "drive"):
+                rows = RunFile(path).table(name)["time_s"].tolist()
+                assert rows == [float(n + 1) for n in range(len(rows))]
+            assert len(rows) >= seen
+            seen, looks = len(rows), looks + 1
+        writer.stdin.close()
+    assert writer.returncode == 0
+    assert RunFile(path).complete

@@ -43,7 +43,7 @@ def name_trial(folder: Path, file: str) -> None:
         ("trials/zero.csv", "lies outside of the folder"),
         ("trials/socket.csv", "is a socket, not a file"),
         ("trials", "is a folder, not a file"),
-        ("trials/a\\0.csv", "no file's name has a null character"),
+        ("trials/a\\0.csv", r"character U+0000 may not stand in a key or value"),
         ("a" * 5000, "File name too long"),
         ("b" * 300, "File name too long"),
         ("trials/01.csv/more", "there is no such file; correct `file` in dataset.yaml"),
@@ -126,3 +126,28 @@ def test_rows_are_counted_not_guessed_from_the_first(folder: Path) -> None:
     trial.write_text("\n".join([lines[0], *padded, *more, ""]), encoding="utf-8")
     found = table.read_table(trial, folder, "01.csv", "phase", "time")
     assert len(found.values) <= table.MAX_SAMPLES
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "says"),
+    [
+        ("[/b] [red]none", 0, "[/b] [red]none against the model"),
+        ("\\x1b[2J", 2, "dataset.yaml:2:7: character U+001B may not stand in a key or value"),
+        ("\\ud800", 2, "dataset.yaml:2:7: character U+D800 may not stand in a key or value"),
+    ],
+)
+def test_a_name_is_shown_as_it_is_written(
+    name: str, code: int, says: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (folder / "dataset.yaml").read_text(encoding="utf-8")
+    (folder / "dataset.yaml").write_text(text.replace("name: none\n", f'name: "{name}"\n'), encoding="utf-8")
+    assert command(["compare", str(folder)]) == code
+    said = capsys.readouterr()
+    assert says in said.out + said.err
+
+
+def test_a_column_that_a_terminal_obeys(folder: Path) -> None:
+    trial = folder / "trials/01.csv"
+    trial.write_text(trial.read_text(encoding="utf-8").replace("hall_1", "hall\x1b[2J"), encoding="utf-8")
+    with pytest.raises(BadInput, match=r"01\.csv:1: column 'hall\\x1b\[2J_deg' has characters"):
+        read_dataset(folder)

@@ -5,6 +5,7 @@
 #include "../../core/nr_calibration.h"
 #include "../../core/nr_frame.h"
 #include "../../core/nr_trig.h"
+#include "../../core/nr_motion.h"
 #include "../../core/nr_guard.h"
 #include "../../core/nr_hall.h"
 #include "../../core/nr_torque.h"

@@ -33,12 +33,15 @@ static void clocks(void)
 static void pins(void)
 {
     /* PA0, PA1: encoder (TIM5). PA8, PA9: bridge (TIM1). PA5..PA7: load cell (SPI1), PB1 its ready line.
-     * PB6: serial (USART1). PB8, PB9: CAN. PA2, PA3, PA4, PB0, PC0..PC3: Hall signals. PB10: encoder good. */
+     * PB6: serial (USART1). PB8, PB9: CAN. PA2, PA3, PA4, PB0, PC0..PC3: Hall signals. PB10: encoder good.
+     * PB12: safe-torque-off, low from reset on. PB13: emergency stop, pulled up: a broken wire reads as pressed.
+     * PB14: index, pulled down. */
     GPIOA_MODER = 0xA8000000u | 2u << 0 | 2u << 2 | 3u << 4 | 3u << 6 | 3u << 8 | 2u << 10 | 2u << 12 | 2u << 14 |
                   2u << 16 | 2u << 18;
     GPIOA_AFRL = 2u << 0 | 2u << 4 | 5u << 20 | 5u << 24 | 5u << 28;
     GPIOA_AFRH = 1u << 0 | 1u << 4;
-    GPIOB_MODER = 0x00000280u | 3u << 0 | 2u << 12 | 2u << 16 | 2u << 18;
+    GPIOB_PUPDR = 0x00000100u | 1u << 26 | 2u << 28;
+    GPIOB_MODER = 0x00000280u | 3u << 0 | 2u << 12 | 2u << 16 | 2u << 18 | 1u << 24;
     GPIOB_AFRL = 7u << 24;
     GPIOB_AFRH = 9u << 0 | 9u << 4;
     GPIOC_MODER = 0xFFu;
@@ -66,7 +69,7 @@ static void links(void)
     SPI1_CR1 = 1u << 2 | 4u << 3 | 1u << 6 | 1u << 8 | 1u << 9 | 1u << 11;
     ADC1_SMPR2 = 0x0249249Bu;
     ADC1_CR2 = 1;
-    CAN1_MCR = 1u | 1u << 6; /* leave bus-off by itself */
+    CAN1_MCR = 1u | 1u << 2 | 1u << 6; /* frames leave in the order of sending; leave bus-off by itself */
     while (!(CAN1_MSR & 1u)) {
     }
     CAN1_BTR = 2u | 10u << 16 | 1u << 20; /* 42 MHz / 3 / (1 + 11 + 2) = 1 Mbit/s */
@@ -126,6 +129,24 @@ static bool encoder(void *context, int32_t *counts)
     return (GPIOB_IDR & (1u << 10)) == 0;
 }
 
+static bool index_mark(void *context)
+{
+    (void)context;
+    return (GPIOB_IDR & (1u << 14)) != 0;
+}
+
+static bool emergency_stop(void *context)
+{
+    (void)context;
+    return (GPIOB_IDR & (1u << 13)) != 0;
+}
+
+static void supply(void *context, bool on)
+{
+    (void)context;
+    GPIOB_BSRR = on ? 1u << 12 : 1u << 28;
+}
+
 static void duty(void *context, int32_t value)
 {
     (void)context;
@@ -138,13 +159,18 @@ static void duty(void *context, int32_t value)
 static void can_send(void *context, uint32_t id, const uint8_t data[8])
 {
     (void)context;
-    if (!(CAN1_TSR & (1u << 26))) {
-        return; /* the mailbox is still full: a newer sample comes in a millisecond */
+    for (uint32_t mailbox = 0; mailbox < 3; mailbox++) {
+        if (CAN1_TSR & (1u << (26 + mailbox))) {
+            CAN1_TDTR(mailbox) = 8;
+            CAN1_TDLR(mailbox) =
+                (uint32_t)data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
+            CAN1_TDHR(mailbox) =
+                (uint32_t)data[4] | (uint32_t)data[5] << 8 | (uint32_t)data[6] << 16 | (uint32_t)data[7] << 24;
+            CAN1_TIR(mailbox) = id << 21 | 1u;
+            return;
+        }
     }
-    CAN1_TDT0R = 8;
-    CAN1_TDL0R = (uint32_t)data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
-    CAN1_TDH0R = (uint32_t)data[4] | (uint32_t)data[5] << 8 | (uint32_t)data[6] << 16 | (uint32_t)data[7] << 24;
-    CAN1_TI0R = id << 21 | 1u;
+    /* every mailbox is still full: a newer sample comes in a millisecond */
 }
 
 static bool can_receive(void *context, uint32_t *id, uint8_t data[8], uint32_t *length)
@@ -193,7 +219,10 @@ const struct nr_board *board_start(void)
         .adc = adc,
         .load_cell = load_cell,
         .encoder = encoder,
+        .index = index_mark,
+        .emergency_stop = emergency_stop,
         .duty = duty,
+        .supply = supply,
         .can_send = can_send,
         .can_receive = can_receive,
         .uart_send = uart_send,

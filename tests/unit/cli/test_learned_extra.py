@@ -33,3 +33,19 @@ def test_what_was_used_and_what_was_left(side: float, extra_deg: float, lag_left
 def test_a_run_that_teaches_nothing(changes) -> None:
     with pytest.raises(BadInput, match="--after a run: is no run of reed2008"):
         learned_extra_deg(run(1.0, 0.0, 12.0, **changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"motions": 3},
+        {"motions": [5]},
+        {"motions": [{"phase": "overshoot"}, {"phase": "final"}]},
+        {"motions": [{"phase": "overshoot", "base_deg": 1.0}, {"phase": "final", "hall_deg": []}]},
+        {"target_deg": "45"},
+        {"lag_deg": float("nan")},
+    ],
+)
+def test_a_damaged_result_teaches_nothing(changes) -> None:
+    with pytest.raises(BadInput, match="--after a run: its result "):
+        learned_extra_deg(run(1.0, 0.0, 12.0, **changes))

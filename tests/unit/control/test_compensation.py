@@ -26,14 +26,18 @@ LEGAL = {
     ("idle", "abort"): "aborted",
     ("idle", "fault"): "fault",
     ("idle", "clear"): "idle",
+    ("idle", "hold"): "holding",
+    ("idle", "release"): "idle",
     ("rest", "next"): "moving",
     ("rest", "finished"): "done",
     ("rest", "abort"): "aborted",
     ("rest", "fault"): "fault",
     ("moving", "arrived"): "settling",
+    ("moving", "finished"): "done",
     ("moving", "abort"): "aborted",
     ("moving", "fault"): "fault",
     ("settling", "settled"): "measuring",
+    ("settling", "finished"): "done",
     ("settling", "abort"): "aborted",
     ("settling", "fault"): "fault",
     ("measuring", "disturbed"): "settling",
@@ -44,11 +48,19 @@ LEGAL = {
     ("done", "start"): "rest",
     ("done", "abort"): "aborted",
     ("done", "fault"): "fault",
+    ("holding", "release"): "idle",
+    ("holding", "abort"): "aborted",
+    ("holding", "fault"): "fault",
     ("done", "clear"): "idle",
+    ("done", "hold"): "holding",
+    ("done", "release"): "idle",
     ("aborted", "start"): "rest",
     ("aborted", "abort"): "aborted",
     ("aborted", "fault"): "fault",
     ("aborted", "clear"): "idle",
+    ("aborted", "hold"): "holding",
+    ("aborted", "release"): "idle",
+    ("fault", "release"): "fault",
     ("fault", "abort"): "fault",
     ("fault", "fault"): "fault",
     ("fault", "clear"): "idle",
@@ -303,7 +315,7 @@ def test_every_active_phase_says_what_it_waits_for_and_counts_down():
         text, left = bench.sequence.waiting(bench.phase)
         seen.setdefault(bench.phase, []).append((text, left))
         bench.step()
-    assert set(seen) == ACTIVE
+    assert set(seen) == ACTIVE - {Phase.HOLDING}
     assert seen[Phase.MOVING][0][0] == "the base to reach 30.0°"
     for rows in seen.values():
         assert rows[0][0]

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from needle_rig.control.faults import FaultName
 from needle_rig.control.limits import (
     DRIVE_SENTENCES,
     Gated,
@@ -15,6 +16,7 @@ from needle_rig.control.limits import (
     find_fault,
     gate,
     heard_age_s,
+    slow_host_fault,
     tick_fault,
 )
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
@@ -273,3 +275,62 @@ def test_nothing_that_was_decided_can_be_changed_afterwards(words):
     name = dataclasses.fields(words)[0].name
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(words, name, None)
+
+
+def test_every_fault_has_its_name():
+    for link in ("torque", "hall", "drive"):
+        assert find_fault(having(**{f"{link}_age_s": 1.0}), LIMITS).name is FaultName.LINK_DEAD
+    for field in ("torque_nm", "base_angle_rad"):
+        assert find_fault(having(**{field: math.nan}), LIMITS).name is FaultName.NOT_A_NUMBER
+    assert find_fault(having(hall_rad=(0.1, math.nan)), LIMITS).name is FaultName.NOT_A_NUMBER
+    assert find_fault(having(torque_nm=0.1), LIMITS).name is FaultName.TORQUE_LIMIT
+    assert find_fault(having(base_angle_rad=11.0), LIMITS).name is FaultName.ANGLE_LIMIT
+    assert tick_fault(0.0).name is FaultName.LATE_TICK
+    assert gate(math.nan, GOOD, 0.0, 0.005, LIMITS).fault.name is FaultName.CONTROL
+
+
+@pytest.mark.parametrize(
+    ("bit", "name"),
+    [
+        (DriveFault.STALL, FaultName.NOT_TURNING),
+        (DriveFault.RUNAWAY, FaultName.RUNAWAY),
+        (DriveFault.DIRECTION, FaultName.WRONG_DIRECTION),
+        (DriveFault.IDLE_MOTION, FaultName.IDLE_MOTION),
+        (DriveFault.MASTER, FaultName.SECOND_MASTER),
+        (DriveFault.EMERGENCY_STOP, FaultName.EMERGENCY_STOP),
+        (DriveFault.ANGLE, FaultName.ANGLE_LIMIT),
+        (DriveFault.TORQUE_TRIP, FaultName.TORQUE_LIMIT),
+        (DriveFault.HEARTBEAT, FaultName.DRIVE),
+        (DriveFault.STALL | DriveFault.RUNAWAY, FaultName.DRIVE),
+    ],
+)
+def test_what_drive_and_host_both_know_has_one_name(bit, name):
+    fault = drive_fault(DriveState.FAULT, bit)
+    assert (fault.name, fault.latching) == (name, True)
+
+
+def test_a_pressed_emergency_stop_latches_whatever_the_drive_says():
+    fault = find_fault(having(emergency_stop=True), LIMITS)
+    assert (fault.name, fault.link, fault.latching) == (FaultName.EMERGENCY_STOP, "drive", True)
+    assert fault.text == "the emergency stop is pressed; release it, then: needle-rig clear"
+
+
+@pytest.mark.parametrize(("link", "limit_s"), [("torque", 0.05), ("hall", 0.06), ("drive", 0.07)])
+def test_a_slow_host_counts_a_link_dead_that_will_be_at_the_next_tick(link, limit_s):
+    edge = {f"{link}_age_s": limit_s - 0.02}
+    assert slow_host_fault(having(**edge), 0.0199, LIMITS) is None
+    exact = having(**{f"{link}_age_s": limit_s / 2})
+    assert slow_host_fault(exact, limit_s / 2, LIMITS) is None
+    fault = slow_host_fault(having(**edge), 0.0202, LIMITS)
+    assert (fault.name, fault.link, fault.latching) == (FaultName.LATE_TICK, link, False)
+    assert fault.text == (
+        f"this computer is too slow for the {link} link: its newest value is {limit_s * 1e3 - 20:.0f} ms old,"
+        f" the next look at it comes in 20 ms, limit {limit_s * 1e3:g} ms;"
+        " end other programs, or lower tick_hz"
+    )
+    assert slow_host_fault(GOOD, 0.045, LIMITS) is None
+
+
+def test_a_slow_host_tells_long_times_to_the_millisecond():
+    text = slow_host_fault(having(torque_age_s=12.345), 7.654, LIMITS).text
+    assert "12345 ms old, the next look at it comes in 7654 ms, limit 50 ms" in text

@@ -41,7 +41,9 @@ def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, set
         settled=(MOTION,) * settled,
         outcome=None,
         fault=None,
+        fault_name=None,
         latched=False,
+        released=False,
     )
     rig = report.rig_document(CONFIG)
     return {"type": "phase", "rig": rig, "run": None, "last": None, **report.state_document(state)}

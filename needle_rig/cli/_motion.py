@@ -1,0 +1,138 @@
+"""What all commands share that move the rig: who commands, what is shown, and that Ctrl-C stops it."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from needle_rig.errors import Aborted, RigFault
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from needle_rig.cli._live import View
+    from needle_rig.service.client import DaemonClient
+
+Document = dict[str, Any]
+
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def view(quiet: bool = False) -> View:
+    """The live display on a terminal; else, and when `quiet`, one line a phase."""
+    from needle_rig.cli._live import LiveDisplay, PhaseLines
+
+    if quiet or not sys.stdout.isatty():
+        return PhaseLines()
+    from rich.console import Console
+
+    return LiveDisplay(Console())
+
+
+def holder(command: str) -> str:
+    """Who commands the rig with `needle-rig COMMAND`, in words for those who find it taken."""
+    try:
+        person = getpass.getuser()
+    except (KeyError, OSError):
+        person = f"user {os.getuid()}"
+    return f"{person} (needle-rig {command}, process {os.getpid()})"[:200]
+
+
+def end_as_by_ctrl_c() -> None:
+    """SIGTERM and a closed terminal end this command as Ctrl-C does; what is ignored stays ignored."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+
+
+def follow(
+    client: DaemonClient,
+    start: Callable[[], Document],
+    shown: View,
+    over: Callable[[Document, Document], bool],
+) -> Document:
+    """Start a motion, show it until `over` says so of what the start told and a document, and return this.
+
+    Ctrl-C, SIGTERM or a closed terminal stops the drive at any instant: before the start was answered it
+    raises Aborted, after that the motion ends in order. A second one gives up. Raises RigFault when the
+    daemon ends meanwhile.
+    """
+    with _stops(client) as answered, client.stream() as documents, shown:
+        shown.show(next(documents))
+        told = start()
+        answered()
+        for document in documents:
+            shown.show(document)
+            if over(told, document):
+                return document
+    recorded = f"; what was recorded until then is in {told['run']}" if "run" in told else ""
+    raise RigFault(f"the daemon ended during the motion, and the drive stops by itself then{recorded}")
+
+
+def move(socket: Path | None, command: str, order: Document) -> Document:
+    """Let the running daemon carry out a motion that is no run, and show it; raises RigFault or Aborted."""
+    from needle_rig.service.client import the_daemon
+
+    end_as_by_ctrl_c()
+    client = the_daemon(socket)
+    with client.lease(holder(command)):
+        state = follow(client, lambda: client.command(command, order), view(), _moved)
+    if state["phase"] == "fault":
+        raise RigFault(state["fault"])
+    if state["phase"] == "aborted":
+        raise Aborted("Stopped: the drive is stopped.")
+    return state
+
+
+def told_base(state: Document) -> str:
+    """Where the base stands, for a person."""
+    from needle_rig.cli._output import number
+
+    sensors = state["sensors"]
+    return "unknown" if sensors is None else f"{number(sensors['base_deg'], 2)}°"
+
+
+socket_option = click.option(
+    "--socket", type=click.Path(path_type=Path), help="Socket of the daemon; default: the usual one."
+)
+
+
+def _moved(told: Document, document: Document) -> bool:
+    if document["type"] == "moved":
+        return bool(document["moved"] == told["motion"])
+    return document["type"] == "state" and document["motions"] >= told["motion"] and not document["moving"]
+
+
+@contextmanager
+def _stops(client: DaemonClient) -> Iterator[Callable[[], None]]:
+    begun = False
+
+    def answered() -> None:
+        nonlocal begun
+        begun = True
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        for each in before:
+            signal.signal(each, signal.default_int_handler)
+        client.stop("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
+        if not begun:
+            raise Aborted("Stopped: the drive is stopped, and nothing begins.")
+
+    before = {
+        number: signal.signal(number, stop)
+        for number in _STOPS
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
+    try:
+        yield answered
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,212 @@
+"""The API's process: serves the daemon's socket, so that no request costs the tick more than one short line.
+
+The daemon starts it as `python -m needle_rig.service.api_process LISTENER LINES PATH`: two inherited
+descriptors, and where the socket is. It begins to serve at the line `serve`. When the daemon dies, it removes
+the socket in its place.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import json
+import logging
+import os
+import resource
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+
+from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, Document, application
+from needle_rig.service.connections import REQUEST_S, SPARE, Connections, HttpConnection, WatcherConnection
+from needle_rig.service.endpoint import Made
+from needle_rig.service.lines import Lines
+from needle_rig.service.stream import Stream
+
+CONNECTIONS = 256
+"""Far more than people and pages at one rig."""
+_OWN_DESCRIPTORS = 32
+MEMORY_BYTES = 1 << 30
+"""Address space; 256 connections with full buffers take a tenth of it."""
+ALIVE_EVERY_S = 1.0
+_COMPLAIN_EVERY_S = 10.0
+
+
+class Process:
+    """Passes questions to the daemon and what it says to those who wait or listen."""
+
+    def __init__(self, listener: socket.socket, place: Made) -> None:
+        self._listener, self._place = listener, place
+        self._lines = Lines(self._on_line, self._on_end)
+        self._answers: dict[int, asyncio.Future[Answer]] = {}
+        self._asked = 0
+        self._stream = Stream(lambda count: self._lines.send("listening", {"count": count}))
+        self._serve = asyncio.Event()
+        self._server: uvicorn.Server | None = None
+        self._ending: asyncio.Task[None] | None = None
+
+    async def run(self, lines: socket.socket) -> None:
+        """Serve until the daemon says `end` or is gone."""
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(_complain)
+        loop.add_signal_handler(signal.SIGTERM, self._on_end)
+        await loop.create_connection(lambda: self._lines, sock=lines)
+        living = asyncio.create_task(self._live(), name="alive")
+        await self._serve.wait()
+        connections = Connections(self._listener, _connection_limit())
+        self._server = server(application(self._ask, self._stream, connections), connections)
+        sweeping = asyncio.create_task(connections.sweep(), name="sweep")
+        try:
+            await self._server.serve()
+        finally:
+            sweeping.cancel()
+            living.cancel()
+            self._lines.close()
+
+    async def _live(self) -> None:
+        while True:
+            self._lines.send("alive", {})
+            await asyncio.sleep(ALIVE_EVERY_S)
+
+    async def _ask(self, order: str, content: Document, begun_s: float, lease: str | None) -> Answer:
+        self._asked += 1
+        number = self._asked
+        self._answers[number] = asyncio.get_running_loop().create_future()
+        self._lines.send(
+            "ask",
+            {"number": number, "order": order, "content": content, "begun_s": begun_s, "lease": lease},
+        )
+        try:
+            return await self._answers[number]
+        finally:
+            del self._answers[number]
+
+    def _on_line(self, word: str, text: bytes) -> None:
+        if word == "state":
+            self._stream.state(text.decode())
+        elif word == "event":
+            self._stream.event(text.decode())
+        elif word == "answer":
+            told = json.loads(text)
+            answer = self._answers.get(told["number"])
+            if answer is not None and not answer.done():
+                answer.set_result(Answer(told["status"], told["content"]))
+        elif word == "serve":
+            self._serve.set()
+        elif word == "end" and self._ending is None:
+            self._ending = asyncio.create_task(self._end(), name="end")
+
+    async def _end(self) -> None:
+        await self._stream.end()  # a server told to exit may close before how the run ended is sent
+        if self._server is None:
+            self._on_end()
+        else:
+            self._server.should_exit = True
+
+    def _on_end(self) -> None:
+        """The daemon is gone; what it cannot do any more is done here."""
+        self._place.remove()
+        os._exit(0)
+
+
+def server(app: Starlette, connections: Connections) -> uvicorn.Server:
+    """A server with our connections and their limits, which leaves signals and logs alone."""
+    return _Server(
+        uvicorn.Config(
+            app,
+            http=functools.partial(HttpConnection, connections),  # type: ignore[arg-type]
+            ws=functools.partial(WatcherConnection, connections),  # type: ignore[arg-type]
+            lifespan="off",
+            access_log=False,
+            log_config=None,
+            h11_max_incomplete_event_size=BODY_LIMIT_BYTES,
+            timeout_keep_alive=round(REQUEST_S),
+            timeout_graceful_shutdown=1,
+            ws_max_size=BODY_LIMIT_BYTES,
+        ),
+        connections,
+    )
+
+
+class _Server(uvicorn.Server):
+    def __init__(self, config: uvicorn.Config, connections: Connections) -> None:
+        super().__init__(config)
+        self._connections = connections
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup([])
+        self._connections.open(self._make)
+
+    def _make(self) -> HttpConnection:
+        config = self.config
+        made = config.http_protocol_class(  # type: ignore[call-arg]
+            config=config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        assert isinstance(made, HttpConnection)
+        return made
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._connections.close()
+        await super().shutdown(sockets)
+
+
+def _connection_limit() -> int:
+    """As many as the system gives descriptors for, with room for the newcomers of one turn."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = CONNECTIONS + SPARE + _OWN_DESCRIPTORS
+    allowed = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+    return max(allowed - SPARE - _OWN_DESCRIPTORS, 1)
+
+
+class _Rarely(logging.Filter):
+    """Lets one complaint through in ten seconds, and says how many others there were."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._next_s = 0.0
+        self._withheld = 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if time.monotonic() < self._next_s:
+            self._withheld += 1
+            return False
+        self._next_s = time.monotonic() + _COMPLAIN_EVERY_S
+        if self._withheld:
+            record.msg = f"{record.msg} (and {self._withheld} complaints before)"
+            self._withheld = 0
+        return True
+
+
+def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    error = context.get("exception")
+    reason = context["message"] if error is None else f"{context['message']}: {error!r}"
+    logging.getLogger("api").warning("%s", reason)
+
+
+def main(listener: int, lines: int, path: Path) -> None:
+    """Serve; the arguments are the module's."""
+    # the daemon decides when this ends, not a Ctrl-C or a closed terminal
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    handler = logging.StreamHandler()
+    handler.addFilter(_Rarely())
+    handler.setFormatter(logging.Formatter("api: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    place = Made.at(path)
+
+    async def serve() -> None:
+        await Process(socket.socket(fileno=listener), place).run(socket.socket(fileno=lines))
+
+    asyncio.run(serve())
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))

@@ -1,0 +1,121 @@
+"""The following error: just inside and just outside each limit, at every speed, both ways."""
+
+from __future__ import annotations
+
+import pytest
+
+from needle_rig.control.faults import Fault, FaultName
+from needle_rig.control.following import DRIFT_RAD_S, SCALE_TOLERANCE, FollowingError, FollowingLimits
+from needle_rig.units import deg, rad
+
+LIMITS = FollowingLimits(rad(1.5), 0.06)
+TICK_S = 0.005
+SPEEDS_DEG_S = (0.2, 1.0, 5.0, 9.0, 45.0, 60.0)
+
+
+class Base:
+    """A base that turns as a test says, at a constant command."""
+
+    def __init__(self, commanded_deg_s: float, *, enabled: bool = True) -> None:
+        self.error = FollowingError(LIMITS)
+        self.commanded_deg_s, self.enabled = commanded_deg_s, enabled
+        self.angle_deg = self.asked_deg = self.time_s = 0.0
+        self.error.step(0.0, enabled, 0.0, TICK_S)
+
+    def turn(self, turned_deg_s: float, seconds: float) -> Fault | None:
+        for _ in range(round(seconds / TICK_S)):
+            self.time_s += TICK_S
+            self.angle_deg += turned_deg_s * TICK_S
+            self.asked_deg += self.commanded_deg_s * TICK_S
+            fault = self.error.step(rad(self.commanded_deg_s), self.enabled, rad(self.angle_deg), TICK_S)
+            if fault is not None:
+                return fault
+        return None
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("speed_deg_s", SPEEDS_DEG_S)
+def test_a_base_that_stands_is_found_at_any_speed_by_what_was_asked(speed_deg_s: float, sign: int) -> None:
+    base = Base(sign * speed_deg_s)
+    fault = base.turn(0.0, 60.0)
+    assert fault is not None
+    assert (fault.name, fault.link, fault.latching) == (FaultName.NOT_TURNING, "drive", True)
+    assert fault.text.endswith("then: needle-rig clear")
+    late_deg = 0.06 * speed_deg_s
+    share = 1.0 - SCALE_TOLERANCE - deg(DRIFT_RAD_S) / speed_deg_s
+    assert abs(base.asked_deg) == pytest.approx(late_deg + 1.5 / share, abs=2.01 * speed_deg_s * TICK_S)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("speed_deg_s", SPEEDS_DEG_S)
+def test_a_base_that_turns_the_other_way_is_found_in_half_of_that(speed_deg_s: float, sign: int) -> None:
+    base = Base(sign * speed_deg_s)
+    fault = base.turn(-sign * speed_deg_s, 60.0)
+    assert fault is not None
+    assert fault.name is FaultName.WRONG_DIRECTION
+    share = 2.0 - SCALE_TOLERANCE - deg(DRIFT_RAD_S) / speed_deg_s
+    assert abs(base.asked_deg) <= 0.03 * speed_deg_s + 1.5 / share + 2.1 * speed_deg_s * TICK_S
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("speed_deg_s", [5.0, 45.0, 60.0])
+@pytest.mark.parametrize("factor", [1.2, 2.0, 5.0])
+def test_a_base_that_turns_too_far_is_found(speed_deg_s: float, factor: float, sign: int) -> None:
+    base = Base(sign * speed_deg_s)
+    fault = base.turn(sign * factor * speed_deg_s, 60.0)
+    assert fault is not None
+    assert fault.name is FaultName.RUNAWAY
+    beyond_deg = abs(base.angle_deg - base.asked_deg)
+    assert beyond_deg <= (1.5 + 0.06 * speed_deg_s) / (1 - SCALE_TOLERANCE / (factor - 1)) + factor * 0.5
+
+
+def test_a_base_that_moves_while_nothing_is_asked_is_found_within_two_degrees() -> None:
+    for turned_deg_s in (-200.0, -3.0, 3.0, 200.0):
+        base = Base(0.0, enabled=False)
+        fault = base.turn(turned_deg_s, 5.0)
+        assert fault is not None
+        assert fault.name is FaultName.IDLE_MOTION
+        assert "needle-rig release" in fault.text
+        assert abs(base.angle_deg) <= 1.5 + 1.01 * abs(turned_deg_s) * TICK_S + 0.1
+
+
+def test_a_base_that_comes_late_by_less_than_the_response_is_no_fault() -> None:
+    for speed_deg_s in SPEEDS_DEG_S:
+        base = Base(speed_deg_s)
+        assert base.turn(0.0, 0.055) is None
+        assert base.turn(speed_deg_s, 5.0) is None
+        base.commanded_deg_s = 0.0
+        base.enabled = False
+        assert base.turn(speed_deg_s, 0.055) is None
+        assert base.turn(0.0, 5.0) is None
+
+
+def test_the_limit_itself_is_no_fault_and_a_hair_above_it_is() -> None:
+    for beyond_deg, found in ((1.5 - 1e-6, False), (1.5 + 1e-6, True)):
+        base = Base(0.0, enabled=False)
+        base.angle_deg = beyond_deg + deg(DRIFT_RAD_S) * TICK_S
+        assert (base.turn(0.0, TICK_S) is not None) == found
+
+
+def test_scales_that_differ_by_less_than_a_node_s_clock_are_no_fault() -> None:
+    assert Base(45.0).turn(45.0 * (1 + 0.9 * SCALE_TOLERANCE), 60.0) is None
+    assert Base(45.0).turn(45.0 * (1 - 0.9 * SCALE_TOLERANCE), 60.0) is None
+    assert Base(45.0).turn(45.0 * (1 - 1.5 * SCALE_TOLERANCE), 60.0) is not None
+
+
+def test_a_slow_drift_is_forgiven_and_one_twice_as_fast_is_not() -> None:
+    assert Base(0.0).turn(0.9 * deg(DRIFT_RAD_S), 600.0) is None
+    assert Base(0.0).turn(2.0 * deg(DRIFT_RAD_S), 600.0) is not None
+
+
+def test_a_reset_begins_anew_wherever_the_base_stands() -> None:
+    base = Base(0.0, enabled=False)
+    base.angle_deg = 1.4
+    assert base.turn(0.0, TICK_S) is None
+    base.error.reset()
+    base.angle_deg = 90.0
+    assert base.turn(0.0, 1.0) is None
+    base.angle_deg = 91.4
+    assert base.turn(0.0, TICK_S) is None
+    base.angle_deg = 91.7
+    assert base.turn(0.0, TICK_S) is not None
