@@ -46,26 +46,27 @@ class Shape:
             raise KeyError(table)
         return self._names.index(table)
 
-    def take(self, table: int, payload: bytes) -> str:
-        """Take one frame into account, the first being the image; returns the table's name.
+    def name(self, table: int, payload: bytes) -> str:
+        """The name of the table whose rows a frame holds; ValueError when it fits none."""
+        name = self._names[table] if table < len(self._names) else ""
+        if not name or len(payload) % self.types[name].itemsize:
+            raise ValueError(f"a frame of {len(payload)} bytes fits no table {table}")
+        return name
 
-        Raises ValueError for one that fits no table.
-        """
+    def take(self, table: int, payload: bytes) -> None:
+        """Take one frame into account, the first being the image; ValueError for one that fits no table."""
         if not self._names:
             with _in_memory(payload, writable=False) as file:
                 self._names = sorted(file)
                 self.types = {name: file[name].dtype for name in self._names}
-            return ""
-        name = self._names[table] if table < len(self._names) else ""
-        if not name or len(payload) % self.types[name].itemsize:
-            raise ValueError(f"a frame of {len(payload)} bytes fits no table {table}")
+            return
+        name = self.name(table, payload)
         if name != LATE:
             dtype = self.types[name]
             last = np.frombuffer(payload[-dtype.itemsize :], dtype)[0]
             self.rows += len(payload) // dtype.itemsize
             self.last_s = max(self.last_s, float(last["time_s"]))
             self.ended = name == "events" and last["kind"] == b"end"
-        return name
 
 
 def empty_image(attributes: Mapping[str, Any], tables: Mapping[str, npt.DTypeLike]) -> bytes:
@@ -133,7 +134,7 @@ def _fill(file: h5py.File, image: bytes, frames: Iterable[tuple[int, bytes]]) ->
     shape = Shape.of(image)
     waiting: dict[str, bytearray] = {name: bytearray() for name in shape.types}
     for number, payload in frames:
-        name = shape.take(number, payload)
+        name = shape.name(number, payload)
         waiting[name] += payload
         if len(waiting[name]) >= _BATCH_BYTES:
             _extend(file[name], waiting[name])

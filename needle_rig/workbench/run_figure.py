@@ -294,7 +294,7 @@ def _title(run: RunFile) -> str:
     parts = [f"{known.get('strategy', 'run')} to {target:g}°" if np.isfinite(target) else run.name]
     if known.get("parameters"):
         parts.append(str(known["parameters"]))
-    parts.append(str(result.get("status", "no result")).replace("_", " ") if run.complete else "cut off")
+    parts.append(str(result.get("status", "cut off")).replace("_", " "))
     final = result.get("final")
     if isinstance(final, dict) and isinstance(final.get("tip_lag_deg"), int | float):
         parts.append(f"tip lag {final['tip_lag_deg']:.1f}°")
