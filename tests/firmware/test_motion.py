@@ -177,8 +177,8 @@ HARMS: dict[Callable[[Shaft], None], DriveFault] = {
     stuck: DriveFault.STALL,
     reversed_encoder: MOTION,
     reversed_motor: MOTION,
-    dead_motor: DriveFault.STALL | DriveFault.DIRECTION,
-    slips: DriveFault.STALL | DriveFault.DIRECTION,
+    dead_motor: MOTION,
+    slips: MOTION,
     too_fast: MOTION,
     shorted: MOTION,
 }

@@ -135,8 +135,8 @@ def test_a_ready_drive_whose_host_leaves_falls_silent() -> None:
     ("kind", "fault"),
     [
         ({"damage": 1}, DriveFault.COMMAND_AGE),
-        ({"step": 0}, DriveFault.COMMAND_AGE),
-        ({"step": 4}, DriveFault.COMMAND_AGE),
+        ({"step": 0}, DriveFault.MASTER),
+        ({"step": 4}, DriveFault.MASTER),
         ({"beat": 0}, DriveFault.HEARTBEAT),
     ],
 )
