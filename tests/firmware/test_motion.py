@@ -86,14 +86,14 @@ def test_what_is_behind_when_nothing_is_expected_runs(nodes: HostNodes) -> None:
 @pytest.mark.parametrize("off_us", [-1, 0, 1])
 def test_the_motor_rests_once_nothing_was_asked_for_long(nodes: HostNodes, off_us: int) -> None:
     monitor = Monitor(nodes).steady(10_000)
-    monitor.step(0, 0, 100_000 + off_us)
+    monitor.step(0, 0, 50_000 + off_us)
     monitor.c.following = 10**8
-    monitor.step(0, 0, 100_000)
+    monitor.step(0, 0, 50_000)
     assert monitor.c.resting == (off_us >= 0)
     assert (monitor.c.following == 0) == (off_us >= 0)
     monitor.step(1, 0)
     assert not monitor.c.resting
-    monitor.step(0, 0, 199_999)
+    monitor.step(0, 0, 99_999)
     assert not monitor.c.resting, "what is asked starts the time anew"
 
 
