@@ -194,6 +194,6 @@ def test_a_hundred_thousand_damaged_frames_move_nothing(nodes: HostNodes, codec:
         if len(data) == 8 and data[7] == checksum(frame_id, data):
             continue
         nodes.lib.nr_drive_receive(nodes.ffi.addressof(node.app.node), i, frame_id, data, len(data))
-        assert not guard.counter_seen
+        assert not guard.sequence_seen
         assert not guard.torque_seen
     assert guard.state == DriveState.SILENT
