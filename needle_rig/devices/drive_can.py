@@ -19,7 +19,7 @@ from needle_rig.wire.can_frames import (
 )
 
 HEALTH_AGE_LIMIT_S = 0.1
-"""DRIVE_HEALTH comes every 10 ms: ten that are missing, while statuses come, are a node that hides something."""
+"""DRIVE_HEALTH comes every 10 ms: ten that are missing, while statuses come, mean a node that is ill."""
 
 
 class DriveCan:

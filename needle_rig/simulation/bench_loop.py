@@ -300,7 +300,7 @@ class BenchLoop:
             self._say({"error": f"{' '.join(words)!r}: give one of: {'; '.join(choices)}; or: status"})
 
     def _break(self, place: str, how: str) -> None:
-        """Break a part of the machine, or mend it: an encoder that was wrong counts on from what it showed."""
+        """Break a part of the machine, or mend it: an encoder counts on from what it showed."""
         faults = self._plant.faults
         if place == "encoder":
             faults.encoder.stuck = how == "stick"

@@ -182,7 +182,7 @@ class DriveGuard:
         return found | (DriveFault.EMERGENCY_STOP if emergency_stop else DriveFault.NONE)
 
     def _judge_motion(self, elapsed_us: int, angle_mdeg: int, asked: int) -> DriveFault:
-        """What the shaft does against what was asked of it; by hand it may be turned while the motor is off."""
+        """What the shaft does against what was asked of it; a hand may turn it while the motor is off."""
         if self.state in (DriveState.SILENT, DriveState.FAULT):
             self.motion.rest(angle_mdeg)
             return DriveFault.NONE

@@ -28,7 +28,7 @@ class MotionSettings:
     lag_us: int = 20_000
     memory_us: int = 400_000
     slack_us: int = 50_000
-    rest_us: int = 200_000
+    rest_us: int = 100_000
     floor_mdeg: int = 250
     rest_mdeg: int = 1000
     speed_us: int = 5000

@@ -71,7 +71,7 @@ class Plant:
         self.links = Links()
         """Between this plant and a host without nodes."""
         self.supply_on = True
-        """Whether the motor has its supply; the drive's guard decides it in `advance`, nodes do before `turn`."""
+        """Whether the motor has its supply: decided by the guard in `advance`, by nodes before `turn`."""
         self._guard_settings = guard
         self._commands = 0
         self._foreign_commands = 0

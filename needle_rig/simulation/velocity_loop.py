@@ -1,4 +1,4 @@
-"""The drive's velocity loop in Python: a ramp, and a correction that takes what the shaft lacks back to zero."""
+"""The drive's velocity loop in Python: a ramp, and a correction for what the shaft lacks."""
 
 from __future__ import annotations
 

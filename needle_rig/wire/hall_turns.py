@@ -15,7 +15,7 @@ SURE_RAD = math.pi / 2.0
 
 
 class HallTurns:
-    """Follows every sensor over any number of turns. A sensor whose turns are lost keeps its value and grows old."""
+    """Follows every sensor over any number of turns; one whose turns are lost keeps its value and ages."""
 
     def __init__(self, sensors: Sequence[str]) -> None:
         self._sensors = tuple(sensors)
@@ -72,8 +72,8 @@ class HallTurns:
             off_rad = math.remainder(angle - expected, math.tau)
             if abs(off_rad) > SURE_RAD:
                 self._lost[index] = (
-                    f"was away for {away_s:.1f} s and came back {abs(deg(off_rad)):.0f}° from where the base's "
-                    "motion puts it: its turns are not known; give the base its reference anew"
+                    f"was away for {away_s:.1f} s and came back {abs(deg(off_rad)):.0f}° from where the "
+                    "base's motion puts it: its turns are not known; give the base its reference anew"
                 )
                 return self._lost[index]
         self._angle_rad[index] = expected + math.remainder(angle - expected, math.tau)

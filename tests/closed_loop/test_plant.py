@@ -26,8 +26,10 @@ def elastic():
 
 def awake(model, settings, **options):
     plant = Plant(model, settings, **options)
-    plant.write(Command(clear=True))
-    plant.advance(0.005)
+    for command in (Command(), Command(clear=True), *[Command()] * 5):
+        plant.write(command)
+        plant.advance(0.005)
+    assert plant.read().drive_state is DriveState.READY
     return plant
 
 
@@ -114,7 +116,7 @@ def test_effects_at_the_base_remember_from_tick_to_tick(config, elastic):
     (field,) = ChuckBacklash.parameters()
     loose = elastic.with_effects(ChuckBacklash(**{field: 6.0}))
     plant = awake(loose, config.simulation)
-    turned(turned(plant, 0.5, 2.0), 0.0, 0.2)
+    turned(turned(plant, 0.5, 2.0), 0.0, 0.5)
     wound = plant.hall_rad.copy()
     before = deg(plant.motor.angle_rad)
     while deg(plant.motor.angle_rad) > before - 4.0:
@@ -149,18 +151,28 @@ def test_it_opens_and_closes_as_a_rig(config, elastic):
 
 
 class Guarded:
-    """A guard that is stepped every millisecond, its torque node alive."""
+    """A guard that is stepped every millisecond, its torque node alive, its shaft as asked."""
 
     def __init__(self):
-        self.guard, self.now_us = DriveGuard(), 0
+        self.guard, self.now_us, self.said = DriveGuard(), 0, 0
+        self.asked = self.angle_mdeg = 0
+        self.step(Command())
+        self.step(Command())
 
-    def step(self, command=None, angle_rad=0.0, torque_nm=0.0):
+    def step(self, command=None, torque_nm=0.0):
         if command is not None:
-            self.guard.receive(self.now_us, command)
+            self.said += 1
+            self.guard.receive(self.now_us, command, self.said % 16, self.said)
         self.guard.torque(self.now_us, torque_nm)
-        velocity = self.guard.step(self.now_us, angle_rad)
+        self.angle_mdeg += self.guard.motion.expected_q8 / 256 * 1e-4
+        velocity = self.guard.step(self.now_us, rad(self.angle_mdeg * 1e-3), self.asked)
+        self.asked = round(deg(velocity) * 1e4)
         self.now_us += 1000
         return velocity
+
+    def rest(self, milliseconds):
+        for _ in range(milliseconds):
+            self.step(Command())
 
     @property
     def state(self):
@@ -170,20 +182,24 @@ class Guarded:
 def running():
     guarded = Guarded()
     guarded.step(Command(clear=True))
+    guarded.rest(20)
     guarded.step(Command(0.5, enable=True))
     return guarded
 
 
 class TestDriveGuard:
-    def test_silent_until_cleared(self):
+    def test_silent_until_cleared_and_still_until_the_supply_is_on(self):
         guarded = Guarded()
         assert guarded.step(Command(0.5, enable=True)) == 0.0
         assert guarded.state == (DriveState.SILENT, DriveFault.NONE)
+        assert not guarded.guard.supply
         guarded.step(Command(clear=True))
         assert guarded.state == (DriveState.READY, DriveFault.NONE)
+        assert guarded.guard.supply
+        assert guarded.step(Command(0.5, enable=True)) == 0.0
+        guarded.rest(20)
         assert guarded.step(Command(0.5, enable=True)) == 0.5
         assert guarded.state == (DriveState.RUNNING, DriveFault.NONE)
-        assert guarded.guard.powered
 
     def test_without_commands_it_stops_after_50_ms(self):
         guarded = running()
@@ -191,27 +207,22 @@ class TestDriveGuard:
         assert next(ms for ms in range(1, 1000) if guarded.step() == 0.0) == 51
         assert guarded.state == (DriveState.FAULT, DriveFault.COMMAND_AGE)
         guarded.step(Command())
+        guarded.step(Command())
         guarded.step(Command(clear=True))
         assert guarded.state == (DriveState.READY, DriveFault.NONE)
 
     @pytest.mark.parametrize(
-        ("angle", "torque", "velocity", "bit"),
-        [
-            (0.0, nm(2.1), 0.5, DriveFault.TORQUE_TRIP),
-            (rad(723.0), 0.0, 0.5, DriveFault.ANGLE),
-            (0.0, 0.0, rad(91.0), DriveFault.VELOCITY),
-        ],
+        ("torque", "velocity", "bit"),
+        [(nm(2.1), 0.5, DriveFault.TORQUE_TRIP), (0.0, rad(91.0), DriveFault.VELOCITY)],
     )
-    def test_latching_faults_want_rest_before_a_clear(self, angle, torque, velocity, bit):
+    def test_latching_faults_want_rest_before_a_clear(self, torque, velocity, bit):
         guarded = running()
-        assert guarded.step(Command(velocity, enable=True), angle, torque) == 0.0
+        assert guarded.step(Command(velocity, enable=True), torque) == 0.0
         assert guarded.state == (DriveState.FAULT, bit)
         guarded.step(Command())
         guarded.step(Command(clear=True))
         assert guarded.state == (DriveState.FAULT, bit)
-        guarded.step(Command())
-        for _ in range(110):
-            guarded.step(Command())
+        guarded.rest(110)
         guarded.step(Command(clear=True))
         assert guarded.state == (DriveState.READY, DriveFault.NONE)
 
@@ -227,10 +238,15 @@ class TestDriveGuard:
         assert guarded.state == (DriveState.FAULT, DriveFault.TORQUE_TRIP)
 
     def test_at_its_angle_limit_it_holds_and_may_turn_back(self):
-        guarded = running()
-        assert guarded.step(Command(0.5, enable=True), rad(720.5)) == 0.0
-        assert guarded.guard.powered
-        assert guarded.step(Command(-0.5, enable=True), rad(720.5)) == -0.5
+        guarded = Guarded()
+        guarded.rest(110)
+        assert guarded.guard.reference(guarded.now_us, guarded.said, rad(720.5))
+        guarded.angle_mdeg = 720_500.0
+        guarded.step(Command(clear=True))
+        guarded.rest(20)
+        assert guarded.step(Command(0.5, enable=True)) == 0.0
+        assert guarded.guard.state is DriveState.RUNNING
+        assert guarded.step(Command(-0.5, enable=True)) == -0.5
 
 
 class TestMotor:
@@ -282,7 +298,7 @@ def test_a_whole_run_is_many_times_faster_than_the_rig(config, elastic):
 def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config, elastic):
     plant = turned(awake(elastic, config.simulation), 0.5, 0.5)
     assert plant.read().drive_state is DriveState.RUNNING
-    for _ in range(60):
+    for _ in range(80):
         plant.advance(0.001)
     at_stop = plant.motor.angle_rad
     for _ in range(500):

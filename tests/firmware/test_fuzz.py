@@ -41,7 +41,8 @@ def test_a_million_frames(target: str, tmp_path: Path) -> None:
     ("target", "file", "check", "without"),
     [
         ("drive", "nr_frame.c", "length == 8 && data[7] == nr_can_checksum(id, data)", "length == 8"),
-        ("drive", "nr_guard.c", "    if (!in_sequence) {\n        return false;\n    }\n", ""),
+        ("drive", "nr_guard.c", "counted >= 1 && counted <= 3 && beaten <= 3", "counted <= 3"),
+        ("drive", "nr_guard.c", "heartbeat == guard->command.heartbeat;", "true;"),
         ("drive", "nr_guard.c", "        if (guard->clear_asked) {\n", "        {\n"),
         ("serial", "nr_frame.c", "content > room || crc != nr_crc16(raw, content)", "content > room"),
     ],

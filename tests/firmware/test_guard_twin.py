@@ -12,7 +12,6 @@ from needle_rig.records import Command, DriveFault, DriveState
 from needle_rig.simulation.drive_guard import DriveGuard
 from needle_rig.units import nm, rad
 
-NO_LIMIT = 2**31 - 1
 COMMANDS = st.tuples(
     st.sampled_from([0, 0, 200_000, -200_000, 899_999, 900_001]), st.booleans(), st.booleans()
 )
@@ -25,6 +24,12 @@ DEEDS = st.one_of(
     st.tuples(st.just("torque"), st.sampled_from([0, 0, 199_999, 200_001, -200_001, None])),
     st.tuples(st.just("damage"), st.integers(1, 12)),
     st.tuples(st.just("angle"), st.sampled_from([0, 0, 719_999, 720_001, 722_001, -720_001, -722_001])),
+    st.tuples(st.just("share"), st.sampled_from([1.0, 1.0, 0.0, 0.5, 1.6, -1.0])),
+    st.tuples(st.just("drift_mdeg"), st.sampled_from([0, 0, 0, 3, -90])),
+    st.tuples(st.just("estop"), st.sampled_from([False, False, True])),
+    st.tuples(st.just("foreign"), st.integers(1, 5)),
+    st.tuples(st.just("repeat"), st.integers(1, 5)),
+    st.tuples(st.just("reference"), st.tuples(st.sampled_from([-1, 0, 0]), st.integers(-9000, 9000))),
 )
 
 
@@ -33,45 +38,60 @@ class Twins:
 
     def __init__(self, nodes: HostNodes) -> None:
         self.lib, self.ffi = nodes.lib, nodes.ffi
-        config: Any = self.ffi.new("struct nr_guard_config *", self.lib.nr_drive_defaults.guard)
-        # Only the firmware judges what its motor does.
-        config.rate_limit = config.stall_floor_mdeg = NO_LIMIT
         self.c: Any = self.ffi.new("struct nr_guard *")
-        self.lib.nr_guard_init(self.c, config)
+        self.lib.nr_guard_init(self.c, self.ffi.addressof(self.lib.nr_drive_defaults, "guard"))
         self.python = DriveGuard()
         self.now_us = 0
-        self.heartbeat = 0
+        self.counter = self.heartbeat = 0
         self.command = (0, False, False)
         self.host = self.thinks = True
         self.torque: int | None = 0
-        self.angle_mdeg = 0
-        self.say(counter_only=True)
+        self.angle_mdeg = self.asked = self.drift_mdeg = 0
+        self.share = 1.0
+        self.estop = False
+        self.say()
 
     def do(self, what: str, value: Any) -> None:
         if what == "damage":
             for _ in range(value):
                 self.lib.nr_guard_bad_frame(self.c)
                 self.python.damaged()
+        elif what == "foreign":
+            for _ in range(value):
+                self.tell((300_000, True, False), self.counter + 7, self.heartbeat + 1)
+        elif what == "repeat":
+            for _ in range(value):
+                self.tell(self.command, self.counter, self.heartbeat)
+        elif what == "reference":
+            beat, angle_mdeg = value
+            heartbeat = (self.heartbeat + beat) % 65536
+            taken = bool(self.lib.nr_guard_reference(self.c, self.now_us, heartbeat, angle_mdeg))
+            assert self.python.reference(self.now_us, heartbeat, rad(angle_mdeg * 1e-3)) == taken
+            if taken:
+                self.angle_mdeg = angle_mdeg
         else:
             setattr(self, {"angle": "angle_mdeg"}.get(what, what), value)
 
-    def say(self, *, counter_only: bool = False) -> None:
-        velocity, enable, clear = self.command
+    def say(self) -> None:
         self.heartbeat += self.thinks
+        self.counter += 1
+        self.tell(self.command, self.counter, self.heartbeat)
+
+    def tell(self, command: tuple[int, bool, bool], counter: int, heartbeat: int) -> None:
+        velocity, enable, clear = command
         said = self.ffi.new(
             "struct nr_command *",
             {
                 "velocity": velocity,
                 "enable": enable,
                 "clear": clear,
-                "counter": (self.c.last_counter + 1) % 16,
-                "heartbeat": self.heartbeat % 65536,
+                "counter": counter % 16,
+                "heartbeat": heartbeat % 65536,
             },
         )
-        assert self.lib.nr_guard_command(self.c, self.now_us, said) is not counter_only
-        if not counter_only:
-            wish = Command(rad(velocity * 1e-4), enable, clear)
-            self.python.receive(self.now_us, wish, self.heartbeat)
+        wish = Command(rad(velocity * 1e-4), enable, clear)
+        taken = bool(self.lib.nr_guard_command(self.c, self.now_us, said))
+        assert self.python.receive(self.now_us, wish, counter % 16, heartbeat % 65536) == taken
 
     def step(self) -> None:
         self.now_us += 1000
@@ -80,13 +100,21 @@ class Twins:
         if self.torque is not None:
             self.lib.nr_guard_torque(self.c, self.now_us, self.torque, True)
             self.python.torque(self.now_us, nm(self.torque * 1e-5))
-        permitted = self.lib.nr_guard_step(self.c, self.now_us, self.angle_mdeg, True, 0)
-        velocity_rad_s = self.python.step(self.now_us, rad(self.angle_mdeg * 1e-3))
-        assert (self.python.state, self.python.faults) == (
-            DriveState(self.c.state),
-            DriveFault(self.c.faults),
-        )
+        expected = self.c.motion.expected_q8 / 256
+        self.angle_mdeg += round(self.share * expected * 1e-4) + self.drift_mdeg
+        senses = self.ffi.new("struct nr_senses *", {"angle_mdeg": self.angle_mdeg, "encoder_good": True})
+        senses.emergency_stop = self.estop
+        permitted = self.lib.nr_guard_step(self.c, self.now_us, senses, self.asked)
+        angle_rad = rad(self.angle_mdeg * 1e-3)
+        velocity_rad_s = self.python.step(self.now_us, angle_rad, self.asked, emergency_stop=self.estop)
+        self.asked = permitted
+        python, motion = self.python, self.c.motion
+        assert (python.state, python.faults) == (DriveState(self.c.state), DriveFault(self.c.faults))
+        assert (python.supply, python.referenced) == (bool(self.c.supply), bool(self.c.referenced))
         assert velocity_rad_s == rad(permitted * 1e-4)
+        twin = python.motion
+        seen = (twin.following, twin.expected_q8, twin.pace_q8, twin.resting)
+        assert seen == (motion.following, motion.expected_q8, motion.pace_q8, bool(motion.resting))
 
 
 @settings(max_examples=150)
@@ -106,7 +134,7 @@ def test_the_twins_come_through_every_state(nodes: HostNodes) -> None:
     reached = []
     for command in ((0, False, False), (0, False, True), (200_000, True, False), (900_001, True, False)):
         twins.command = command
-        for _ in range(10):
+        for _ in range(25):
             twins.step()
         reached.append(twins.python.state)
     assert reached == [DriveState.SILENT, DriveState.READY, DriveState.RUNNING, DriveState.FAULT]

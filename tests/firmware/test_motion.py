@@ -33,7 +33,7 @@ class Monitor:
         return int(self.lib.nr_motion_step(self.c, self.config, elapsed_us, self.angle_mdeg, asked))
 
     def steady(self, asked: int) -> Monitor:
-        """Turning as asked for long, in steps of 20 ms; `asked` in 1e-4 deg/s turns whole mdeg in that time."""
+        """Turning as asked for long, in steps of 20 ms, in which `asked` turns whole mdeg."""
         for _ in range(40):
             assert self.step(asked, asked // 500, 20_000) == FOLLOWS
         self.c.following = 0
@@ -86,14 +86,14 @@ def test_what_is_behind_when_nothing_is_expected_runs(nodes: HostNodes) -> None:
 @pytest.mark.parametrize("off_us", [-1, 0, 1])
 def test_the_motor_rests_once_nothing_was_asked_for_long(nodes: HostNodes, off_us: int) -> None:
     monitor = Monitor(nodes).steady(10_000)
-    monitor.step(0, 0, 100_000 + off_us)
+    monitor.step(0, 0, 50_000 + off_us)
     monitor.c.following = 10**8
-    monitor.step(0, 0, 100_000)
+    monitor.step(0, 0, 50_000)
     assert monitor.c.resting == (off_us >= 0)
     assert (monitor.c.following == 0) == (off_us >= 0)
     monitor.step(1, 0)
     assert not monitor.c.resting
-    monitor.step(0, 0, 199_999)
+    monitor.step(0, 0, 99_999)
     assert not monitor.c.resting, "what is asked starts the time anew"
 
 
@@ -106,7 +106,7 @@ def test_a_hand_may_touch_a_motor_at_rest(nodes: HostNodes, way: int, off_mdeg: 
     assert monitor.step(0, -way * 500) == FOLLOWS
     assert monitor.step(0, 0, 5000) == FOLLOWS
     assert monitor.step(1, 0) == FOLLOWS
-    assert abs(monitor.c.following) <= 1, "what was forgiven is not held against the next motion"
+    assert abs(monitor.c.following) < 100, "what was forgiven is not held against the next motion"
 
 
 def test_expectation_and_pace_take_their_time(nodes: HostNodes) -> None:
@@ -177,8 +177,8 @@ HARMS: dict[Callable[[Shaft], None], DriveFault] = {
     stuck: DriveFault.STALL,
     reversed_encoder: MOTION,
     reversed_motor: MOTION,
-    dead_motor: DriveFault.STALL | DriveFault.DIRECTION,
-    slips: DriveFault.STALL | DriveFault.DIRECTION,
+    dead_motor: MOTION,
+    slips: MOTION,
     too_fast: MOTION,
     shorted: MOTION,
 }
@@ -247,7 +247,7 @@ def test_what_moves_while_idle_loses_its_supply(nodes: HostNodes, drift_deg_s: f
 
 
 def test_a_stuck_encoder_while_almost_nothing_is_asked_does_not_creep(nodes: HostNodes) -> None:
-    """A motion that ends on an encoder that stood still in its last part; then nothing is asked for a minute."""
+    """A motion whose last part an encoder that stands still does not see; then nothing for a minute."""
     for speed_deg_s in (1.0, 10.0, 60.0):
         for last_ms in (5, 20, 40):
             shaft = Shaft(nodes, gain=1.3, droop_deg_s_per_nmm=0.0, torque_nmm=0.2).ready()
@@ -264,7 +264,7 @@ LAGS = ((0.002, 0), (0.010, 2), (0.030, 6), (0.040, 10))
 
 
 def profile(rng: random.Random, speed_deg_s: float) -> Callable[[int], float]:
-    """What a host may ask for: steps, reversals, pulses, dither, ramps at the acceleration limit, anything."""
+    """What a host may ask for: steps, reversals, pulses, dither, ramps at its acceleration limit."""
     kind = rng.choice(("step", "reverse", "pulses", "sine", "random", "ramps"))
     period_ms, rate_hz = rng.randrange(40, 700), rng.uniform(0.5, 9.0)
     if kind == "step":

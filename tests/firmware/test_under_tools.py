@@ -15,7 +15,8 @@ import pytest
 from needle_rig.firmware.build import HOST_LIBRARY, build
 from needle_rig.firmware.sources import core_sources, firmware_folder
 
-NODE_TESTS = ("test_guard.py", "test_nodes.py", "test_codecs.py")
+GUARD_TESTS = ("test_guard.py", "test_guard_safety.py", "test_motion.py")
+NODE_TESTS = (*GUARD_TESTS, "test_nodes.py", "test_codecs.py")
 GCC = shutil.which("gcc")
 
 
@@ -46,18 +47,28 @@ def gcc_library(out: Path, *flags: str) -> None:
     subprocess.run(command, cwd=out, check=True, capture_output=True)
 
 
+@pytest.fixture(scope="module")
+def covered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A library that counts, after the guard's tests."""
+    folder = tmp_path_factory.mktemp("covered")
+    gcc_library(folder, "-O0", "--coverage")
+    run_tests(folder, *GUARD_TESTS)
+    return folder
+
+
 @pytest.mark.skipif(None in (GCC, shutil.which("gcov")), reason="needs gcc and gcov")
-def test_every_line_and_branch_of_the_guard_is_taken(tmp_path: Path) -> None:
-    gcc_library(tmp_path, "-O0", "--coverage")
-    run_tests(tmp_path, "test_guard.py")
-    (data,) = tmp_path.glob("*nr_guard.gcda")
-    subprocess.run(["gcov", "--json-format", "-b", data.name], cwd=tmp_path, check=True, capture_output=True)
-    (report,) = tmp_path.glob("*nr_guard*.gcov.json.gz")
+@pytest.mark.parametrize(("name", "least_lines", "least_branches"), [("guard", 120, 120), ("motion", 40, 40)])
+def test_every_line_and_branch_of_the_guard_is_taken(
+    covered: Path, name: str, least_lines: int, least_branches: int
+) -> None:
+    (data,) = covered.glob(f"*nr_{name}.gcda")
+    subprocess.run(["gcov", "--json-format", "-b", data.name], cwd=covered, check=True, capture_output=True)
+    (report,) = covered.glob(f"*nr_{name}*.gcov.json.gz")
     files = json.loads(gzip.decompress(report.read_bytes()))["files"]
-    (guard,) = (file for file in files if file["file"].endswith("nr_guard.c"))
-    lines = guard["lines"]
-    assert len(lines) > 80
-    assert sum(len(line["branches"]) for line in lines) > 80
+    (source,) = (file for file in files if file["file"].endswith(f"nr_{name}.c"))
+    lines = source["lines"]
+    assert len(lines) > least_lines
+    assert sum(len(line["branches"]) for line in lines) > least_branches
     missed = [line["line_number"] for line in lines if not line["count"]]
     one_way = [line["line_number"] for line in lines if not all(b["count"] for b in line["branches"])]
     assert missed == []

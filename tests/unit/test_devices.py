@@ -9,12 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import CanSection, SerialSection
 from needle_rig.devices.can_bus import CanLink
+from needle_rig.devices.drive_can import DriveCan
 from needle_rig.devices.hall_serial import HallSerial
 from needle_rig.devices.torque_can import TorqueCan
+from needle_rig.records import Command, DriveFault, DriveState
 from needle_rig.simulation.slcan_hub import Pty
-from needle_rig.wire.can_frames import TorqueStatus
+from needle_rig.wire.can_frames import (
+    CanCodec,
+    DriveCommand,
+    DriveHealth,
+    DriveReference,
+    DriveStatus,
+    TorqueStatus,
+)
 from needle_rig.wire.hall_frames import encode_hall
 
 
@@ -56,6 +66,108 @@ def test_a_sensor_without_a_magnet_grows_old_alone_and_is_named() -> None:
     assert device.angle_rad == pytest.approx((0.199, 0.099), abs=1e-6)
     assert device.age_s(clock.now_s) == pytest.approx(0.101, abs=1e-6)
     assert device.complaint == "hall_2 sees a field of 500, healthy is 20000 to 60000"
+
+
+def hall_after_an_outage(away_s: float, base_deg: tuple[float, float], hall_deg: float) -> HallSerial:
+    """Sensors that stood at 100°, were away, and came back at `hall_deg` while the base moved."""
+    clock = Clock()
+    base = [math.radians(base_deg[0])]
+    port = SerialSection(port="/dev/none")
+    device = HallSerial(port, ("hall_1",), now=clock, base=lambda: base[0])
+    for index in range(60):
+        device.data_received(encode_hall(index, index * 1000, [math.radians(100.0)], [40_000]))
+        clock.now_s += 1e-3
+    clock.now_s += away_s
+    base[0] = math.radians(base_deg[1])
+    for index in range(60, 120):
+        time_us = index * 1000 + round(away_s * 1e6)
+        device.data_received(encode_hall(index, time_us, [math.radians(hall_deg)], [40_000]))
+        clock.now_s += 1e-3
+    device.now_s = clock.now_s  # type: ignore[attr-defined]
+    return device
+
+
+@pytest.mark.parametrize("moved_deg", [-700.0, -200.0, 0.0, 30.0, 200.0, 540.0])
+@pytest.mark.parametrize("lag_deg", [-40.0, 0.0, 40.0])
+def test_turns_in_an_outage_are_those_of_the_base(moved_deg: float, lag_deg: float) -> None:
+    device = hall_after_an_outage(1.0, (10.0, 10.0 + moved_deg), 100.0 + moved_deg + lag_deg)
+    assert math.degrees(device.angle_rad[0]) == pytest.approx(100.0 + moved_deg + lag_deg, abs=1e-3)
+    assert device.complaint == ""
+
+
+@pytest.mark.parametrize(("off_deg", "sure"), [(89.0, True), (-89.0, True), (91.0, False), (-91.0, False)])
+def test_turns_that_could_be_others_are_not_guessed_until_somebody_says_where_the_base_stands(
+    off_deg: float, sure: bool
+) -> None:
+    device = hall_after_an_outage(0.4, (10.0, 210.0), 300.0 + off_deg)
+    now_s: float = device.now_s  # type: ignore[attr-defined]
+    assert (device.age_s(now_s) < 0.05) == sure
+    assert ("its turns are not known; give the base its reference anew" in device.complaint) != sure
+    if not sure:
+        assert math.degrees(device.angle_rad[0]) == pytest.approx(100.0, abs=1e-3)
+        device.refer(math.radians(300.0))
+        device._now = lambda: now_s
+        index, angle_rad = 120, math.radians(300.0 + off_deg)
+        device.data_received(encode_hall(index, index * 1000 + 400_000, [angle_rad], [40_000]))
+        assert math.degrees(device.angle_rad[0]) == pytest.approx(300.0 + off_deg, abs=1e-3)
+        assert (device.complaint, device.age_s(now_s) < 0.05) == ("", True)
+
+
+def test_turns_wait_for_a_base_that_is_not_known() -> None:
+    device = hall_after_an_outage(0.4, (10.0, math.nan), 110.0)
+    assert "its turns wait for the drive's angle" in device.complaint
+    assert device.age_s(device.now_s) > 0.4  # type: ignore[attr-defined]
+
+
+def test_a_short_gap_needs_no_base() -> None:
+    device = hall_after_an_outage(0.15, (math.nan, math.nan), 110.0)
+    assert math.degrees(device.angle_rad[0]) == pytest.approx(110.0, abs=1e-3)
+
+
+CODEC = CanCodec(find_config_file("needle_rig.dbc"))
+
+
+def drive_that_speaks(health_until_s: float) -> DriveCan:
+    """A drive whose statuses come for 0.5 s and whose health comes until `health_until_s`."""
+    device = DriveCan(CODEC, lambda frame_id, data: True)
+    for ms in range(500):
+        now_s = ms * 1e-3
+        if ms % 10 == 0 and now_s < health_until_s:
+            health = DriveHealth(DriveFault.STALL, True, False, True, 0.5, 3, ms // 10)
+            device.take_health(health, now_s)
+        device.take(DriveStatus(0.25, DriveState.FAULT, DriveFault.VELOCITY, ms % 16, now_s), now_s)
+    return device
+
+
+def test_status_and_health_make_one_drive() -> None:
+    device = drive_that_speaks(1.0)
+    assert device.faults == DriveFault.STALL | DriveFault.VELOCITY
+    assert (device.referenced, device.supply_on, device.emergency_stop) == (True, True, False)
+    assert (device.index_rad, device.angle_rad) == (0.5, 0.25)
+    assert device.age_s(0.5) < 0.01
+
+
+@pytest.mark.parametrize(("missing_s", "dead"), [(0.09, False), (0.13, True)])
+def test_a_health_that_stays_away_is_a_dead_drive(missing_s: float, dead: bool) -> None:
+    assert (drive_that_speaks(0.5 - missing_s).age_s(0.5) > 0.1) == dead
+
+
+def test_without_any_health_a_drive_is_not_known() -> None:
+    assert math.isinf(drive_that_speaks(-1.0).age_s(0.5))
+
+
+def test_a_reference_goes_out_after_its_command_with_the_same_heartbeat() -> None:
+    sent: list[object] = []
+    device = DriveCan(CODEC, lambda frame_id, data: bool(sent.append(CODEC.decode(frame_id, data))) or True)
+    device.command(Command())
+    device.command(Command(reference_rad=-0.5))
+    assert [type(content) for content in sent] == [DriveCommand, DriveCommand, DriveReference]
+    command, reference = sent[1:]
+    assert isinstance(command, DriveCommand)
+    assert isinstance(reference, DriveReference)
+    assert not command.command.enable
+    assert (reference.counter, reference.heartbeat) == (command.counter, command.heartbeat) == (2, 2)
+    assert reference.angle_rad == pytest.approx(-0.5, abs=1e-5)
 
 
 @pytest.mark.parametrize(

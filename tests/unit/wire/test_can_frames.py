@@ -13,10 +13,14 @@ from needle_rig.records import STOP, Command, DriveFault, DriveState
 from needle_rig.units import nmm, rad
 from needle_rig.wire.can_frames import (
     DRIVE_COMMAND_ID,
+    DRIVE_HEALTH_ID,
+    DRIVE_REFERENCE_ID,
     DRIVE_STATUS_ID,
     TORQUE_STATUS_ID,
     CanCodec,
     DriveCommand,
+    DriveHealth,
+    DriveReference,
     DriveStatus,
     TorqueStatus,
     checksum,
@@ -69,6 +73,47 @@ def test_commands_survive_the_wire(
     assert (content.counter, content.heartbeat) == (counter % 16, heartbeat % 65536)
 
 
+@given(
+    st.integers(0, 255),
+    st.booleans(),
+    st.booleans(),
+    st.booleans(),
+    st.one_of(st.just(math.nan), st.floats(-rad(8000), rad(8000))),
+    st.integers(0, 10**6),
+    counters,
+)
+def test_health_survives_the_wire(
+    faults: int, supply: bool, stop: bool, referenced: bool, index_rad: float, uptime_s: int, counter: int
+) -> None:
+    said = DriveHealth(DriveFault(faults << 8), supply, stop, referenced, index_rad, uptime_s, counter)
+    health = CODEC.decode(DRIVE_HEALTH_ID, CODEC.encode_health(said))
+    assert isinstance(health, DriveHealth)
+    assert (health.faults, health.supply_on, health.emergency_stop) == (said.faults, supply, stop)
+    assert (health.referenced, health.counter) == (referenced, counter % 16)
+    assert health.uptime_s == min(uptime_s, 65_535)
+    assert math.isnan(health.index_rad) == math.isnan(index_rad)
+    assert math.isnan(index_rad) or abs(health.index_rad - index_rad) <= rad(0.00051)
+
+
+def test_status_and_health_share_the_faults() -> None:
+    faults = DriveFault.TORQUE_TRIP | DriveFault.EMERGENCY_STOP
+    status = CODEC.decode(DRIVE_STATUS_ID, CODEC.encode_drive(0.0, DriveState.FAULT, faults, 1, 0.0))
+    said = DriveHealth(faults, False, True, False, math.nan, 1, 1)
+    health = CODEC.decode(DRIVE_HEALTH_ID, CODEC.encode_health(said))
+    assert isinstance(status, DriveStatus)
+    assert isinstance(health, DriveHealth)
+    assert (status.faults, health.faults) == (DriveFault.TORQUE_TRIP, DriveFault.EMERGENCY_STOP)
+
+
+@given(st.floats(-rad(8000), rad(8000)), counters, st.integers(0, 10**6))
+def test_references_survive_the_wire(angle_rad: float, counter: int, heartbeat: int) -> None:
+    data = CODEC.encode_reference(angle_rad, counter, heartbeat)
+    reference = CODEC.decode(DRIVE_REFERENCE_ID, data)
+    assert isinstance(reference, DriveReference)
+    assert abs(reference.angle_rad - angle_rad) <= rad(0.00051)
+    assert (reference.counter, reference.heartbeat) == (counter % 16, heartbeat % 65536)
+
+
 @pytest.mark.parametrize("velocity", [math.nan, math.inf, -math.inf])
 def test_a_velocity_that_is_not_finite_stops(velocity: float) -> None:
     content = CODEC.decode(DRIVE_COMMAND_ID, CODEC.encode_command(Command(velocity, True), 1, 1))
@@ -91,7 +136,7 @@ def test_the_checksum_is_the_one_in_the_dbc(frame_id: int, data: bytes) -> None:
 @given(st.integers(0, 0x7FF), st.binary(max_size=12))
 def test_nothing_with_a_wrong_checksum_or_length_is_taken(frame_id: int, data: bytes) -> None:
     if CODEC.decode(frame_id, data) is not None:
-        assert frame_id in (TORQUE_STATUS_ID, DRIVE_COMMAND_ID, DRIVE_STATUS_ID)
+        assert frame_id in (257, 272, 273, 274, 275)
         assert len(data) == 8
         assert data[7] == Crc8SaeJ1850.calc(frame_id.to_bytes(2, "little") + data[:7])
 
