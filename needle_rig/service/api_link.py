@@ -22,7 +22,7 @@ log = structlog.get_logger("api")
 STATES_HZ = 25.0
 RESTART_S = 1.0
 """From one start of the process to the next at least, so that one which fails at once takes no core."""
-SILENT = 10
+SILENT = 5
 """Checks, a second apart, without a word from the process: it hangs. A machine that stood still is one."""
 BACKLOG_LIMIT_BYTES = 8 * 2**20
 _COMPLAIN_EVERY = 10
