@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,9 +36,9 @@ def runs_directory(directory: Path | None, config_path: Path | None) -> Path:
 
 def the_run(named: str, directory: Path | None, config_path: Path | None) -> RunFile:
     """The run called `named` (a path, a listed name, a part of it, or `last`); raises BadInput."""
-    from needle_rig.recording import RunFile, find_run
+    from needle_rig.recording import RunFile, find_run, is_run_file
 
-    if os.path.isfile(named):
+    if is_run_file(named):
         return RunFile(named)
     return find_run(named, runs_directory(directory, config_path))
 

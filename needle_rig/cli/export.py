@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from needle_rig.cli._runs import config_option, directory_option, the_run
+
+if TYPE_CHECKING:
+    from needle_rig.recording import RunFile
 
 
 @click.command()
@@ -38,10 +42,7 @@ def command(
         raise click.UsageError("Say which format: --csv, --mcap, --png or --dataset.")
     found = the_run(run, directory, config_path)
     if not found.complete:
-        click.echo(
-            f"{show_path(found.path)}: has no end (still running, or cut off); exporting what is there",
-            err=True,
-        )
+        click.echo(f"{show_path(found.path)}: {_why_no_end(found)}; exporting what is there", err=True)
     if wanted == "mcap":
         from needle_rig.recording.export_mcap import export_mcap
 
@@ -61,6 +62,15 @@ def command(
 
         written = write_dataset(runs_as_dataset([found]), out or Path(f"{found.name}_dataset"))
     click.echo(show_path(written))
+
+
+def _why_no_end(run: RunFile) -> str:
+    from needle_rig.recording import being_written
+
+    if being_written(run.path):
+        return "is still running"
+    torn_bytes = run.torn_bytes
+    return "was cut off" + (f", {torn_bytes} bytes at its end are torn and left out" if torn_bytes else "")
 
 
 def _new(path: Path) -> Path:

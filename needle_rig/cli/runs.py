@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def command(directory: Path | None, config_path: Path | None, as_json: bool) -> None:
     """List the recorded runs, oldest first.
 
-    Status: aligned, not_aligned, aborted or fault for a run that ended; running; cut off when its writer was
-    killed (what it wrote is readable); unreadable.
+    Status: aligned, not_aligned, aborted or fault for a run that ended; running; cut off when the power, the
+    daemon or its recorder went before it ended (what was recorded is readable); unreadable.
     """
     from needle_rig.config.places import show_path
     from needle_rig.recording import list_runs

@@ -56,6 +56,9 @@ def _text(state: dict[str, Any], path: str) -> str:
         lines.append(f"fault:   {state['fault']}{after}")
     if state["last"]:
         lines.append(f"last:    {state['last']['text']}")
+    lines += [
+        f"cut off: {run['text'] or run['run']} (found {run['found_utc']})" for run in state["unfinished"]
+    ]
     lines += [f"warning: {warning}" for warning in state["warnings"]]
     return "\n".join(lines)
 

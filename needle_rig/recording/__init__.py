@@ -1,6 +1,15 @@
-"""Runs on disk: one HDF5 file a run, readable while it is written and after its writer was killed."""
+"""Runs on disk: one HDF5 file a run, a journal while it goes on; both are read alike."""
 
-from needle_rig.recording.catalogue import RunSummary, find_run, list_runs
+from needle_rig.recording.catalogue import (
+    RunSummary,
+    find_run,
+    is_run_file,
+    list_runs,
+    remove_empty_runs,
+    unfinished_runs,
+)
+from needle_rig.recording.journal import journal_path
+from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
 from needle_rig.recording.tables import run_attributes, run_tables, sample_row
 from needle_rig.recording.writer import RunWriter, new_run
@@ -10,10 +19,15 @@ __all__ = [
     "RunFile",
     "RunSummary",
     "RunWriter",
+    "being_written",
     "find_run",
+    "is_run_file",
+    "journal_path",
     "list_runs",
     "new_run",
+    "remove_empty_runs",
     "run_attributes",
     "run_tables",
     "sample_row",
+    "unfinished_runs",
 ]

@@ -5,17 +5,17 @@ from __future__ import annotations
 import difflib
 import math
 import os
-import time
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from needle_rig.config.places import show_path
-from needle_rig.errors import BadInput
+from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.recording.journal import SUFFIX, Frames, Journal, journal_path
+from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import RunFile
-
-LIVE_S = 2.0
-"""A file without an end that changed within this time is still being written."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,30 @@ class RunSummary:
 
 def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
     """The runs in `directory`, oldest first; unreadable files are listed too. An absent folder has none."""
-    paths = [path for path in Path(directory).glob("*.h5") if not path.name.startswith(".")]
+    found = [*Path(directory).glob("*.h5"), *Path(directory).glob(f"*{SUFFIX}")]
+    paths = {path.with_suffix(".h5") for path in found if not path.name.startswith(".")}
     return sorted((_summary(path) for path in paths), key=lambda run: (run.started_utc, run.name))
+
+
+def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:
+    """The run files in `directory`, by name, whose writer was cut off before it could make them."""
+    journals = sorted(one for one in Path(directory).glob(f"*{SUFFIX}") if one.is_file())
+    runs = [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
+    return [run for run in runs if not being_written(run)]
+
+
+def remove_empty_runs(directory: str | os.PathLike[str]) -> None:
+    """Take away what starts that were given up left in `directory`: journals without a row."""
+    for run in unfinished_runs(directory):
+        journal = journal_path(run)
+        with suppress(NeedleRigError, OSError):  # told where unfinished runs are closed
+            if len(list(islice(Frames(journal), 2))) < 2:
+                Journal.reopen(journal, lambda table, payload: None).remove()
+
+
+def is_run_file(named: str) -> bool:
+    """Whether `named` is a path at which a run lies, finished or not."""
+    return os.path.isfile(named) or (named.endswith(".h5") and os.path.isfile(journal_path(Path(named))))
 
 
 def find_run(named: str, directory: str | os.PathLike[str]) -> RunFile:
@@ -45,7 +67,7 @@ def find_run(named: str, directory: str | os.PathLike[str]) -> RunFile:
 
     Raises BadInput, naming what is there, when none or several fit.
     """
-    if os.path.isfile(named):
+    if is_run_file(named):
         return RunFile(named)
     shown = show_path(directory)
     names = [run.name for run in list_runs(directory) if run.status != "unreadable"]
@@ -72,10 +94,10 @@ def _summary(path: Path) -> RunSummary:
         return RunSummary(path.stem, path, "", math.nan, "", "", "unreadable", 0.0, False)
     known: dict[str, Any] = run.attributes
     first_s, last_s = ending.span_s
-    if ending.complete:
-        status = str((ending.result or {}).get("status", "no result"))
+    if ending.result is not None:
+        status = str(ending.result.get("status", "cut off"))
     else:
-        status = "running" if time.time() - path.stat().st_mtime < LIVE_S else "cut off"
+        status = "running" if being_written(path) else "cut off"
     return RunSummary(
         name=run.name,
         path=path,

@@ -1,30 +1,27 @@
 """Looks into a run's HDF5 file so that no byte of it can hold up or end the program.
 
-A file is never opened in HDF5's mode for reading beside a writer: on a damaged head that mode retries for
-ever. Instead the library is shown the superblock of a closed file of the true length. HDF5's metadata carries
-checksums, so what a writer is changing at this instant is an error like any damage, and is looked at again.
+A file is never opened in HDF5's mode for reading beside a writer, which files of older versions may ask for:
+on a damaged head that mode retries for ever. Instead the library is shown the superblock of a closed file of
+the true length. A run that goes on is read from its journal.
 """
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import h5py
 
 from needle_rig.config.regular_file import open_regular
 from needle_rig.errors import BadInput
-from needle_rig.recording.liveness import being_written
+from needle_rig.recording.image import journal_as_hdf5
 from needle_rig.recording.structure import check_structure
 from needle_rig.recording.superblock import SIGNATURE, SUPERBLOCK_BYTES, Superblock
 
 LIMIT_BYTES = 1_000_000_000
 """Seven hours of a run; tables are read whole, and exporting one takes several times its size in memory."""
-LOOKS = 50
-PAUSE_S = 0.02
-"""A writer's flush takes milliseconds; one second of looking again covers a busy disk."""
 
 Found = TypeVar("Found")
 
@@ -34,30 +31,33 @@ def read_hdf5(path: str | os.PathLike[str], shown: str, take: Callable[[h5py.Fil
 
     Raises BadInput for whatever is wrong with the file: nothing of it is open afterwards.
     """
-    for look in range(LOOKS):
-        try:
-            return _read_once(path, shown, take)
-        except BadInput:
-            if look == LOOKS - 1 or not being_written(path):
-                raise
-            time.sleep(PAUSE_S)
-    raise AssertionError("the last look returned or raised")
-
-
-def _read_once(path: str | os.PathLike[str], shown: str, take: Callable[[h5py.File], Found]) -> Found:
     missing = "; list the runs with: needle-rig runs"
     with open_regular(path, shown, LIMIT_BYTES, missing=lambda: missing) as stream:
         content = _Content(stream, shown)
-        try:
-            with h5py.File(content, "r") as file:
-                check_structure(file, content.size_bytes)
-                return take(file)
-        except BadInput:
-            raise
-        except Exception as error:  # noqa: BLE001 whatever h5py makes of damaged bytes, MemoryError included
-            raise BadInput(
-                f"{shown}: is no readable run: {_first_line(error)}; copy it again if you can"
-            ) from None
+        return _look(lambda: h5py.File(content, "r"), content.size_bytes, shown, take)
+
+
+def read_journal(path: Path, shown: str, take: Callable[[h5py.File], Found]) -> Found:
+    """What `take` finds in the journal at `path` up to its last whole frame, as in the file made of it.
+
+    Raises BadInput for whatever is wrong with it, and FileNotFoundError.
+    """
+    return _look(lambda: journal_as_hdf5(path), path.stat().st_size, shown, take)
+
+
+def _look(
+    open_file: Callable[[], h5py.File], size_bytes: int, shown: str, take: Callable[[h5py.File], Found]
+) -> Found:
+    try:
+        with open_file() as file:
+            check_structure(file, size_bytes)
+            return take(file)
+    except (BadInput, FileNotFoundError):
+        raise
+    except Exception as error:  # noqa: BLE001 whatever h5py makes of damaged bytes, MemoryError included
+        raise BadInput(
+            f"{shown}: is no readable run: {_first_line(error)}; copy it again if you can"
+        ) from None
 
 
 class _Content:

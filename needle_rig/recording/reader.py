@@ -19,7 +19,10 @@ from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput
-from needle_rig.recording.hdf5_file import read_hdf5
+from needle_rig.recording.hdf5_file import read_hdf5, read_journal
+from needle_rig.recording.image import LATE
+from needle_rig.recording.journal import SUFFIX, Frames, journal_path
+from needle_rig.recording.liveness import being_written
 from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
 from needle_rig.recording.tables import FORMAT
 
@@ -47,12 +50,15 @@ class Ending:
 class RunFile:
     """One run on disk. Holds no file open; every call reads what is there by then.
 
+    Until the run ends that is the journal beside `path`.
+
     `attributes` has the run's request, config text, versions and start; `tables` the names of its tables.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Raises BadInput when there is no file at `path` or it is no run."""
-        self.path = Path(path)
+        given = Path(path)
+        self.path = given.with_suffix(".h5") if given.suffix == SUFFIX else given
         self.attributes: dict[str, Any]
         self.tables: tuple[str, ...]
         self.attributes, self.tables = self._read(_about)
@@ -112,7 +118,22 @@ class RunFile:
     def _shown(self) -> str:
         return show_path(self.path)
 
+    @property
+    def torn_bytes(self) -> int:
+        """What a killed writer or a power cut left of a frame at the end of the journal; it is left out."""
+        if os.path.lexists(self.path) or being_written(self.path):
+            return 0
+        frames = Frames(journal_path(self.path))
+        with suppress(FileNotFoundError):  # it was closed in this moment
+            for _ in frames:
+                pass
+        return frames.torn_bytes
+
     def _read(self, take: Callable[[h5py.File], Found]) -> Found:
+        journal = journal_path(self.path)
+        if not os.path.lexists(self.path) and os.path.isfile(journal):
+            with suppress(FileNotFoundError):  # it ends in this moment, and has its file before that
+                return read_journal(journal, self._shown, take)
         return read_hdf5(self.path, self._shown, take)
 
 
@@ -143,8 +164,8 @@ def _ending(file: h5py.File, tables: tuple[str, ...]) -> Ending:
 def _late(file: h5py.File) -> dict[str, Any]:
     """Attributes that were added after the start; a line cut off by a kill is left out."""
     known: dict[str, Any] = {}
-    if "late_attributes" in file:
-        for line in bytes(file["late_attributes"][:]).splitlines():
+    if LATE in file:
+        for line in bytes(file[LATE][:]).splitlines():
             with suppress(ValueError, RecursionError):
                 said = json.loads(line)
                 known |= said if isinstance(said, dict) else {}

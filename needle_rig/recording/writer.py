@@ -1,37 +1,48 @@
-"""Writes a run: an HDF5 file in single-writer-multiple-reader mode, whole after every flush."""
+"""Writes a run: a journal while it goes on, the HDF5 file of it when it ends."""
 
 from __future__ import annotations
 
-import contextlib
 import datetime
+import errno
 import json
 import os
 import re
-import time
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.recfunctions import unstructured_to_structured
 
-from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.recording.tables import EVENT, FORMAT
+from needle_rig.config.places import show_path
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
+from needle_rig.recording.image import LATE, Shape, empty_image, make_run_file
+from needle_rig.recording.journal import Journal, is_full, journal_path, refusal, sync_folder
+from needle_rig.recording.tables import EVENT
 
-LIBRARY_VERSION = ("v110", "v110")
-CHUNK_BYTES = 65_536
+SYNC_INTERVAL_S = 0.1
+"""With the 0.05 s that the daemon collects rows for, a power cut takes less than 0.25 s of a run."""
+
+STRATEGY_LETTERS = 64
+"""Far more than any strategy has; a file name bears 255 bytes."""
+
+
+class RunExists(BadInput):
+    """A run of this name is there already."""
 
 
 class RunWriter:
-    """One run being written.
+    """One run being written to the journal beside `path`; `close` makes the HDF5 file at `path` of it.
 
-    The file appears under its name once it can be read; from then on a killed process loses only the rows
-    since the last flush. Rows wait at most `flush_interval_s` as long as rows keep coming; call `flush`
-    when they pause.
+    Rows are with the kernel when `append` returns, so that a kill of this process loses none of them, and on
+    the disk `sync_interval_s` later. After an error rows are missing: events, `set_attribute` and `close` go
+    on, `append` does not, and the run never counts as complete.
     """
+
+    _syncing: threading.Thread | None = None
 
     def __init__(
         self,
@@ -39,85 +50,163 @@ class RunWriter:
         attributes: Mapping[str, Any],
         tables: Mapping[str, npt.DTypeLike],
         *,
-        flush_interval_s: float = 0.25,
+        sync_interval_s: float = SYNC_INTERVAL_S,
     ) -> None:
-        """Create the file at `path`, which must not exist yet; BadInput when it does or cannot be made."""
+        """Begin the run at `path`, where none may be; on the disk when this returns.
+
+        Raises BadInput when one is there, the folder cannot take it or HDF5 cannot hold `attributes`, and
+        RigFault when the disk is full.
+        """
         self.path = Path(path)
-        self.flush_interval_s = flush_interval_s
-        self.rows = 0
-        part = self.path.with_name(f".{self.path.name}.part")
+        image = empty_image(attributes, tables)
+        _make_folder(self.path.parent)
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            os.close(os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644))
+            if self.path.exists():
+                raise FileExistsError
+            journal = Journal.create(journal_path(self.path), image)
         except FileExistsError:
-            raise BadInput(
-                f"{self.path}: exists already; a run is never written over, name another"
+            raise RunExists(
+                f"{show_path(self.path)}: exists already; a run is never written over, name another"
             ) from None
         except OSError as error:
+            if is_full(error):
+                raise RigFault(
+                    f"{show_path(self.path)}: cannot be created: {refusal(error)}; free some space"
+                ) from None
             raise BadInput(
-                f"{self.path}: cannot be created: {error.strerror}; choose another folder"
+                f"{show_path(self.path)}: cannot be created: {refusal(error)}; choose another folder"
             ) from None
+        self._begin(journal, Shape.of(image))
+        self._syncing = threading.Thread(
+            target=self._keep_synced, args=(sync_interval_s,), name="sync run", daemon=True
+        )
+        self._syncing.start()
+
+    @classmethod
+    def resume(cls, path: str | os.PathLike[str]) -> Self:
+        """Take over the run at `path` that another writer left unfinished, to close it.
+
+        Raises BadInput while it is being written or when there is no journal of it, and RigFault when the
+        disk refuses.
+        """
+        writer = cls.__new__(cls)
+        writer.path = Path(path)
         try:
-            self._file = _create(part, attributes, tables)
-            os.replace(part, self.path)
-        except BaseException:
-            self.path.unlink(missing_ok=True)
-            part.unlink(missing_ok=True)
-            raise
-        self._pending: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in (*tables, "events")}
-        self._flushed_s = time.monotonic()
-        self._closed = False
+            shape = Shape()
+            journal = Journal.reopen(journal_path(writer.path), shape.take)
+        except FileNotFoundError:
+            raise BadInput(f"{show_path(writer.path)}: there is no unfinished run of this name") from None
+        except OSError as error:
+            raise RigFault(
+                f"{show_path(writer.path)}: the unfinished run cannot be taken over: {refusal(error)}"
+            ) from None
+        except (ValueError, KeyError, RuntimeError) as error:
+            raise BadInput(
+                f"{show_path(journal_path(writer.path))}: is no journal of a run: {error}"
+            ) from None
+        writer._begin(journal, shape)
+        return writer
+
+    def _begin(self, journal: Journal, shape: Shape) -> None:
+        self._journal = journal
+        self._shape = shape
+        self._trouble: NeedleRigError | None = None
+        self._ended = threading.Event()
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are, of all tables and the events."""
+        return self._shape.rows
+
+    @property
+    def torn_bytes(self) -> int:
+        """What the writer before left of a frame; it is left out."""
+        return self._journal.torn_bytes
+
+    @property
+    def last_s(self) -> float:
+        """The latest time of a row on the daemon's clock; 0 without any."""
+        return self._shape.last_s
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run has its end, and only its HDF5 file may be missing."""
+        return self._shape.ended
 
     def append(self, table: str, rows: npt.NDArray[Any] | Sequence[Sequence[Any]]) -> None:
-        """Add rows to `table`: an array of its type, tuples of its fields, or flat tuples of numbers."""
-        dtype = self._file[table].dtype
+        """Add rows to `table`: an array of its type, tuples of its fields, or flat tuples of numbers.
+
+        Raises RigFault when the disk refuses them or an earlier sync.
+        """
+        if self._trouble is not None:
+            raise self._trouble
+        dtype = self._shape.types[table]
         if not (isinstance(rows, np.ndarray) and rows.dtype == dtype):
             rows = _structured(rows, dtype)
-        if rows.size:
-            self._pending[table].append(rows.reshape(-1))
-            self.rows += rows.size
-        if time.monotonic() - self._flushed_s >= self.flush_interval_s:
-            self.flush()
+        self._add(table, rows)
 
     def event(self, time_s: float, kind: str, text: str = "") -> None:
-        """Add an event; `kind` is one short word, `text` may be long. On disk at once."""
-        self._pending["events"].append(_event_rows(time_s, kind, text))
-        self.flush()
-
-    def flush(self) -> None:
-        """Write every waiting row to the file. Raises NeedleRigError when the disk refuses."""
-        self._flushed_s = time.monotonic()
-        try:
-            for name, waiting in self._pending.items():
-                if waiting:
-                    rows = np.concatenate(waiting)
-                    waiting.clear()
-                    _extend(self._file[name], rows)
-        except (OSError, RuntimeError) as error:
-            raise NeedleRigError(
-                f"{self.path}: the run cannot be written: {error}; what came before is safe, free some space"
-            ) from None
+        """Add an event; `kind` is one short word, `text` may be long."""
+        self._add("events", _event_rows(time_s, kind, text), last_words=True)
 
     def set_attribute(self, name: str, value: Any) -> None:
-        """Say more of the run than was known at its start, such as its `result`; `value` is plain JSON data.
+        """Say more than was known at the start, such as the `result`; `value` is plain JSON data."""
+        line = json.dumps({name: value}).encode() + b"\n"
+        self._add(LATE, np.frombuffer(line, dtype="u1"), last_words=True)
 
-        Kept beside the HDF5 attributes, which cannot be added to while others may read; RunFile joins both.
-        """
-        line = json.dumps({name: value}, ensure_ascii=False).encode() + b"\n"
-        _extend(self._file["late_attributes"], np.frombuffer(line, dtype="u1"))
+    def sync(self) -> None:
+        """Wait until every row is on the disk. Raises RigFault when it is not, or the file lost its place."""
+        try:
+            self._journal.sync()
+        except OSError as error:
+            self._fail(error)
+        except RigFault as fault:
+            self._trouble = self._trouble or fault
+        if self._trouble is not None:
+            raise self._trouble
 
     def close(self, result: Mapping[str, Any] | None = None, *, time_s: float | None = None) -> None:
-        """Write what is left, the result and the mark of a complete run; safe to call twice."""
-        if self._closed:
+        """Write the result and, unless rows are missing, the mark of a complete run; make the HDF5 file.
+
+        `time_s` is the time of the end, by default that of the last row. Safe to call twice. Raises RigFault
+        when the disk refuses; what was written stays in the journal, which reads like the file.
+        """
+        end = ("end", "") if self._trouble is None else ("recorder", str(self._trouble))
+        self._finish(result, self.last_s if time_s is None else time_s, *end)
+
+    def close_unfinished(self, text: str, result: Mapping[str, Any] | None = None) -> None:
+        """Close a run that was cut off, which `text` says in an event: no mark of a complete run is set."""
+        self._finish(result, self.last_s, "recorder", text)
+
+    def _finish(self, result: Mapping[str, Any] | None, time_s: float, kind: str, text: str) -> None:
+        if not self._journal.is_open:
             return
-        self._closed = True
         try:
-            if result is not None:
-                self.set_attribute("result", dict(result))
-            self.event(time.monotonic() if time_s is None else time_s, "end")
+            if not self.complete:
+                if result is not None:
+                    self.set_attribute("result", dict(result))
+                self.event(time_s, kind, text)
+            self._stop_syncing()
+            self._journal.sync()
+            make_run_file(self._journal.path, self.path)
+            self._journal.remove()
+        except OSError as error:
+            raise RigFault(
+                f"{show_path(self.path)}: cannot be made: {refusal(error)}; the run is kept in"
+                f" {self._journal.path.name} beside it, which reads like it; free some space"
+            ) from None
         finally:
-            with contextlib.suppress(OSError, RuntimeError):
-                self._file.close()
+            self.leave()
+
+    def discard(self) -> None:
+        """Take the run away: it never began."""
+        self._stop_syncing()
+        self._journal.remove()
+
+    def leave(self) -> None:
+        """Let go of the run as it is; `resume` takes it over."""
+        self._stop_syncing()
+        self._journal.close()
 
     def __enter__(self) -> Self:
         return self
@@ -127,48 +216,78 @@ class RunWriter:
     ) -> None:
         self.close()
 
+    def _add(self, table: str, rows: npt.NDArray[Any], *, last_words: bool = False) -> None:
+        if not rows.size:
+            return
+        number, payload = self._shape.number(table), rows.tobytes()
+        try:
+            self._journal.append(number, payload, last_words=last_words)
+        except OSError as error:
+            raise self._fail(error) from None
+        self._shape.take(number, payload)
+
+    def _fail(self, error: OSError) -> NeedleRigError:
+        self._trouble = self._trouble or RigFault(
+            f"{show_path(self.path)}: the run cannot be written: {refusal(error)};"
+            f" its first {self.rows} rows are kept; free some space"
+        )
+        return self._trouble
+
+    def _stop_syncing(self) -> None:
+        self._ended.set()
+        if self._syncing is not None:
+            self._syncing.join()
+
+    def _keep_synced(self, interval_s: float) -> None:
+        while not self._ended.wait(interval_s):
+            try:
+                self.sync()
+            except RigFault:
+                return  # told by the next append or question
+
 
 def new_run(
     directory: str | os.PathLike[str],
     attributes: Mapping[str, Any],
     tables: Mapping[str, npt.DTypeLike],
     *,
-    flush_interval_s: float = 0.25,
+    sync_interval_s: float = SYNC_INTERVAL_S,
 ) -> RunWriter:
-    """A writer for a new file in `directory`, named by UTC time and `attributes["strategy"]`."""
-    strategy = re.sub(r"[^A-Za-z0-9_-]+", "-", str(attributes.get("strategy", "run"))).strip("-") or "run"
+    """A writer for a new run in `directory`, named by UTC time and `attributes["strategy"]`.
+
+    Raises as RunWriter does, and BadInput for a strategy of more than 64 letters.
+    """
+    named = str(attributes.get("strategy", "run"))
+    if len(named) > STRATEGY_LETTERS:
+        raise BadInput(
+            f"strategy: {named[:20]}… has {len(named)} letters, more than {STRATEGY_LETTERS};"
+            " list the strategies with: needle-rig strategies"
+        )
+    strategy = re.sub(r"[^A-Za-z0-9_-]+", "-", named).strip("-") or "run"
     stem = f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d_%H-%M-%S}Z_{strategy}"
     for attempt in range(1, 1000):
         path = Path(directory) / (f"{stem}.h5" if attempt == 1 else f"{stem}_{attempt}.h5")
-        if not path.exists():
-            try:
-                return RunWriter(path, attributes, tables, flush_interval_s=flush_interval_s)
-            except BadInput:
-                if not path.exists():
-                    raise
+        try:
+            return RunWriter(path, attributes, tables, sync_interval_s=sync_interval_s)
+        except RunExists:
+            continue
     raise BadInput(f"{Path(directory) / stem}.h5: a thousand runs began in this second; wait for the next")
 
 
-def _create(path: Path, attributes: Mapping[str, Any], tables: Mapping[str, npt.DTypeLike]) -> h5py.File:
-    # In SWMR mode nothing can be created any more: no dataset, no attribute.
-    file = h5py.File(path, "w", libver=LIBRARY_VERSION)
-    file.attrs["format"] = FORMAT
-    for name, value in attributes.items():
-        file.attrs[name] = value
-    for name, dtype in {**tables, "events": EVENT, "late_attributes": np.dtype("u1")}.items():
-        kind = np.dtype(dtype)
-        rows = max(1, CHUNK_BYTES // kind.itemsize)
-        file.create_dataset(name, shape=(0,), maxshape=(None,), chunks=(rows,), dtype=kind)
-    file.swmr_mode = True
-    file.flush()
-    return file
-
-
-def _extend(dataset: h5py.Dataset, rows: npt.NDArray[Any]) -> None:
-    before = dataset.shape[0]
-    dataset.resize((before + len(rows),))
-    dataset[before:] = rows
-    dataset.flush()
+def _make_folder(folder: Path) -> None:
+    try:
+        missing = [folder, *folder.parents]
+        missing = missing[: next(n for n, one in enumerate(missing) if one.exists())]
+        for one in reversed(missing):
+            one.mkdir(exist_ok=True)
+            sync_folder(one.parent)
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "")
+    except OSError as error:
+        raise BadInput(
+            f"{show_path(folder)}: cannot be the folder of the runs: {refusal(error)};"
+            " name another in recording.directory of the rig file"
+        ) from None
 
 
 def _structured(rows: Sequence[Sequence[Any]] | npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
@@ -180,7 +299,7 @@ def _structured(rows: Sequence[Sequence[Any]] | npt.NDArray[Any], dtype: np.dtyp
 
 
 def _event_rows(time_s: float, kind: str, text: str) -> npt.NDArray[Any]:
-    raw, width = text.encode(), EVENT["text"].itemsize
+    raw, width = text.encode("utf-8", "replace"), EVENT["text"].itemsize
     pieces: list[bytes] = []
     while raw or not pieces:
         cut = min(len(raw), width)

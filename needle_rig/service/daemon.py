@@ -88,7 +88,7 @@ class Daemon:
             return
         try:
             # both get ready while the rig is built
-            await self._recorder.start()
+            await self._recorder.start(self._runs)
             self._api.start(listener)
             rig = self._parts.make_rig(self._recorder.raw)
             try:
@@ -229,6 +229,7 @@ class Daemon:
             "run": None if self._run is None else str(self._run),
             "last": self._last,
             "warnings": self._warnings,
+            "unfinished": self._recorder.unfinished,
             "lease": self._lease.holder,
             "motions": self._motions,
             "moving": self._moving,

@@ -1,8 +1,8 @@
 """The recorder: reads rows from its standard input and keeps the run file, in a process of its own.
 
-Messages are pickled tuples from the daemon that started it: begin, rows, event, finish, discard; of
-these begin, finish and discard are answered by a JSON line. When the daemon dies the pipe ends, and the run
-is closed with an event that says so.
+Messages are pickled tuples from the daemon that started it: a number, what to do, and the content. One whose
+number is not 0 is answered by a JSON line with that number; a line with number 0 says that the process is
+ready, or what it could not record. When the daemon dies the pipe ends, and the run is left as unfinished.
 """
 
 from __future__ import annotations
@@ -11,12 +11,24 @@ import json
 import pickle
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.recording import RunWriter, new_run, run_attributes, run_tables, sample_row
+from needle_rig.recording import (
+    RunFile,
+    RunWriter,
+    new_run,
+    remove_empty_runs,
+    run_attributes,
+    run_tables,
+    sample_row,
+    unfinished_runs,
+)
+
+_SENTENCE_LETTERS = 2000
 
 
 class Keeper:
@@ -25,33 +37,34 @@ class Keeper:
     def __init__(self, replies: TextIO) -> None:
         self._replies = replies
         self._writer: RunWriter | None = None
-        self._last_s = 0.0
+        self._broken: str | None = None
+        """Why rows of the open run are missing."""
 
-    def take(self, what: str, *content: Any) -> None:
-        """One message. A failure is answered, and ends the run's record."""
+    def take(self, number: int, what: str, *content: Any) -> None:
+        """One message. A failure is answered, and so is every message that has a number."""
         try:
-            getattr(self, what)(*content)
-        except (OSError, NeedleRigError) as error:
-            self._writer = None
-            bad = what == "begin" and isinstance(error, BadInput)
-            self._answer(
-                error=str(error) if bad else f"the run cannot be recorded: {error}",
-                exit_code=(BadInput if bad else RigFault).exit_code,
-            )
+            answer = getattr(self, what)(*content)
+        except Exception as error:  # noqa: BLE001 whatever went wrong, the next message is worked off
+            self._failed(number, what, error)
+        else:
+            if number:
+                self._answer(number=number, **answer)
 
-    def begin(self, directory: Path, config: RigConfig, request: dict[str, Any]) -> None:
+    def begin(self, directory: Path, config: RigConfig, request: dict[str, Any]) -> dict[str, Any]:
         """Open a new run."""
+        self._leave()
+        remove_empty_runs(directory)
         tables = run_tables(len(config.layout.hall_sensors))
         self._writer = new_run(directory, run_attributes(config, **request), tables)
-        self._answer(opened=str(self._writer.path))
+        self._broken = None
+        return {"opened": str(self._writer.path)}
 
     def rows(self, rows: dict[str, list[Any]]) -> None:
         """Add rows by table: samples to `ticks`, flat tuples to the others."""
-        if self._writer is None:
+        if self._writer is None or self._broken is not None:
             return
         for table, new in rows.items():
             if table == "ticks":
-                self._last_s = new[-1].time_s
                 new = [sample_row(sample) for sample in new]
             self._writer.append(table, new)
 
@@ -60,40 +73,87 @@ class Keeper:
         if self._writer is not None:
             self._writer.event(time_s, kind, text)
 
-    def finish(self, result: dict[str, Any], time_s: float) -> None:
-        """Close the run whole."""
+    def sync(self) -> dict[str, Any]:
+        """Answer when every row is on the disk."""
+        if self._writer is not None:
+            self._writer.sync()
+        return {}
+
+    def finish(self, result: dict[str, Any], time_s: float) -> dict[str, Any]:
+        """Close the run, whole if no row is missing."""
         writer, self._writer = self._writer, None
         if writer is None:
             raise RigFault("its file is not open any more")
-        writer.close(result, time_s=time_s)
-        self._answer(closed=str(writer.path))
+        if self._broken is None:
+            writer.close(result, time_s=time_s)
+        else:
+            writer.close_unfinished(self._broken, result)
+        return {"closed": str(writer.path)}
 
-    def discard(self) -> None:
+    def discard(self) -> dict[str, Any]:
         """Take the run away."""
         writer, self._writer = self._writer, None
         if writer is not None:
-            writer.close()
-            writer.path.unlink()
-        self._answer(discarded=True)
+            writer.discard()
+        return {}
+
+    def recover(self, path: Path, text: str, result: dict[str, Any] | None) -> dict[str, Any]:
+        """Close the run at `path` that another recorder left; `text` says why it could not close it."""
+        if path.exists() and path not in unfinished_runs(path.parent):
+            return {"complete": RunFile(path).complete, "text": f"{path} is closed"}
+        writer = RunWriter.resume(path)
+        if writer.rows == 0 and result is None:
+            writer.discard()
+            return {"complete": False, "text": f"{path} had no row and is removed"}
+        complete, torn_bytes = writer.complete, writer.torn_bytes
+        if torn_bytes:
+            text += f"; {torn_bytes} bytes at its end are torn and left out"
+        writer.close_unfinished(text, result)
+        return {"complete": complete, "text": f"{path} is closed" if complete else f"{text}: {path}"}
 
     def orphaned(self) -> None:
-        """The daemon is gone."""
+        """The daemon is gone: its run is left as it is, for the next daemon to find and tell."""
         if self._writer is not None:
-            self._writer.event(self._last_s, "recorder", "the daemon ended without closing the run")
-            self._writer.close(time_s=self._last_s)
+            with suppress(NeedleRigError):  # there is nobody left to tell
+                self._writer.event(
+                    self._writer.last_s, "recorder", "the daemon ended without closing the run"
+                )
+                self._writer.sync()
+            self._writer.leave()
+
+    def _leave(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.leave()
+
+    def _failed(self, number: int, what: str, error: Exception) -> None:
+        known = isinstance(error, OSError | NeedleRigError)
+        text = str(error) if known else f"{type(error).__name__}: {error}"
+        sentence = " ".join(text.split())[:_SENTENCE_LETTERS]
+        bad = what == "begin" and isinstance(error, BadInput)
+        if not bad:
+            sentence = f"the run cannot be recorded: {sentence}"
+        told = self._broken is not None and number == 0
+        if what in ("rows", "event", "sync"):
+            self._broken = self._broken or sentence
+        if not told:
+            self._answer(number=number, error=sentence, exit_code=(BadInput if bad else RigFault).exit_code)
 
     def _answer(self, **content: Any) -> None:
-        print(json.dumps(content), file=self._replies, flush=True)
+        with suppress(BrokenPipeError):  # the daemon is gone: the messages end with the next one
+            print(json.dumps(content), file=self._replies, flush=True)
 
 
 def main(messages: BinaryIO, replies: TextIO) -> None:
     """Work off messages until the pipe ends."""
     keeper = Keeper(replies)
+    print(json.dumps({"number": 0, "ready": True}), file=replies, flush=True)
     while True:
         try:
-            keeper.take(*pickle.load(messages))
+            message = pickle.load(messages)
         except (EOFError, pickle.UnpicklingError):  # a daemon killed in mid-message leaves half of one
             break
+        keeper.take(*message)
     keeper.orphaned()
 
 

@@ -179,8 +179,9 @@ def test_a_killed_daemon_is_told_and_leaves_nothing_behind(shell: Shell) -> None
         all_gone(alive)
     assert process.returncode == 3
     assert "the daemon ended during the motion" in err.splitlines()[-1]
-    (path,) = (shell.folder / "runs").glob("*.h5")
+    (path,) = (shell.folder / "runs").glob("*.journal")
     assert len(RunFile(path).table("ticks")) > 0
+    assert "cut off" in shell.run("runs").stdout
 
 
 DUPLICATE = "format: needle-rig/1\nname: a\nname: b\n"

@@ -15,7 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
-from needle_rig.recording import RunFile
+from needle_rig.recording import RunFile, new_run, run_tables
 from tests.closed_loop.shell import PROGRAM, ROOT, Shell, all_gone, wait_for_line
 
 
@@ -92,6 +92,20 @@ def test_sigterm_in_mid_run_stops_the_drive_and_closes_the_run(
     assert run.result is not None
     assert run.result["status"] == "aborted"
     assert not run.table("ticks")[-1]["enable"]
+
+
+def test_a_run_that_was_cut_off_is_told_at_the_next_start(shell: Shell) -> None:
+    left = new_run(shell.folder / "runs", {"strategy": "reed2008", "target_deg": 45.0}, run_tables(4))
+    left.append("torque", [(1.0, 0.5, 7, 1e-4)])
+    left.leave()
+    with shell.start("daemon", "--fast") as daemon:
+        wait_for_line(daemon, lambda line: "unfinished run" in line and "text=" in line)
+        told = shell.run("status")
+        assert f"cut off: the daemon or its computer went before the run ended: {left.path}" in told.stdout
+        assert "cut off" in shell.run("runs").stdout
+        assert len(RunFile(left.path).table("torque")) == 1
+        daemon.send_signal(signal.SIGTERM)
+        assert daemon.wait(30) == 0
 
 
 def test_a_second_daemon_is_refused(shell: Shell, daemon: subprocess.Popen[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import signal
@@ -17,8 +18,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.config.loader import load_rig_config
-from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.recording import RunFile, RunWriter, find_run, list_runs, new_run, run_attributes, run_tables
+from needle_rig.errors import BadInput, RigFault
+from needle_rig.recording import (
+    RunFile,
+    RunWriter,
+    find_run,
+    journal_path,
+    list_runs,
+    new_run,
+    run_attributes,
+    run_tables,
+    unfinished_runs,
+)
+from needle_rig.recording.image import empty_image
+from needle_rig.recording.journal import Journal
 from needle_rig.recording.writer import _event_rows
 
 TABLES = run_tables(sensors=4)
@@ -64,14 +77,13 @@ def test_a_run_is_readable_while_it_is_written(tmp_path):
         assert not run.complete
         assert len(run.table("torque")) == 0
         writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
-        writer.flush()
         assert len(run.table("torque")) == 1
         assert list_runs(tmp_path)[0].status == "running"
     assert run.complete
 
 
 def test_rows_reach_the_disk_without_being_asked(tmp_path):
-    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES, flush_interval_s=0.0) as writer:
+    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES, sync_interval_s=0.01) as writer:
         writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
         assert len(RunFile(writer.path).table("torque")) == 1
 
@@ -89,23 +101,52 @@ def test_a_run_is_never_written_over(tmp_path):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(BadInput, match="cannot be created: Not a directory"):
+    with pytest.raises(BadInput, match="cannot be the folder of the runs: Not a directory"):
         new_run(tmp_path / "file" / "runs", ATTRIBUTES, TABLES)
 
 
-def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch):
+def full_disk(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_keeps_what_was_written_and_the_last_words(tmp_path, monkeypatch):
     writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(h5py.Dataset, "resize", full)
-    writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
-    with pytest.raises(NeedleRigError, match=r"cannot be written: .*No space left"):
-        writer.flush()
+    rows = np.zeros(1000, TABLES["torque"])
+    rows["time_s"] = np.arange(1000) + 1.0
+    writer.append("torque", rows)
+    monkeypatch.setattr(os, "posix_fallocate", full_disk)
+    told = ""
+    while not told:
+        try:
+            writer.append("torque", rows)
+        except RigFault as fault:
+            told = str(fault)
+        assert writer.rows < 100_000
+    assert "a.h5: the run cannot be written: No space left on device; its first" in told
+    assert "\n" not in told
+    with pytest.raises(RigFault, match="No space left"):
+        writer.append("torque", rows[:1])
+    writer.event(5.0, "fault", "the disk is full")
+    with pytest.raises(
+        RigFault, match=r"cannot be made: No space left on device; the run is kept in a\.journal"
+    ):
+        writer.close({"status": "fault"})
+    kept = writer.rows - 2
+    run = RunFile(tmp_path / "a.h5")
+    assert len(run.table("torque")) == kept
+    assert kept % 1000 == 0
+    assert run.result == {"status": "fault"}
+    assert [event.kind for event in run.events] == ["fault", "recorder"]
+    assert not run.complete
     monkeypatch.undo()
-    writer.close()
-    assert RunFile(tmp_path / "a.h5").complete
+    resumed = RunWriter.resume(tmp_path / "a.h5")
+    resumed.close_unfinished("closed when there was room")
+    assert not list(tmp_path.glob("*.journal"))
+    run = RunFile(tmp_path / "a.h5")
+    assert len(run.table("torque")) == kept
+    assert (run.table("torque")["time_s"] > 0).all()
+    assert run.result == {"status": "fault"}
+    assert not run.complete
 
 
 @pytest.mark.parametrize(
@@ -149,6 +190,109 @@ def test_which_run_is_meant(tmp_path, monkeypatch):
         find_run("2026-01-01_c", "runs")
     with pytest.raises(BadInput, match="there is no such file; list the runs"):
         RunFile("runs/none.h5")
+
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    """The journal of a run that was cut off after 50 frames of 20 rows."""
+    path = tmp_path_factory.mktemp("left") / "a.h5"
+    writer = RunWriter(path, ATTRIBUTES, TABLES)
+    for begin in range(0, 1000, 20):
+        writer.append("torque", [(1.0 + n, 0.5, n, 1e-4) for n in range(begin, begin + 20)])
+    writer.leave()
+    return journal_path(path).read_bytes()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path, left, seed):
+    chance, damaged = random.Random(seed), bytearray(left)
+    used = len(left.rstrip(b"\0"))
+    at = chance.randrange(used)
+    match seed % 4:
+        case 0:
+            damaged[at] ^= 1 << chance.randrange(8)
+        case 1:
+            del damaged[at:]
+        case 2:
+            damaged[at:] = os.urandom(len(damaged) - at)
+        case 3:
+            damaged[at : at + 4096] = bytes(len(damaged[at : at + 4096]))
+    path = tmp_path / "a.h5"
+    journal_path(path).write_bytes(damaged)
+    [listed] = list_runs(tmp_path)
+    assert listed.status in ("cut off", "unreadable")
+    if listed.status == "unreadable":
+        return
+    counters = RunFile(path).table("torque")["counter"].tolist()
+    assert counters == list(range(len(counters)))
+    assert len(counters) % 20 == 0
+    assert len(counters) < 1000
+    if seed % 4 in (0, 2):
+        assert RunFile(path).torn_bytes > 0
+    writer = RunWriter.resume(path)
+    writer.close_unfinished("it was cut off")
+    assert RunFile(path).table("torque")["counter"].tolist() == counters
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_frames_of_another_run_do_not_fit(tmp_path, left):
+    other = RunWriter(tmp_path / "b.h5", ATTRIBUTES, TABLES)
+    other.append("torque", [(1.0, 0.5, 7, 2e-4)])
+    other.leave()
+    mine = journal_path(tmp_path / "b.h5").read_bytes().rstrip(b"\0")
+    # the disk gave this journal a block that was another one's, frame upon frame
+    journal_path(tmp_path / "b.h5").write_bytes(mine + left[len(mine) :])
+    run = RunFile(tmp_path / "b.h5")
+    assert run.table("torque")["counter"].tolist() == [7]
+    assert run.torn_bytes > 0
+
+
+def test_a_frame_that_fits_no_table_is_a_sentence(tmp_path):
+    journal = Journal.create(tmp_path / "a.journal", empty_image(ATTRIBUTES, TABLES))
+    journal.append(99, b"rows")
+    journal.close()
+    with pytest.raises(BadInput, match="a frame of 4 bytes fits no table 99"):
+        RunFile(tmp_path / "a.h5")
+    with pytest.raises(BadInput, match="a frame of 4 bytes fits no table 99"):
+        RunWriter.resume(tmp_path / "a.h5")
+    assert list_runs(tmp_path)[0].status == "unreadable"
+
+
+def test_a_run_is_taken_over_by_nobody_while_it_is_written(tmp_path):
+    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES) as writer:
+        assert unfinished_runs(tmp_path) == []
+        with pytest.raises(BadInput, match="is being written by another process"):
+            RunWriter.resume(writer.path)
+    with pytest.raises(BadInput, match="there is no unfinished run of this name"):
+        RunWriter.resume(writer.path)
+
+
+def test_a_kill_between_the_file_and_the_end_of_its_journal_loses_nothing(tmp_path, monkeypatch):
+    writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
+    writer.append("torque", [(1.0, 0.5, 7, 1e-4)])
+    monkeypatch.setattr(Journal, "remove", Journal.close)
+    writer.close({"status": "aligned"})
+    assert RunFile(tmp_path / "a.h5").complete
+    monkeypatch.undo()
+    assert unfinished_runs(tmp_path) == [tmp_path / "a.h5"]
+    resumed = RunWriter.resume(tmp_path / "a.h5")
+    assert resumed.complete
+    resumed.close_unfinished("it was cut off")
+    run = RunFile(tmp_path / "a.h5")
+    assert run.complete
+    assert run.result == {"status": "aligned"}
+    assert [event.kind for event in run.events] == ["end"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.h5"]
+
+
+def test_a_flipped_bit_in_a_run_file_is_seen(tmp_path):
+    with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES) as writer:
+        writer.append("torque", [(1.0 + n, 0.5, 7, 1e-4) for n in range(100)])
+    raw = bytearray((tmp_path / "a.h5").read_bytes())
+    raw[raw.index(np.float64(51.0).tobytes() + np.float64(0.5).tobytes()) + 3] ^= 1
+    (tmp_path / "a.h5").write_bytes(raw)
+    with pytest.raises(BadInput, match="is no readable run"):
+        RunFile(tmp_path / "a.h5").table("torque")
 
 
 WRITER = """

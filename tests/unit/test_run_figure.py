@@ -37,7 +37,6 @@ def rewritten(path, run_path, change, *, end=None, raw=True):
     writer.append("ticks", change(whole.table("ticks")))
     if raw:
         writer.append("torque", whole.table("torque"))
-    writer.flush()
     if end is not None:
         writer.close({"status": end})
     return RunFile(path), writer

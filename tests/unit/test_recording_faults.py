@@ -1,0 +1,39 @@
+"""A sample of the campaigns of scripts/recording_faults: no row may be wrong after any of them."""
+
+import importlib.machinery
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "recording_faults"
+
+
+@pytest.fixture(scope="module")
+def campaigns():
+    loader = importlib.machinery.SourceFileLoader("recording_faults", str(SCRIPT))
+    spec = importlib.util.spec_from_loader(loader.name, loader)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[loader.name] = module
+    loader.exec_module(module)
+    return module
+
+
+def test_power_cuts(campaigns, tmp_path):
+    tally = campaigns.cuts(18, tmp_path, 1)
+    assert tally.good, tally.table("cuts")
+    assert tally.torn_seen, "no end was torn: the cuts test nothing"
+
+
+def test_full_disks(campaigns, tmp_path):
+    tally = campaigns.full(6, tmp_path, 4)
+    assert tally.good, tally.table("full")
+    assert tally.counts["run stopped, or its file not made"], "no disk was full: they test nothing"
+
+
+@pytest.mark.real_time
+def test_kills(campaigns, tmp_path):
+    tally = campaigns.kills(6, tmp_path, 1)
+    assert tally.good, tally.table("kills")
+    assert tally.lost_s, "no kill fell into a run: they test nothing"
