@@ -1,8 +1,8 @@
 """The API's process: serves the daemon's socket, so that no request costs the tick more than one short line.
 
 The daemon starts it as `python -m needle_rig.service.api_process LISTENER LINES PATH DAEMON`: two
-inherited descriptors, where the socket is, and the daemon's process id. It begins to serve at the line `serve`. When
-the daemon dies, it removes the socket in its place.
+inherited descriptors, where the socket is, and the daemon's process id. It begins to serve at the line
+`serve`. When the daemon dies, it removes the socket in its place.
 """
 
 from __future__ import annotations

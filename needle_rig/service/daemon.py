@@ -88,8 +88,8 @@ class Daemon:
             return
         try:
             # both get ready while the rig is built
-            await self._recorder.start(self._runs)
             self._api.start(listener)
+            await self._recorder.start(self._runs)
             rig = self._parts.make_rig(self._recorder.raw)
             try:
                 await rig.open()
