@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import socket
 import sys
 from collections.abc import Awaitable, Callable
@@ -21,10 +22,12 @@ log = structlog.get_logger("api")
 STATES_HZ = 25.0
 RESTART_S = 1.0
 """From one start of the process to the next at least, so that one which fails at once takes no core."""
-SILENT = 10
+SILENT = 5
 """Checks, a second apart, without a word from the process: it hangs. A machine that stood still is one."""
 BACKLOG_LIMIT_BYTES = 8 * 2**20
 _COMPLAIN_EVERY = 10
+_ANSWER_TIMEOUT_S = 12.0
+"""A start on a slow disk is given up before."""
 _END_TIMEOUT_S = 4.0
 
 Document = dict[str, Any]
@@ -76,7 +79,7 @@ class ApiLink:
         if keeping is None:
             return
         if self._tasks:
-            await asyncio.wait(self._tasks)
+            await asyncio.wait(self._tasks, timeout=_ANSWER_TIMEOUT_S)
         if self._lines is not None:
             self._lines.send("end", {})
         with contextlib.suppress(TimeoutError):
@@ -105,7 +108,7 @@ class ApiLink:
         with theirs:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "needle_rig.service.api_process"),
-                *(str(listener.fileno()), str(theirs.fileno()), path),
+                *(str(listener.fileno()), str(theirs.fileno()), path, str(os.getpid())),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.DEVNULL,
                 pass_fds=(listener.fileno(), theirs.fileno()),

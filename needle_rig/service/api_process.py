@@ -1,8 +1,8 @@
 """The API's process: serves the daemon's socket, so that no request costs the tick more than one short line.
 
-The daemon starts it as `python -m needle_rig.service.api_process LISTENER LINES PATH`: two inherited
-descriptors, and where the socket is. It begins to serve at the line `serve`. When the daemon dies, it removes
-the socket in its place.
+The daemon starts it as `python -m needle_rig.service.api_process LISTENER LINES PATH DAEMON`: two
+inherited descriptors, where the socket is, and the daemon's process id. It begins to serve at the line
+`serve`. When the daemon dies, it removes the socket in its place.
 """
 
 from __future__ import annotations
@@ -36,13 +36,15 @@ MEMORY_BYTES = 1 << 30
 """Address space; 256 connections with full buffers take a tenth of it."""
 ALIVE_EVERY_S = 1.0
 _COMPLAIN_EVERY_S = 10.0
+_DEATH_S = 1.0
+"""A killed parent's sockets close before it is dead."""
 
 
 class Process:
     """Passes questions to the daemon and what it says to those who wait or listen."""
 
-    def __init__(self, listener: socket.socket, place: Made) -> None:
-        self._listener, self._place = listener, place
+    def __init__(self, listener: socket.socket, place: Made, daemon: int) -> None:
+        self._listener, self._place, self._daemon = listener, place, daemon
         self._lines = Lines(self._on_line, self._on_end)
         self._answers: dict[int, asyncio.Future[Answer]] = {}
         self._asked = 0
@@ -55,7 +57,6 @@ class Process:
         """Serve until the daemon says `end` or is gone."""
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(_complain)
-        loop.add_signal_handler(signal.SIGTERM, self._on_end)
         await loop.create_connection(lambda: self._lines, sock=lines)
         living = asyncio.create_task(self._live(), name="alive")
         await self._serve.wait()
@@ -110,8 +111,13 @@ class Process:
             self._server.should_exit = True
 
     def _on_end(self) -> None:
-        """The daemon is gone; what it cannot do any more is done here."""
-        self._place.remove()
+        """The daemon wants no more, or is gone: then what it cannot do any more is done here."""
+        deadline_s = time.monotonic() + _DEATH_S
+        while self._ending is None and time.monotonic() < deadline_s:
+            if os.getppid() != self._daemon:
+                self._place.remove()
+                break
+            time.sleep(_DEATH_S / 100)
         os._exit(0)
 
 
@@ -190,10 +196,10 @@ def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     logging.getLogger("api").warning("%s", reason)
 
 
-def main(listener: int, lines: int, path: Path) -> None:
+def main(listener: int, lines: int, path: Path, daemon: int) -> None:
     """Serve; the arguments are the module's."""
-    # the daemon decides when this ends, not a Ctrl-C or a closed terminal
-    for number in (signal.SIGINT, signal.SIGHUP):
+    # the daemon decides when this ends, not a Ctrl-C, a closed terminal or a signal to the whole group
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     handler = logging.StreamHandler()
@@ -203,10 +209,10 @@ def main(listener: int, lines: int, path: Path) -> None:
     place = Made.at(path)
 
     async def serve() -> None:
-        await Process(socket.socket(fileno=listener), place).run(socket.socket(fileno=lines))
+        await Process(socket.socket(fileno=listener), place, daemon).run(socket.socket(fileno=lines))
 
     asyncio.run(serve())
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))
+    main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]), int(sys.argv[4]))

@@ -88,8 +88,8 @@ class Daemon:
             return
         try:
             # both get ready while the rig is built
-            await self._recorder.start(self._runs)
             self._api.start(listener)
+            await self._recorder.start(self._runs)
             rig = self._parts.make_rig(self._recorder.raw)
             try:
                 await rig.open()
@@ -116,6 +116,8 @@ class Daemon:
             await self._loop.run()
         finally:
             clock.close()
+            self._ending = True
+            self._lease.stop()
             self._notify.send(STOPPING=1)
             if self._run is not None and self._finishing is None:
                 self._brain.stop("the daemon was told to end")
@@ -151,8 +153,8 @@ class Daemon:
                 self._lease.give_back(claim)
                 return {"returned": True}
         self._lease.check(claim)
-        if self._loop is None:
-            raise BadInput("the daemon is not ready; ask again")
+        if self._loop is None or self._ending:
+            raise BadInput("the daemon starts or ends just now; ask again")
         if self._starting or (self._run is not None and self._brain.state.phase in ACTIVE):
             raise BadInput("a sequence is running; wait for it, or stop it first: needle-rig stop")
         self._starting = True
@@ -175,9 +177,12 @@ class Daemon:
         try:
             self._lease.check(claim)
             self._brain.compensate(dataclasses.replace(request, run=str(path)))
-        except NeedleRigError:
-            await self._recorder.discard()
-            raise
+        except NeedleRigError as refusal:
+            try:
+                await self._recorder.discard()
+            except NeedleRigError as error:
+                log.error("recorder", reason=str(error))
+            raise refusal
         self._run, self._failure, self._last = path, None, None
         self._closed.clear()
         self._set_busy()
@@ -303,7 +308,16 @@ class Daemon:
         self._finishing = asyncio.create_task(self._finish(self._brain.state), name="finish run")
 
     async def _finish(self, state: BrainState) -> None:
-        """Close the run's file, then tell how it ended."""
+        try:
+            await self._close_run(state)
+        finally:
+            self._run, self._finishing = None, None
+            self._closed.set()
+        assert self._last is not None
+        self._api.event({"type": "ended", **self._last})
+
+    async def _close_run(self, state: BrainState) -> None:
+        """Close the run's file, then keep how it ended."""
         run = self._run
         outcome = state.outcome
         assert outcome is not None
@@ -324,10 +338,7 @@ class Daemon:
             "conditions": [report.condition_document(condition) for condition in outcome.conditions],
             "settled": [report.settled_document(motion) for motion in state.settled],
         }
-        self._run, self._finishing = None, None
-        self._closed.set()
         log.info("run ended", status=outcome.status, text=outcome.text)
-        self._api.event({"type": "ended", **self._last})
 
 
 def _request(order: Order) -> Request:
