@@ -112,7 +112,7 @@ class Brain:
             self._refuse_unless_free()
             self._turn("home", angle_rad, speed_rad_s)
             return
-        now = self._free_to_refer()
+        now = self._free_to_refer(by)
         reference = self._supervision.reference
         if by == "hall":
             reference.tell(reference.by_hall_rad(now))
@@ -249,10 +249,17 @@ class Brain:
         if self._phase is Phase.FAULT and self._fault is not None:
             raise RigFault(self._fault.text)
 
-    def _free_to_refer(self) -> Measurement:
-        """The newest measurement, when the zero may be set now: at rest, with no fault but a lost zero."""
-        if self._fault is None or self._fault.name is not FaultName.REFERENCE_LOST:
+    def _free_to_refer(self, by: str) -> Measurement:
+        """The newest measurement, when the zero may be set now: at rest, with no fault but a lost zero.
+
+        A person's word also serves Hall sensors that lost their turns.
+        """
+        fault = self._fault
+        by_person = by == "here" and fault is not None and fault.link == "hall"
+        if fault is None or not (fault.name is FaultName.REFERENCE_LOST or by_person):
             self._refuse_unless_free()
+        if by_person and self._measurement is not None:
+            return self._measurement
         return self._seen()
 
     def _seen(self) -> Measurement:
@@ -385,7 +392,7 @@ class Brain:
 
     def _fail(self, fault: Fault) -> None:
         if self._phase in ACTIVE:
-            self._end("fault", fault.text)
+            self._end("fault", fault.text, fault.name.value)
         if self._fault is None or not self._fault.latching:
             self._fault = fault
         self._phase = after(self._phase, Event.FAULT)
@@ -469,10 +476,11 @@ class Brain:
                 self._request.run,
             )
 
-    def _end(self, status: Status, text: str) -> None:
+    def _end(self, status: Status, text: str, fault_name: str | None = None) -> None:
         if self._sequence is not None:
             sequence = self._sequence
-            self._outcome = outcome(status, text, sequence.task, sequence.strategy, self.settled)
+            ended = outcome(status, text, sequence.task, sequence.strategy, self.settled)
+            self._outcome = replace(ended, fault_name=fault_name)
 
     def _sample(self, measurement: Measurement, dt_s: float, command: Command) -> Sample:
         waypoint = self._sequence.waypoint if self._sequence else None

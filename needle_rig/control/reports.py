@@ -88,6 +88,8 @@ class Outcome:
     range_rad: float
     """Largest minus smallest Hall angle."""
     conditions: tuple[Condition, ...] = ()
+    fault_name: str | None = None
+    """The fault that ended it; see faults.FaultName."""
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,7 @@ def result_document(
     """The result of a run: the object that `needle-rig compensate --json` prints."""
     return {
         "status": outcome.status,
+        "fault_name": outcome.fault_name,
         "target_deg": _deg(outcome.target_rad),
         "strategy": outcome.strategy,
         "parameters": parameters,

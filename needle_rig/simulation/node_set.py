@@ -10,7 +10,7 @@ from typing import Protocol
 from needle_rig.config.schema import RigConfig, SimulationSection
 from needle_rig.errors import BadInput
 from needle_rig.records import DriveFault, DriveState, Measurement
-from needle_rig.simulation.analogue import AnalogueFrontEnd, SensorErrors
+from needle_rig.simulation.analogue import ADC_MID, AnalogueFrontEnd, SensorErrors
 from needle_rig.simulation.front_end import Inputs, inputs
 from needle_rig.simulation.nodes import DriveNode, HallNode, TorqueNode
 from needle_rig.simulation.slcan_hub import Frame
@@ -72,6 +72,8 @@ class NodeSet:
     hall: Hall
     drive: Drive
     inputs: Callable[[Measurement], Inputs]
+    no_field: tuple[int, int] = (0, 0)
+    """What a Hall pair reads whose magnet is out of reach."""
     front_end: AnalogueFrontEnd | None = None
 
 
@@ -94,7 +96,7 @@ def build_nodes(config: RigConfig, codec: CanCodec) -> NodeSet:
     front_end = AnalogueFrontEnd(
         SensorErrors.planted(simulation.sensor_errors_seed, sensors), simulation.seed
     )
-    return NodeSet(*_firmware(simulation), front_end.inputs, front_end)
+    return NodeSet(*_firmware(simulation), front_end.inputs, (ADC_MID, ADC_MID), front_end)
 
 
 def _firmware(simulation: SimulationSection) -> tuple[Torque, Hall, Drive]:

@@ -215,3 +215,18 @@ def test_nothing_moves_before_the_zero_is_known() -> None:
     for _ in range(400):
         node.tick()
         assert not node.command.enable
+
+
+def test_a_person_s_word_also_serves_hall_sensors_that_lost_their_turns() -> None:
+    node = known_at_45()
+    node.changes = {"hall_age_s": 1.0, "hall_complaint": "its turns are not known"}
+    node.ticks(60)
+    assert node.fault == FaultName.LINK_DEAD
+    with pytest.raises(RigFault, match="its turns are not known"):
+        node.brain.home("hall")
+    node.brain.home("here", rad(45.0))
+    node.tick()
+    assert node.command.reference_rad == pytest.approx(rad(45.0))
+    node.changes = {}
+    node.ticks(3)
+    assert node.fault is None
