@@ -109,6 +109,7 @@ class BenchLoop:
         nodes = build_nodes(config, self._codec)
         self._torque, self._hall, self._drive = nodes.torque, nodes.hall, nodes.drive
         self._inputs, self._front_end = nodes.inputs, nodes.front_end
+        self._no_field = nodes.no_field
         self._by_hand_rad = 0.0
         self._taps = {link: Tap(seed) for seed, link in enumerate(LINKS)}
         self._hub = SlcanHub()
@@ -230,7 +231,7 @@ class BenchLoop:
             state = self._last_state.name.lower()
             self._say({"event": "drive", "state": state, "faults": faults, "late_s": round(late_s, 6)})
         hall = self._taps["hall"]
-        pairs = (*counts.hall[:-1], (0, 0)) if hall.fault == "fade" else counts.hall
+        pairs = (*counts.hall[:-1], self._no_field) if hall.fault == "fade" else counts.hall
         data = hall.through(self._hall.step(now_us, pairs))
         if self._hall_port is not None:
             self._hall_port.write(data or b"")

@@ -32,7 +32,6 @@ STEP_S = 0.001
 HEALTH_PERIOD_S = 0.01
 FRESH_S = 0.1
 LONGEST_START_TICKS = 200
-NO_FIELD = (0, 0)
 
 
 class FirmwareRig:
@@ -170,7 +169,9 @@ class FirmwareRig:
         )
         faded = self.links.hall_faded
         pairs = (
-            [NO_FIELD if i in faded else pair for i, pair in enumerate(counts.hall)] if faded else counts.hall
+            [nodes.no_field if i in faded else pair for i, pair in enumerate(counts.hall)]
+            if faded
+            else counts.hall
         )
         hall = nodes.hall.step(now_us, pairs)
         if self._heard is not None:

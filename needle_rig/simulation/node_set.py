@@ -10,7 +10,7 @@ from typing import Protocol
 from needle_rig.config.schema import RigConfig, SimulationSection
 from needle_rig.errors import BadInput
 from needle_rig.records import DriveFault, DriveState, Measurement
-from needle_rig.simulation.analogue import AnalogueFrontEnd, SensorErrors
+from needle_rig.simulation.analogue import ADC_MID, AnalogueFrontEnd, SensorErrors
 from needle_rig.simulation.front_end import Inputs, inputs
 from needle_rig.simulation.nodes import DriveNode, HallNode, TorqueNode
 from needle_rig.simulation.slcan_hub import Frame
@@ -73,6 +73,8 @@ class NodeSet:
     drive: Drive
     inputs: Callable[[Measurement], Inputs]
     front_end: AnalogueFrontEnd | None = None
+    no_field: tuple[int, int] = (0, 0)
+    """Counts of a Hall sensor whose magnet is out of reach."""
 
 
 def build_nodes(config: RigConfig, codec: CanCodec) -> NodeSet:
@@ -94,7 +96,7 @@ def build_nodes(config: RigConfig, codec: CanCodec) -> NodeSet:
     front_end = AnalogueFrontEnd(
         SensorErrors.planted(simulation.sensor_errors_seed, sensors), simulation.seed
     )
-    return NodeSet(*_firmware(simulation), front_end.inputs, front_end)
+    return NodeSet(*_firmware(simulation), front_end.inputs, front_end, (ADC_MID, ADC_MID))
 
 
 def _firmware(simulation: SimulationSection) -> tuple[Torque, Hall, Drive]:
