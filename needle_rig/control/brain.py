@@ -189,6 +189,12 @@ class Brain:
         return self._command, self._sample(measurement, dt_s, self._command)
 
     @property
+    def busy(self) -> bool:
+        """Whether something goes on that wants ticks: a motion, a clear, a reference that the drive is told."""
+        wanted_rad = self._supervision.reference.wanted_rad
+        return self._phase in ACTIVE or self._clear_s > 0.0 or wanted_rad is not None
+
+    @property
     def state(self) -> BrainState:
         """A snapshot; see BrainState."""
         sequence, measurement = self._sequence, self._measurement

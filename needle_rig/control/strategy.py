@@ -8,6 +8,7 @@ so a run can be replayed from its record.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
 import math
 import pkgutil
@@ -108,6 +109,7 @@ class Strategy:
         raise NotImplementedError
 
 
+@functools.cache
 def find_strategies() -> dict[str, type[Strategy]]:
     """Every strategy by the name of its file, sorted."""
     from needle_rig.control import strategies
@@ -136,6 +138,8 @@ def make_strategy(name: str, options: Mapping[str, Any]) -> Strategy:
         if option not in fields:
             known = ", ".join(sorted(fields)) or "none"
             raise BadInput(f"strategy {name} has no option {option!r}; its options: {known}")
+        if isinstance(options[option], bool):
+            raise BadInput(f"strategy {name}: {option} is {str(options[option]).lower()}; give a number")
     try:
         return found[name](**options)
     except TypeError:

@@ -268,7 +268,7 @@ class Daemon:
         self._time_s = sample.time_s
         active = sample.phase in ACTIVE
         if self._loop is not None:
-            self._loop.busy = active
+            self._loop.busy = self._brain.busy
         if self._run is not None and self._finishing is None:
             self._recorder.sample(sample)
         told = (sample.phase, sample.motion)
@@ -278,7 +278,7 @@ class Daemon:
         if not active:
             if self._run is not None and self._finishing is None:
                 self._finish_soon()
-            if self._moving:
+            if self._moving and not self._brain.busy:
                 self._moving = False
                 self._api.event({**self.describe(), "type": "moved", "moved": self._motions})
         now_s = time.monotonic()

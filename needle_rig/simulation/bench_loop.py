@@ -108,7 +108,8 @@ class BenchLoop:
         self._codec = CanCodec(find_config_file("needle_rig.dbc"))
         nodes = build_nodes(config, self._codec)
         self._torque, self._hall, self._drive = nodes.torque, nodes.hall, nodes.drive
-        self._inputs, self._front_end, self._no_field = nodes.inputs, nodes.front_end, nodes.no_field
+        self._inputs, self._front_end = nodes.inputs, nodes.front_end
+        self._no_field = nodes.no_field
         self._by_hand_rad = 0.0
         self._taps = {link: Tap(seed) for seed, link in enumerate(LINKS)}
         self._hub = SlcanHub()

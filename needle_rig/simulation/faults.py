@@ -89,6 +89,10 @@ class Faults:
     """Share of the base's motion that does not reach the needle."""
     emergency_stop: bool = False
 
+    def hall_reading(self, sensor: int) -> Reading:
+        """The reading of one sensor, to be broken."""
+        return self.hall.setdefault(sensor, Reading())
+
 
 @dataclass
 class Links:

@@ -39,10 +39,10 @@ class Motor:
         if (velocity_rad_s, powered) != newest:
             self._coming.append((self._time_s + self.settings.delay_s, velocity_rad_s, powered))
 
-    def cut(self) -> None:
-        """The supply is taken away: braked at once, whatever command was on its way."""
+    def turn_now(self, velocity_rad_s: float, *, powered: bool) -> None:
+        """Like `turn`, without the dead time, whatever was on its way: a hand, or a supply cut off."""
         self._coming.clear()
-        self._wish = (0.0, False)
+        self._wish = (velocity_rad_s, powered)
 
     def advance(self, dt_s: float, torque_nm: float) -> list[tuple[float, float]]:
         """Move on by `dt_s` with the needle's torque on the base; [(time since the call, angle)] at kinks."""

@@ -72,9 +72,9 @@ class NodeSet:
     hall: Hall
     drive: Drive
     inputs: Callable[[Measurement], Inputs]
-    no_field: tuple[int, int] = (0, 0)
-    """What a Hall pair reads whose magnet is out of reach."""
     front_end: AnalogueFrontEnd | None = None
+    no_field: tuple[int, int] = (0, 0)
+    """Counts of a Hall sensor whose magnet is out of reach."""
 
 
 def build_nodes(config: RigConfig, codec: CanCodec) -> NodeSet:
@@ -96,7 +96,7 @@ def build_nodes(config: RigConfig, codec: CanCodec) -> NodeSet:
     front_end = AnalogueFrontEnd(
         SensorErrors.planted(simulation.sensor_errors_seed, sensors), simulation.seed
     )
-    return NodeSet(*_firmware(simulation), front_end.inputs, (ADC_MID, ADC_MID), front_end)
+    return NodeSet(*_firmware(simulation), front_end.inputs, front_end, (ADC_MID, ADC_MID))
 
 
 def _firmware(simulation: SimulationSection) -> tuple[Torque, Hall, Drive]:

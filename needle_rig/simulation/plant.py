@@ -145,7 +145,7 @@ class Plant:
         """Like `advance`, with the motor's command given from outside: for nodes that guard it themselves."""
         faults = self.faults
         if not self.supply_on:
-            self.motor.cut()
+            self.motor.turn_now(0.0, powered=False)
         elif faults.shorted_rad_s is not None:
             self.motor.turn(faults.shorted_rad_s)
         else:
@@ -154,8 +154,7 @@ class Plant:
 
     def turn_by_hand(self, velocity_rad_s: float, dt_s: float) -> None:
         """Like `turn`, by a person: the motor, which is off, gives way."""
-        self.motor.cut()
-        self.motor.turn(velocity_rad_s)
+        self.motor.turn_now(velocity_rad_s, powered=True)
         self._pass(dt_s)
 
     def _pass(self, dt_s: float) -> None:

@@ -44,7 +44,7 @@ def test_with_the_pages_flashed_every_reading_is_true(pages: Path) -> None:
     async def turn() -> tuple[float, float]:
         await make_ready(stand)
         worst_base = worst_hall = 0.0
-        for _ in range(24):
+        for _ in range(27):
             await jog(stand, 45.0, 0.3)
             readings = await collect(stand, 0.4)
             truth = plant.motor.angle_rad

@@ -38,6 +38,13 @@ def drive_pins(pins: Pins, codec: CanCodec, ms: int) -> None:
     if ms % 97:
         pins.can_in.append((TORQUE_STATUS_ID, codec.encode_torque(1e-4, 0, ms, ms * 1e-3)))
     pins.encoder_counts += round(bridge(pins) / 4096 * 180)
+    pins.index = 0 <= pins.encoder_counts % 3000 < 500
+    pins.emergency_stop = ms > 550
+
+
+def supplied(ms: int) -> bool:
+    """Between the clear and the emergency stop of `drive_pins`."""
+    return 25 <= ms <= 550
 
 
 @pytest.mark.parametrize("kind", NODES)
@@ -58,6 +65,7 @@ def test_image_and_host_library_give_the_same_bytes(built: Path, nodes: HostNode
         assert pins[0].take_can() == pins[1].take_can()
         assert pins[0].take_uart() == pins[1].take_uart()
         assert bridge(pins[0]) == bridge(pins[1])
+        assert pins[0].supply == pins[1].supply == (kind == "drive" and supplied(ms))
     if kind == "drive":
         assert abs(pins[0].encoder_counts) > 100
 
