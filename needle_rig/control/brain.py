@@ -190,7 +190,7 @@ class Brain:
 
     @property
     def busy(self) -> bool:
-        """Whether something goes on that wants ticks: a motion, a clear, a reference that the drive is told."""
+        """Whether something goes on that wants ticks: a motion, a clear, a reference on its way."""
         wanted_rad = self._supervision.reference.wanted_rad
         return self._phase in ACTIVE or self._clear_s > 0.0 or wanted_rad is not None
 

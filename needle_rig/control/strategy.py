@@ -133,12 +133,12 @@ def make_strategy(name: str, options: Mapping[str, Any]) -> Strategy:
     found = find_strategies()
     if name not in found:
         raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(found)}")
-    fields = {f.name for f in dataclasses.fields(found[name])}  # type: ignore[arg-type]
+    fields = {f.name: f for f in dataclasses.fields(found[name])}  # type: ignore[arg-type]
     for option in options:
         if option not in fields:
             known = ", ".join(sorted(fields)) or "none"
             raise BadInput(f"strategy {name} has no option {option!r}; its options: {known}")
-        if isinstance(options[option], bool):
+        if isinstance(options[option], bool) and fields[option].type != "bool":
             raise BadInput(f"strategy {name}: {option} is {str(options[option]).lower()}; give a number")
     try:
         return found[name](**options)

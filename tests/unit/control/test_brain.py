@@ -103,6 +103,7 @@ def test_an_idle_brain_keeps_the_drive_stopped():
         (Request(rad(-720.1)), "the target -720.1° is outside ±720°"),
         (Request(0.5, "no_such"), "strategy 'no_such' is unknown; there are base_equals_tip, decay"),
         (Request(0.5, "reed2008", {"extra": 1}), "reed2008 has no option 'extra'; its options: none"),
+        (Request(0.5, "decay", {"ratio": True}), "strategy decay: ratio is true; give a number"),
         (Request(0.5, "decay", {"turns": 1}), "has no option 'turns'; its options: ratio, rotations"),
         (Request(0.5, settle_s=math.nan), "settling time nan s is outside 0.1 to 600 s"),
         (Request(0.5, settle_s=0.0), "settling time 0.0 s is outside"),
