@@ -145,6 +145,23 @@ def test_an_impossible_jump_is_cut_and_wrong(nodes: HostNodes, jump_mdeg: int) -
     assert abs(monitor.c.following) <= 10**13 + 10**6
 
 
+@pytest.mark.parametrize(("jump_mdeg", "cut_mdeg"), [(999_999, 999_999), (10**6, 10**6), (10**6 + 1, 10**6)])
+@pytest.mark.parametrize("way", [-1, 1])
+def test_a_jump_is_cut_to_the_last_unit(nodes: HostNodes, jump_mdeg: int, cut_mdeg: int, way: int) -> None:
+    monitor = Monitor(nodes)
+    monitor.step(0, way * jump_mdeg, 1)
+    assert monitor.c.following == -way * cut_mdeg * 10**7
+    assert monitor.c.turning == way * cut_mdeg * 10**7 // 5000
+
+
+def test_a_new_name_for_the_place_is_no_motion(nodes: HostNodes) -> None:
+    monitor = Monitor(nodes)
+    monitor.lib.nr_motion_rename(monitor.c, 45_000)
+    monitor.angle_mdeg = 45_000
+    assert monitor.step(0) == FOLLOWS
+    assert monitor.c.following == 0
+
+
 def stuck(shaft: Shaft) -> None:
     shaft.encoder_stuck = True
 
