@@ -9,6 +9,9 @@ from needle_rig.control.shaft import ShaftLimits, ShaftWatch, spring_to_first_se
 from needle_rig.physics.rod import Layout
 from needle_rig.records import Command, DriveState, Measurement
 
+SIGHT_S = 0.02
+"""Of an encoder angle that is older nobody knows what the base did since: twenty frames are missing."""
+
 
 class Supervision:
     """Judges what the rig did with the last command. `reference` is what it knows of the drive's zero."""
@@ -59,8 +62,9 @@ class Supervision:
         if lost is not None:
             self._following.reset()
             return lost
-        if self.reference.wanted_rad is not None or now.drive_state in (DriveState.SILENT, DriveState.FAULT):
-            # its angle is being set, or a hand may turn it
+        by_hand = now.drive_state in (DriveState.SILENT, DriveState.FAULT)
+        if self.reference.wanted_rad is not None or by_hand or now.drive_age_s > SIGHT_S:
+            # its angle is being set, a hand may turn it, or it is out of sight
             self._following.reset()
             return None
         astray = self._following.step(last.velocity_rad_s, last.enable, now.base_angle_rad, dt_s)

@@ -228,3 +228,19 @@ def test_one_late_tick_among_others_is_forgiven() -> None:
     node.changes = {}
     node.ticks(3)
     assert node.fault is None
+
+
+@pytest.mark.parametrize(("age_s", "judged"), [(0.019, True), (0.021, False)])
+def test_what_the_base_did_out_of_sight_is_not_held_against_it(age_s: float, judged: bool) -> None:
+    node = ready()
+    node.brain.compensate(Request(0.5, "none"))
+    node.ticks(140)
+    assert node.command.velocity_rad_s > 0.3
+    stood_rad = node.encoder_rad
+    node.changes = {"drive_age_s": age_s}
+    for _ in range(40):
+        node.tick()
+        node.encoder_rad = node.true_rad = stood_rad
+    node.changes = {}
+    node.ticks(2)
+    assert node.fault == (FaultName.NOT_TURNING if judged else None)
