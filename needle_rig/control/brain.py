@@ -180,7 +180,7 @@ class Brain:
         self._measurement = measurement
         self._tick += 1
         judged = self._as_heard(measurement, dt_s)
-        fault = self._look(judged, dt_s)
+        fault = self._look(measurement, judged, dt_s)
         if fault is not None:
             self._fail(fault)
         elif self._phase is Phase.FAULT and self._fault is not None and not self._fault.latching:
@@ -370,8 +370,11 @@ class Brain:
             return measurement
         return replace(measurement, torque_age_s=torque_s, hall_age_s=hall_s, drive_age_s=drive_s)
 
-    def _look(self, measurement: Measurement, dt_s: float) -> Fault | None:
-        """What forbids motion now. While a clear goes out, the drive's own faults are not news."""
+    def _look(self, seen: Measurement, measurement: Measurement, dt_s: float) -> Fault | None:
+        """What forbids motion now, `measurement` being what was `seen` with the ages held against its links.
+
+        While a clear goes out, the drive's own faults are not news.
+        """
         fault = find_fault(measurement, self._limits) or tick_fault(dt_s)
         if fault is None and self._late_ticks > 1:
             fault = slow_host_fault(measurement, dt_s, self._limits)
@@ -386,7 +389,7 @@ class Brain:
         if fault is not None:
             return fault
         running = self._phase in ACTIVE and self._phase is not Phase.HOLDING
-        fault = self._supervision.step(measurement, self._command, dt_s, active=running)
+        fault = self._supervision.step(seen, self._command, dt_s, active=running)
         if fault is None and self._clear_s <= 0.0 and self._phase in ACTIVE and not awake:
             return Fault(
                 FaultName.DRIVE_RESTARTED,
