@@ -8,8 +8,8 @@ from needle_rig.units import nmm, rad
 ACCELERATION = 7_200_000
 FOLLOWING_GAIN = 30
 """Above the firmware's 20, in the place of its term for the velocity."""
-MEASURED_SHARE, PACE_SHARE = 0.5, 0.1
-LOAD_PER_NMM, LEAST = 15_000.0, 7500.0
+MEASURED_SHARE, PACE_SHARE = 0.38, 0.12
+LOAD_PER_NMM, LEAST = 15_000.0, 5500.0
 UNIT_RAD_S = rad(1e-4)
 
 
