@@ -411,7 +411,8 @@ class Brain:
         if self._supervision.reference.wanted_rad is not None:
             return Command(reference_rad=self._supervision.reference.wanted_rad)
         if self._released:
-            return RELEASE
+            # silence in mid-motion is a fault to the drive: it is told to stop first
+            return STOP if measurement.drive_state is DriveState.RUNNING else RELEASE
         awake = measurement.drive_state in (DriveState.READY, DriveState.RUNNING)
         passing = self._fault is not None and not self._fault.latching
         clearing = self._clear_s > 0.0 or (passing and measurement.drive_state is DriveState.FAULT)
