@@ -109,7 +109,6 @@ def result_document(
     """The result of a run: the object that `needle-rig compensate --json` prints."""
     return {
         "status": outcome.status,
-        "fault_name": outcome.fault_name,
         "target_deg": _deg(outcome.target_rad),
         "strategy": outcome.strategy,
         "parameters": parameters,
@@ -132,6 +131,7 @@ def result_document(
             "range_deg": _deg(outcome.range_rad),
         },
         "run": run,
+        "fault_name": outcome.fault_name,
     }
 
 

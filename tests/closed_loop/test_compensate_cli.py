@@ -29,6 +29,7 @@ def tip_lag(motion: dict[str, Any]) -> float:
 def check_schema(result: dict[str, Any]) -> None:
     assert list(result) == [
         *("status", "target_deg", "strategy", "parameters", "lag_deg", "motions", "final", "run"),
+        "fault_name",
     ]
     assert all(list(m) == ["phase", "base_deg", "torque_nmm", "hall_deg"] for m in result["motions"])
     final = result["final"]
@@ -191,7 +192,8 @@ DUPLICATE = "format: needle-rig/1\nname: a\nname: b\n"
     ("arguments", "code", "wanted"),
     [
         (["--target", "nan"], 2, "nan"),
-        (["--target", "1e9", "--fast"], 2, "outside ±720°"),
+        (["--target", "1e3", "--fast"], 2, "outside ±720°"),
+        (["--target", "1e9", "--fast"], 2, "less than or equal to 3600"),
         (["--target", "abc"], 2, "abc"),
         ([], 2, "--target"),
         (["--target", "45", "--config", "missing.yaml"], 2, "missing.yaml"),

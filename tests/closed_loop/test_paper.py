@@ -53,6 +53,10 @@ def test_a_second_run_learns_its_extra_turn_from_the_first(config):
     brain, left = Brain(config), []
     for strategy in ("reed2008", "reed2008_elastic", "reed2008_elastic"):
         plant = Plant(load_parameters("rig_elastic"), config.simulation)
+        if left:  # another rig for the same brain: a person says where its base stands
+            plant.advance(0.005)
+            brain.step(plant.read(), 0.005)
+            brain.home("here", 0.0)
         run = run_virtual(brain, plant, Request(rad(45.0), strategy))
         left.append(deg(run.outcome.tip_lag_rad))
     assert left[0] == pytest.approx(12.0, abs=1.0)
