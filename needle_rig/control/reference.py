@@ -16,6 +16,10 @@ from needle_rig.units import deg, rad
 
 TOLD_RAD = rad(0.2)
 """The drive took its reference when its angle is this near: what its encoder may flicker by."""
+JUMP_RAD = rad(30.0)
+FASTEST_RAD_S = rad(1000.0)
+"""No hand and no motor of a rig turns faster: an angle that moves on by more, and by JUMP_RAD on top, counts
+from another zero. A drive of another make, which does not say that it started again, shows it by this."""
 TELLING_S = 1.0
 """How long a drive may take for it: two hundred ticks."""
 
@@ -29,12 +33,15 @@ class Reference:
         self._tolerance_rad = tolerance_rad
         self._seen = False
         self._told_s = 0.0
+        self._last: Measurement | None = None
+        self._jumped = ""
         self.wanted_rad: float | None = None
         self.searching = False
         """An index mark is being looked for: motion without a zero is meant."""
 
     def step(self, now: Measurement, dt_s: float) -> Fault | None:
         """One tick with fresh values; a latching fault while the zero is lost or not taken by the drive."""
+        last, self._last = self._last or now, now
         if self.wanted_rad is not None:
             if now.referenced and abs(now.base_angle_rad - self.wanted_rad) <= TOLD_RAD:
                 self.wanted_rad, self._seen = None, True
@@ -46,6 +53,14 @@ class Reference:
             return self._lost(
                 "the drive does not take the angle that it was told; stop it and look at the bus"
             )
+        jump_rad = abs(now.base_angle_rad - last.base_angle_rad)
+        if jump_rad > JUMP_RAD + FASTEST_RAD_S * (now.time_s - last.time_s):
+            self._jumped = (
+                f"the drive's angle went from {deg(last.base_angle_rad):.1f}° to"
+                f" {deg(now.base_angle_rad):.1f}° at once: it counts from another zero"
+            )
+        if self._jumped and not self.searching:
+            return self._lost(self._jumped)
         if now.referenced or self.searching:
             self._seen = self._seen or now.referenced
             return None
@@ -57,6 +72,7 @@ class Reference:
     def tell(self, angle_rad: float) -> None:
         """The base stands at `angle_rad`: tell the drive so in the next ticks."""
         self.wanted_rad, self._told_s, self.searching = angle_rad, 0.0, False
+        self._jumped = ""
 
     def by_hall_rad(self, now: Measurement) -> float:
         """The base's angle by torque and first Hall sensor; BadInput where there is no sensor."""

@@ -230,3 +230,21 @@ def test_a_person_s_word_also_serves_hall_sensors_that_lost_their_turns() -> Non
     node.changes = {}
     node.ticks(3)
     assert node.fault is None
+
+
+@pytest.mark.parametrize(("jump_deg", "lost"), [(-34.0, False), (34.0, False), (-36.0, True), (90.0, True)])
+def test_a_drive_that_does_not_tell_of_its_start_shows_it_by_its_angle(jump_deg: float, lost: bool) -> None:
+    node = known_at_45()
+    node.state = DriveState.SILENT
+    node.ticks(2)
+    node.encoder_rad += rad(jump_deg)
+    node.tick()
+    assert node.fault == (FaultName.REFERENCE_LOST if lost else None)
+    if lost:
+        assert "counts from another zero" in (node.brain.state.fault or "")
+        node.brain.clear()
+        node.ticks(5)
+        assert node.fault == FaultName.REFERENCE_LOST
+        node.brain.home("hall")
+        node.ticks(3)
+        assert (node.fault, deg(node.encoder_rad)) == (None, pytest.approx(45.0, abs=0.1))
