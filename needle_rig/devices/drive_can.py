@@ -87,6 +87,12 @@ class DriveCan:
         age_s = self._clock.age_s(now_s)
         return max(age_s, health_age_s) if health_age_s > HEALTH_AGE_LIMIT_S else age_s
 
+    def complaint(self, now_s: float) -> str:
+        """What is wrong with a node that does speak, for the message of a missing link."""
+        if math.isinf(self._health_s) and self._clock.age_s(now_s) < HEALTH_AGE_LIMIT_S:
+            return "it sends no DRIVE_HEALTH; flash the firmware of this version: needle-rig firmware build"
+        return ""
+
     def command(self, command: Command) -> None:
         """Send `command` at once or not at all: the next one comes within a tick."""
         if command.release:

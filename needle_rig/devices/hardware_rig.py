@@ -154,7 +154,7 @@ class HardwareRig:
         can = f"{self._links.can.interface} {self._links.can.channel}"
         found = (
             (self._torque.age_s(now_s), "torque link", can, self._torque.complaint),
-            (self._drive.age_s(now_s), "drive link", can, ""),
+            (self._drive.age_s(now_s), "drive link", can, self._drive.complaint(now_s)),
             (self._hall.age_s(now_s), "Hall link", self._links.hall.port, self._hall.complaint),
         )
         return [

@@ -154,6 +154,8 @@ def test_a_health_that_stays_away_is_a_dead_drive(missing_s: float, dead: bool) 
 
 def test_without_any_health_a_drive_is_not_known() -> None:
     assert math.isinf(drive_that_speaks(-1.0).age_s(0.5))
+    assert "sends no DRIVE_HEALTH; flash the firmware" in drive_that_speaks(0.0).complaint(0.5)
+    assert drive_that_speaks(0.5).complaint(0.5) == ""
 
 
 def test_a_reference_goes_out_after_its_command_with_the_same_heartbeat() -> None:
