@@ -400,6 +400,7 @@ class Brain:
         return fault
 
     def _fail(self, fault: Fault) -> None:
+        self._supervision.reference.searching = False
         if self._phase in ACTIVE:
             self._end("fault", fault.text, fault.name.value)
         if self._fault is None or not self._fault.latching:
@@ -475,6 +476,8 @@ class Brain:
                 self._supervision.motion()
         elif late is not None:
             self._fail(Fault(FaultName.NOT_TURNING, "drive", late, latching=True))
+        if self._phase is Phase.DONE:
+            self._supervision.reference.searching = False
         if self._phase is Phase.DONE and self._request is not None:
             config = self._sequence_config
             self._outcome = judge(

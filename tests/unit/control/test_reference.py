@@ -248,3 +248,27 @@ def test_a_drive_that_does_not_tell_of_its_start_shows_it_by_its_angle(jump_deg:
         node.brain.home("hall")
         node.ticks(3)
         assert (node.fault, deg(node.encoder_rad)) == (None, pytest.approx(45.0, abs=0.1))
+
+
+@pytest.mark.parametrize("ends", ["without a mark", "by a fault", "by a stop"])
+def test_a_search_that_finds_nothing_leaves_the_zero_lost(ends: str) -> None:
+    node = known_at_45()
+    node.reset()
+    node.ticks(2)
+    node.brain.home("index")
+    node.ticks(200)
+    assert node.command.enable
+    if ends == "by a fault":
+        node.changes = {"torque_nm": 1.0}
+        node.tick()
+        assert node.fault == FaultName.TORQUE_LIMIT
+        node.changes = {}
+        node.brain.clear()
+    elif ends == "by a stop":
+        node.brain.stop("a person")
+    while node.brain.state.phase not in (Phase.FAULT, Phase.DONE):
+        node.tick()
+    node.ticks(3)
+    assert node.fault == FaultName.REFERENCE_LOST
+    with pytest.raises(RigFault, match="find it again"):
+        node.brain.compensate(Request(rad(45.0), "none"))
