@@ -19,7 +19,7 @@ DRIVE_SENTENCES: dict[DriveFault, str] = {
     DriveFault.COMMAND_AGE: "no valid command reached it for 50 ms; check the bus, this computer's load, and"
     " that no other master speaks to it",
     DriveFault.HEARTBEAT: "this computer's heartbeat stood still; check its load",
-    DriveFault.VELOCITY: "it turned faster than its own limit; check the commands and the encoder",
+    DriveFault.VELOCITY: "it was asked to turn faster than its own limit; lower drive.velocity_limit_deg_s",
     DriveFault.ANGLE: "it left its own angle range; turn the base back by hand",
     DriveFault.TORQUE_TRIP: "the torque at the base passed its own trip level; free the needle",
     DriveFault.ENCODER: "its encoder reports an error; check the cable",

@@ -120,8 +120,6 @@ def test_an_encoder_with_a_wrong_scale_is_found_in_a_turn(scale: float) -> None:
 
 @pytest.mark.parametrize("sensor", range(4))
 def test_a_hall_angle_that_jumps_is_named_with_its_sensor(sensor: int) -> None:
-    shaft = Shaft()
-    assert shaft.turn(30.0) is None
     for jump_deg, found in ((29.9, False), (30.1, True), (-90.0, True), (360.0, True)):
         other = Shaft(disagreement_deg=90.0, windup_deg=3600.0)
         assert other.turn(30.0) is None
