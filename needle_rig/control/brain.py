@@ -358,10 +358,6 @@ class Brain:
     def _as_heard(self, measurement: Measurement, dt_s: float) -> Measurement:
         """`measurement` with the ages that may be held against its links; see `heard_age_s`."""
         ages_s = (measurement.torque_age_s, measurement.hall_age_s, measurement.drive_age_s)
-        self._late_ticks = self._late_ticks + 1 if dt_s > self._listening_s else 0
-        if self._late_ticks > 1:
-            self._heard_age_s = ages_s
-            return measurement
         torque_s, hall_s, drive_s = self._heard_age_s = tuple(
             heard_age_s(before_s, age_s, dt_s, self._listening_s)
             for before_s, age_s in zip(self._heard_age_s, ages_s, strict=True)
@@ -376,8 +372,9 @@ class Brain:
         While a clear goes out, the drive's own faults are not news.
         """
         fault = find_fault(measurement, self._limits) or tick_fault(dt_s)
+        self._late_ticks = self._late_ticks + 1 if dt_s > self._listening_s else 0
         if fault is None and self._late_ticks > 1:
-            fault = slow_host_fault(measurement, dt_s, self._limits)
+            fault = slow_host_fault(seen, dt_s, self._limits)
         if fault is not None and fault.link == "drive":
             self._supervision.lost_sight()
         awake = measurement.drive_state in (DriveState.READY, DriveState.RUNNING)

@@ -74,10 +74,14 @@ def heard_age_s(before_s: float, age_s: float, dt_s: float, listening_s: float) 
     """What of `age_s` is evidence of a dead link: time in which this host listened to it.
 
     `before_s` is the result of the tick before (infinite at the first), `dt_s` the time since then, of which
-    at most `listening_s` counts: a host that stood still longer heard nothing because of itself. A host that
+    at most `listening_s` counts: a host that stood still longer heard nothing because of itself. That is
+    granted once: a link from which nothing came since the host was late before has its whole age. A host that
     keeps time gets the age itself, never more; an infinite age (no value yet) is one at once.
     """
-    return min(age_s, before_s + min(dt_s, listening_s)) if age_s < math.inf else age_s
+    late_before = age_s - dt_s > before_s + listening_s
+    if not age_s < math.inf or (late_before and dt_s > listening_s):
+        return age_s
+    return min(age_s, before_s + min(dt_s, listening_s))
 
 
 def slow_host_fault(measurement: Measurement, dt_s: float, limits: Limits) -> Fault | None:
