@@ -10,17 +10,17 @@ import traceback
 from dataclasses import dataclass
 
 import numpy as np
+from detection import at_strength, detection_limit, smallest_strength
 from scipy.stats import f as f_distribution
 
 from needle_rig.model import load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
-from needle_rig.workbench.coordinates import against_mean, coordinates, make_effects
-from needle_rig.workbench.detection import at_strength, detection_limit, smallest_strength
-from needle_rig.workbench.diagnose import diagnose
-from needle_rig.workbench.prepare import prepare
-from needle_rig.workbench.simulate import Noise, simulate_dataset
+from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.parameters import against_mean, coordinates, make_effects
+from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
 
 STRENGTHS = (0.5, 1.0, 3.0, 5.0, 10.0)
 IMPOSTORS = ("clock skew 10 ms", "2 % outliers", "dropped samples", "half the solver step")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import settings
 
+from tests.recorded_run import write_run
 from tests.stillness import Stillness
 
 # The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search`
@@ -94,3 +96,9 @@ def no_task_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     watch(asyncio.BaseEventLoop, lambda loop: loop)
     yield
     assert not left, "asyncio tasks left behind:\n" + "\n".join(dict.fromkeys(left))
+
+
+@pytest.fixture(scope="session")
+def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recorded run of reed2008."""
+    return write_run(tmp_path_factory.mktemp("runs") / "2026-01-01_12-00-00Z_reed2008.h5")

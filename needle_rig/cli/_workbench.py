@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from needle_rig.dataset.settled import SettledData
     from needle_rig.physics.effect import Effect
     from needle_rig.physics.needle_model import NeedleModel
-    from needle_rig.workbench.work import Work
+    from needle_rig.workbench.parallel import Work
 
 data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
 model_option = click.option(
@@ -50,7 +50,7 @@ def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
 
 def read_data(paths: tuple[Path, ...]) -> Dataset:
     """One dataset from folders, run files and names of datasets in config/datasets."""
-    from needle_rig.workbench.measurements import read_measurements
+    from needle_rig.workbench.observations.sources import read_measurements
 
     return read_measurements(_found(paths))
 
@@ -103,7 +103,7 @@ def progress() -> Callable[[int, int], None]:
 
 def worker(jobs: int | None, cluster: str | None) -> Work:
     """Where tasks run, with progress shown."""
-    from needle_rig.workbench.work import workers
+    from needle_rig.workbench.parallel import workers
 
     return workers(jobs, cluster, progress())
 

@@ -50,8 +50,8 @@ def command(
     """
     one_thread_each()
     from needle_rig.model import load_model, save_model
-    from needle_rig.workbench.adopt import adopt, undo
-    from needle_rig.workbench.history import ladder
+    from needle_rig.workbench.learning.adopt import adopt, undo
+    from needle_rig.workbench.learning.history import ladder
 
     saved = None if model_path is None else load_model(model_path, effects=directories)
     if take_back:

@@ -12,8 +12,8 @@ import click
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.calibrate import Calibration, Target
-    from needle_rig.workbench.calibration_stand import Stand
+    from needle_rig.calibration.stand import Stand
+    from needle_rig.calibration.steps import Calibration, Target
 
 _STEPS = {
     "drive": "The drive is off: the base is turned by hand a turn at a time, mark to mark, there and back.",
@@ -40,7 +40,7 @@ def command(node: str, rig: str, out: Path, serial: int, weights: str, errors: i
     the Hall sensors. Written to --out: NODE.yaml, NODE.png and NODE.hex, to be flashed with
     `st-flash --format ihex write NODE.hex`.
     """
-    from needle_rig.workbench.calibrate import Target
+    from needle_rig.calibration.steps import Target
 
     loads = _weights(weights)
     out.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ def _weights(text: str) -> tuple[float, ...]:
 
 def _stand(kind: str, rig: str, pages: Path, errors: int, yes: bool) -> Stand:
     """The simulated rig, whose other nodes carry the pages in `pages`; or a real rig."""
-    from needle_rig.workbench.calibration_stand import BenchStand, RealStand
+    from needle_rig.calibration.stand import BenchStand, RealStand
 
     if rig == "bench":
         overrides: dict[str, Any] = {"simulation.sensor_errors_seed": errors}
@@ -91,7 +91,7 @@ def _stand(kind: str, rig: str, pages: Path, errors: int, yes: bool) -> Stand:
 
 
 async def _calibrate(node: str, stand: Stand, target: Target, loads: tuple[float, ...]) -> Calibration:
-    from needle_rig.workbench import calibrate
+    from needle_rig.calibration import steps as calibrate
 
     await stand.rig.open()
     try:
@@ -105,7 +105,7 @@ async def _calibrate(node: str, stand: Stand, target: Target, loads: tuple[float
 
 
 async def _check(stand: Stand) -> str:
-    from needle_rig.workbench.calibrate import check_drive
+    from needle_rig.calibration.steps import check_drive
 
     await stand.rig.open()
     try:

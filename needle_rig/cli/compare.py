@@ -24,8 +24,8 @@ from needle_rig.cli._workbench import (
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.compare import Comparison
-    from needle_rig.workbench.settled_compare import SettledComparison
+    from needle_rig.workbench.learning.compare import Comparison
+    from needle_rig.workbench.published.compare import SettledComparison
 
 
 @click.command("compare")
@@ -56,8 +56,8 @@ def command(
     friction.
     """
     one_thread_each()
-    from needle_rig.workbench.compare import compare
-    from needle_rig.workbench.settled_compare import compare_settled
+    from needle_rig.workbench.learning.compare import compare
+    from needle_rig.workbench.published.compare import compare_settled
 
     effects, model = library(directories), read_model(model_path, directories)
     if (settled := read_settled_values(data)) is not None:
@@ -73,7 +73,8 @@ def command(
         return
     found = compare(read_data(data), effects, model)
     if png_folder is not None or html_path is not None:
-        from needle_rig.workbench.report import pictures, write_html, write_pngs
+        from needle_rig.figures.comparison import pictures, write_html
+        from needle_rig.figures.page import write_pngs
 
         drawn = pictures(found)
         for path in write_pngs(drawn, png_folder) if png_folder is not None else ():

@@ -221,13 +221,13 @@ def _ended(told: Document, document: Document) -> bool:
 def _load_figure() -> None:
     # a failure shows when the figure is drawn
     with contextlib.suppress(ImportError):
-        import needle_rig.workbench.run_figure  # noqa: F401
+        import needle_rig.figures.run  # noqa: F401
 
 
 def _draw(run: str) -> str | None:
     """Draw the picture of a run beside it, or here where its folder is the daemon's alone."""
+    from needle_rig.figures.run import draw_run
     from needle_rig.recording import RunFile
-    from needle_rig.workbench.run_figure import draw_run
 
     path = Path(run).with_suffix(".png")
     if not os.access(path.parent, os.W_OK):

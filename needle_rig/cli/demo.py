@@ -49,7 +49,7 @@ def command(
     from needle_rig.errors import BadInput
     from needle_rig.model import load_parameters, save_model
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.workbench.demo import figure, in_words, tell_story
+    from needle_rig.workbench.contest.demo import in_words, tell_story
 
     if target == 0.0:
         raise BadInput("--target 0: there is nothing to turn; give up to ±360 degrees")
@@ -64,11 +64,12 @@ def command(
         save_model(model_out, story.lesson.after)
         click.echo(f"model: {model_out}", err=True)
     if picture is not None:
-        from needle_rig.workbench.report import png
+        from needle_rig.figures.demo import demo_figure
+        from needle_rig.figures.page import png
 
         picture.mkdir(parents=True, exist_ok=True)
         file = picture / "demo.png"
-        file.write_bytes(png(figure(story)))
+        file.write_bytes(png(demo_figure(story)))
         click.echo(f"picture: {file}", err=True)
     if as_json:
         click.echo(json.dumps(story.as_json(), ensure_ascii=False))

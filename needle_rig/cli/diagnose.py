@@ -27,7 +27,7 @@ from needle_rig.cli._workbench import (
 )
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.answer import Answer
+    from needle_rig.workbench.selection.answer import Answer
 
 
 @click.command("diagnose")
@@ -60,8 +60,8 @@ def command(
     unknown) exits with 0.
     """
     one_thread_each()
-    from needle_rig.workbench.diagnose import diagnose
-    from needle_rig.workbench.settled import diagnose_settled
+    from needle_rig.workbench.published.diagnose import diagnose_settled
+    from needle_rig.workbench.selection.diagnose import diagnose
 
     effects, model = library(directories), read_model(model_path, directories)
     found: Answer

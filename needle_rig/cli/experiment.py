@@ -51,15 +51,15 @@ def command(
     from needle_rig.config.loader import load_rig_config
     from needle_rig.errors import BadInput
     from needle_rig.simulation.protocol import save_protocol
-    from needle_rig.workbench.experiment import (
+    from needle_rig.workbench.estimation.baseline import prepare
+    from needle_rig.workbench.selection.design import (
         REPLICATES,
         commands,
         expected_power,
         proposals,
         protocol_of,
     )
-    from needle_rig.workbench.prepare import prepare
-    from needle_rig.workbench.search import try_effect
+    from needle_rig.workbench.selection.search import try_effect
 
     known = library(directories)
     for name in between:

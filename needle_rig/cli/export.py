@@ -53,12 +53,12 @@ def command(
         written = out or Path(f"{found.name}_csv")
         export_csv(found, written)
     elif wanted == "png":
-        from needle_rig.workbench.run_figure import draw_run
+        from needle_rig.figures.run import draw_run
 
         written = draw_run(found, _new(out or Path(f"{found.name}.png")))
     else:
         from needle_rig.dataset import write_dataset
-        from needle_rig.workbench.run_dataset import runs_as_dataset
+        from needle_rig.workbench.observations.runs import runs_as_dataset
 
         written = write_dataset(runs_as_dataset([found]), out or Path(f"{found.name}_dataset"))
     click.echo(show_path(written))

@@ -22,11 +22,13 @@ def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as
     needle-rig history fitted.yaml --png ladder.png
     """
     from needle_rig.model import load_model
-    from needle_rig.workbench.history import ladder, ladder_figure
+    from needle_rig.workbench.learning.history import ladder
 
     saved = load_model(model, effects=directories)
     steps = ladder(saved)
     if png_path is not None:
+        from needle_rig.figures.ladder import ladder_figure
+
         ladder_figure(saved).savefig(png_path, dpi=110)
         click.echo(f"wrote {png_path}", err=True)
     if as_json:

@@ -41,7 +41,7 @@ def command(
     from needle_rig.model import effect_directories, load_parameters
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.physics.library import find_effects
-    from needle_rig.workbench.identify import DAMPING, EXPERIMENTS
+    from needle_rig.workbench.paper.identify import DAMPING, EXPERIMENTS
 
     model = load_parameters(parameters, effects=directories)
     library = find_effects(effect_directories(directories))

@@ -20,19 +20,20 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
     A row is within (✓) when it differs by no more than the paper's standard error of 2.2°, or the torque
     whose lag that is. Rows that no parameter set meets say why.
     """
-    from needle_rig.workbench.reproduce import Reproduction, as_document
+    from needle_rig.workbench.paper.reproduce import Reproduction, as_document
 
     runs = Reproduction()
     rows = runs.rows()
     if folder is not None or page is not None:
-        from needle_rig.workbench.reproduce_figures import write_page, write_pngs
+        from needle_rig.figures.page import write_pngs
+        from needle_rig.figures.paper import drawn, write_paper_page
 
         if folder is not None:
-            for path in write_pngs(runs, folder):
+            for path in write_pngs(drawn(runs), folder):
                 click.echo(str(path), err=True)
         if page is not None:
             page.parent.mkdir(parents=True, exist_ok=True)
-            write_page(runs, rows, page)
+            write_paper_page(runs, rows, page)
             click.echo(str(page), err=True)
     if as_json:
         click.echo(json.dumps(as_document(rows), ensure_ascii=False, indent=2))

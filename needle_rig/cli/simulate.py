@@ -71,14 +71,14 @@ def command(
     needle-rig simulate --effect tissue_elasticity=0.35 --seed 1 --out data/mine
     needle-rig diagnose data/mine
     """
+    from needle_rig.cli._layouts import layout_named
     from needle_rig.dataset import write_dataset
     from needle_rig.errors import BadInput
     from needle_rig.model import effect_directories, load_parameters
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.physics.library import find_effects
     from needle_rig.simulation.protocol import load_protocol
-    from needle_rig.workbench.layouts import layout_named
-    from needle_rig.workbench.simulate import Noise, simulate_dataset
+    from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
 
     if os.path.lexists(out / "dataset.yaml"):
         raise BadInput(f"{out}: holds a dataset already; name another folder with --out or remove it first")

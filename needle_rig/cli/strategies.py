@@ -15,8 +15,8 @@ from needle_rig.errors import BadInput
 if TYPE_CHECKING:
     from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
-    from needle_rig.workbench.simulate import Noise
-    from needle_rig.workbench.strategies_table import Foretold, Table
+    from needle_rig.workbench.contest.strategies_table import Foretold, Table
+    from needle_rig.workbench.virtual.dataset import Noise
 
 PAIR = ("planned", "reed2008")
 EACH = "  {:<36}{:<24}{:>11}{:>13}{:>7}  {}"
@@ -80,8 +80,8 @@ def command(
     from needle_rig.cli._workbench import library as find_library
     from needle_rig.model import SavedModel, load_model, load_parameters, parameter_sets
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.workbench.simulate import Noise
-    from needle_rig.workbench.strategies_table import all_strategies, figure
+    from needle_rig.workbench.contest.strategies_table import all_strategies
+    from needle_rig.workbench.virtual.dataset import Noise
 
     library = find_library(directories)
     bare = load_parameters(parameters, effects=directories)
@@ -124,13 +124,14 @@ def command(
     plant = bare.with_effects(*parse_effects(effects, library))
     found = contest(plant)
     if pictures is not None:
-        from needle_rig.workbench.report import png
+        from needle_rig.figures.page import png
+        from needle_rig.figures.strategies import strategies_figure
 
         pictures.mkdir(parents=True, exist_ok=True)
         file = pictures / "strategies.png"
         hidden = ", ".join(e.name() for e in plant.effects) or "rigid tissue"
         title = f"{parameters} ({hidden}), {scatter_percent:g} % scatter of friction"
-        file.write_bytes(png(figure(found.table, title)))
+        file.write_bytes(png(strategies_figure(found.table, title)))
         click.echo(f"picture: {file}", err=True)
     if as_json:
         click.echo(json.dumps(_document(found), ensure_ascii=False, allow_nan=False))
@@ -156,7 +157,7 @@ def _contest(
     seeds: int,
     jobs: int | None,
 ) -> Contest:
-    from needle_rig.workbench.strategies_table import Bout, compare_strategies, foretold
+    from needle_rig.workbench.contest.strategies_table import Bout, compare_strategies, foretold
 
     bout = Bout(plant, plant.torsional_rigidity_nm2, noise, saved)
     told = None
@@ -179,8 +180,8 @@ def _targets(text: str) -> tuple[float, ...]:
 def _identified(plant: NeedleModel, noise: Any, library: Any, diagnose: bool, jobs: int | None) -> SavedModel:
     """A model from runs of the standard protocol with reed2008 on the plant."""
     from needle_rig.simulation.protocol import load_protocol
-    from needle_rig.workbench.learn import fit_known, learn
-    from needle_rig.workbench.simulate import simulate_dataset
+    from needle_rig.workbench.learning.learn import fit_known, learn
+    from needle_rig.workbench.virtual.dataset import simulate_dataset
 
     say("making eight runs with reed2008 and fitting a model to them")
     dataset = simulate_dataset(plant, load_protocol("standard"), seed=1, noise=noise)

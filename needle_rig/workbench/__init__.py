@@ -1,0 +1,1 @@
+"""The model held against measurements: where it fails, which effect is missing, what adding it buys."""

@@ -23,10 +23,10 @@ from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 from needle_rig.physics.effects.stribeck import Stribeck
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.solver import Solution, relaxed
+from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.friction_of_trial import FrictionOfTrial
-from needle_rig.workbench.settled_rig import SettledRun, run_settled
-from needle_rig.workbench.simulate import NO_NOISE, Noise
+from needle_rig.workbench.virtual.dataset import NO_NOISE, Noise
+from needle_rig.workbench.virtual.settled_run import SettledRun, run_settled
 
 RIGIDITY_NM2 = 62.56e-6
 PLENTY = Effort(math.inf)

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from needle_rig.calibration.fits import fit_hall, fit_line
+from needle_rig.calibration.stand import BenchStand, collect, jog, make_ready
+from needle_rig.calibration.steps import check_drive
 from needle_rig.cli.calibrate import command
 from needle_rig.config.loader import read_yaml
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.firmware.pages import read_page, torque_page, write_page
 from needle_rig.simulation.analogue import SensorErrors
 from needle_rig.units import deg
-from needle_rig.workbench.calibrate import check_drive
-from needle_rig.workbench.calibration import fit_hall, fit_line
-from needle_rig.workbench.calibration_stand import BenchStand, collect, jog, make_ready
 
 SEED = 3
 ERRORS = {"simulation.sensor_errors_seed": SEED}

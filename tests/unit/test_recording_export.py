@@ -18,7 +18,7 @@ from needle_rig.errors import BadInput
 from needle_rig.recording import RunFile, RunWriter, run_tables
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
-from needle_rig.workbench.run_dataset import runs_as_dataset
+from needle_rig.workbench.observations.runs import runs_as_dataset
 
 
 @pytest.fixture

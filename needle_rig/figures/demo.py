@@ -1,0 +1,50 @@
+"""The demo as one picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from needle_rig.units import deg, mm
+from needle_rig.workbench.contest.demo import Story
+from needle_rig.workbench.contest.strategies_table import SPEED_DEG_S
+from needle_rig.workbench.virtual.settled_run import SettledRun
+
+
+def demo_figure(story: Story) -> Figure:
+    """The model's error before and after, the shaft at the end, and the base on its way."""
+    picture = Figure(figsize=(12.0, 4.2), layout="constrained")
+    left, middle, right = picture.subplots(1, 3, width_ratios=(1, 1.6, 1.6))
+    held = story.as_json()["held_out_error"]
+    bars = left.bar(["rigid", "+ " + "\n+ ".join(story.lesson.adopted)], [held["before"], held["after"]])
+    left.bar_label(bars, fmt="%.1f")
+    bars[0].set_color("#b04a3a")
+    bars[1].set_color("#0b6e4f")
+    left.axhline(held["noise_floor"], color="black", linewidth=1.0, linestyle="--")
+    left.set_yscale("log")
+    left.set_title("error on runs left out, × the noise")
+    looks = (("reed2008", story.plain, "#b04a3a"), ("planned", story.planned, "#0b6e4f"))
+    for name, runs, colour in looks:
+        for k, run in enumerate(runs):
+            label = name if k == 0 else None
+            middle.plot(mm(run.position_m), np.degrees(run.shaft_rad), color=colour, alpha=0.6, label=label)
+        if runs:
+            time_s, base_deg = _base_path(runs[0])
+            right.plot(time_s, base_deg, color=colour, label=f"{name}, {runs[0].rotations} rotations")
+    middle.axhline(story.target_deg, color="black", linewidth=1.0, linestyle="--")
+    middle.set(xlabel="place along the needle, mm", ylabel="degrees", title="the shaft at the end")
+    middle.legend()
+    right.axhline(story.target_deg, color="black", linewidth=1.0, linestyle="--")
+    right.set(xlabel="time, s", ylabel="degrees", title="the base on its way")
+    right.legend()
+    return picture
+
+
+def _base_path(run: SettledRun) -> tuple[list[float], list[float]]:
+    """Corners of the base's path: time in seconds, degrees."""
+    times, angles = [0.0], [deg(run.history[0].base_angle_rad)]
+    for motion in run.history[1:]:
+        travel = abs(deg(motion.base_angle_rad) - angles[-1]) / SPEED_DEG_S
+        times += [motion.moved_s, motion.moved_s + travel, motion.time_s]
+        angles += [angles[-1], deg(motion.base_angle_rad), deg(motion.base_angle_rad)]
+    return times, angles

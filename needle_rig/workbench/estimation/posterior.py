@@ -1,0 +1,175 @@
+"""What a fit minimises: −2 log of the posterior over one vector of parameters, and its derivatives.
+
+Whitened residuals, priors as rows, and each trial's own friction as a random effect whose scatter is
+integrated out (Student-t logarithms: a large scatter is paid for once, not for every trial). Derivatives are
+finite differences of 0.3 % of a typical size, taken about each trial's own friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.workbench.estimation.parameters import Coordinate, held_means
+from needle_rig.workbench.estimation.problem import Point, Problem
+
+Array = npt.NDArray[np.float64]
+
+STEP = 0.003
+MOST_SOLVES = 150.0
+"""Solves a sample beyond which a fit does not go: a needle that snaps from balance to balance, whose instants
+no derivative follows. Ageing friction takes about ten, most effects one or two."""
+LEVEL = 1e6
+"""Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level; and
+that of items which count against their mean. Without it the two trade places along a direction that the data
+do not see, damped steps creep, and the derivatives' errors pass for knowledge."""
+
+
+def start_point(problem: Problem, log_friction: float, axes: Sequence[Coordinate] = ()) -> Point:
+    """Everything at its stated value or off."""
+    return Point(
+        log_friction=log_friction,
+        log_rigidity=float(np.log(problem.base.torsional_rigidity_nm2)),
+        positions=np.zeros(len(axes)),
+        trial_friction=np.zeros(len(problem.trials)),
+    )
+
+
+class Objective:
+    """What is minimised over one vector of parameters: rows, prior and derivatives.
+
+    The vector is friction and rigidity (logarithms), k positions, T trials' own friction, q nuisances.
+    """
+
+    def __init__(self, problem: Problem, axes: tuple[Coordinate, ...]) -> None:
+        self.problem, self.axes = problem, axes
+        self.k, self.trials = len(axes), len(problem.trials)
+        self.q = problem.nuisance[0].shape[1]
+        self.p = 2 + self.k
+        self.own = self.p if problem.lumps_friction(axes) else 0
+        """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
+        self.width = np.array([a.width for a in axes])
+        self.means = [2 + places for places in held_means(axes)]
+        self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
+        low = [a.bounds[0] for a in axes]
+        high = [a.bounds[1] for a in axes]
+        own, free = np.full(self.trials, 1.2), np.full(self.q, 8.0)
+        self.low = np.r_[np.log(1e-7), self.stated - 1.5, low, -own, -free]
+        self.high = np.r_[np.log(0.045), self.stated + 1.5, high, own, free]
+
+    def point(self, x: Array) -> Point:
+        """The vector without its nuisances."""
+        return Point(float(x[0]), float(x[1]), x[2 : self.p], x[self.p : self.p + self.trials])
+
+    def vector(self, point: Point, nuisance: Array) -> Array:
+        """A point and its nuisances (q,) within bounds, with every mean that is held at its place."""
+        own = point.trial_friction
+        common = point.log_friction + own.mean()
+        x = np.r_[common, point.log_rigidity, point.positions, own - own.mean(), nuisance]
+        for places in self.means:
+            x[places] -= x[places].mean()
+        return np.asarray(np.clip(x, self.low, self.high), dtype=np.float64)
+
+    def rows(self, x: Array) -> list[Array] | None:
+        """Whitened data minus model (n,) a trial, None where the model cannot be solved."""
+        point = self.point(x)
+        every = range(self.trials)
+        try:
+            models = [self.problem.model(self.axes, point, t) for t in every]
+            readings = self.problem.readings(models, list(every), MOST_SOLVES)
+        except (SolverError, BadInput):
+            return None
+        rows = self.problem.residuals(readings, list(every))
+        found = [r - n @ x[self.p + self.trials :] for r, n in zip(rows, self.problem.nuisance, strict=True)]
+        return found if all(np.all(np.isfinite(r)) for r in found) else None
+
+    def prior(self, x: Array) -> float:
+        """−2 log prior, up to a constant."""
+        noise = self.problem.noise
+        own = x[self.p : self.p + self.trials]
+        room = noise.scatter_dof * noise.scatter**2
+        return float(
+            ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
+            + ((x[2 : self.p] / self.width) ** 2).sum()
+            + (noise.scatter_dof + self.trials) * np.log1p((own**2).sum() / room)
+            + LEVEL * (own.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.means))
+            + (x[self.p + self.trials :] ** 2).sum()
+        )
+
+    def level(self) -> Array:
+        """Curvature (over all parameters) that holds the means."""
+        curvature = np.zeros((self.low.size, self.low.size))
+        for places in (np.arange(self.p, self.p + self.trials), *self.means):
+            curvature[places[:, None], places] += LEVEL / places.size**2
+        return curvature
+
+    def weights(self, x: Array) -> Array:
+        """Diagonal of the prior's curvature; for the trials' friction that of a bound from above."""
+        noise = self.problem.noise
+        own = x[self.p : self.p + self.trials]
+        tight = (noise.scatter_dof + self.trials) / (noise.scatter_dof * noise.scatter**2 + (own**2).sum())
+        parts = np.r_[
+            0.0, self.problem.rigidity_prior**-2, self.width**-2, np.full(self.trials, tight), np.ones(self.q)
+        ]
+        return np.asarray(parts, dtype=np.float64)
+
+    def pulls(self, x: Array) -> Array:
+        """Distances from the prior's centre."""
+        centre = np.zeros_like(x)
+        centre[1] = self.stated
+        centre[0] = x[0]
+        return x - centre
+
+    def derivatives(
+        self, x: Array, rows: list[Array], changed: Sequence[int] | None = None
+    ) -> list[Array] | None:
+        """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound.
+
+        Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the
+        last bit, and what only the needle's stated constants tell is not told by the steps' own error.
+        """
+        columns = []
+        for j in range(max(self.p, self.own + 1)):
+            which = slice(j, j + 1) if j < self.p else slice(self.p, self.p + self.trials)
+            step = STEP * max(1.0, abs(x[j])) if 2 <= j < self.p else -STEP if j == 1 else STEP
+            if np.any(x[which] + step > self.high[which]) or np.any(x[which] + step < self.low[which]):
+                step = -step
+            moved = x.copy()
+            moved[which] += step
+            after = self.rows(moved)
+            if after is None:
+                moved[which] -= 2 * step
+                step = -step
+                after = self.rows(moved)
+                if after is None:
+                    return None
+            columns.append([(a - b) / -step for a, b in zip(after, rows, strict=True)])
+        return [np.column_stack([c[t] for c in columns]) for t in range(self.trials)]
+
+
+def normal_equations(state: Objective, jacobians: list[Array], rows: list[Array]) -> tuple[Array, Array]:
+    """(curvature, gradient) of the data part over all parameters."""
+    p, trials, q = state.p, state.trials, state.q
+    size = p + trials + q
+    curvature, gradient = np.zeros((size, size)), np.zeros(size)
+    for t in range(trials):
+        shared, own = jacobians[t][:, :p], jacobians[t][:, state.own]
+        full = np.column_stack([shared, own, state.problem.nuisance[t]])
+        index = np.r_[np.arange(p), p + t, p + trials + np.arange(q)]
+        curvature[np.ix_(index, index)] += full.T @ full
+        gradient[index] += full.T @ rows[t]
+    return curvature, gradient
+
+
+def excess(problem: Problem, value: float) -> float:
+    """How far an objective lies above what noise alone explains."""
+    size = problem.size
+    return max(0.0, value - size - 5.0 * float(np.sqrt(2.0 * size)))
+
+
+def sum_of_squares(rows: Sequence[Array]) -> float:
+    """χ² of whitened rows."""
+    return float(sum(r @ r for r in rows))

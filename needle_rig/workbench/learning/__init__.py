@@ -1,0 +1,1 @@
+"""Compare, diagnose, adopt: the error falls step by step."""

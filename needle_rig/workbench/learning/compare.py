@@ -1,0 +1,294 @@
+"""Where a model fails on measurements: by channel, motion and direction, in degrees, N·mm and noise units."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.dataset import Dataset
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.units import deg, nmm
+from needle_rig.workbench.estimation.baseline import Prepared, prepare
+
+Array = npt.NDArray[np.float64]
+
+WORST = 8
+GROWTH_SHARE = 0.5
+NOISE_LIMIT = 3.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """One channel in one motion (moving or settled), all trials of one direction together."""
+
+    channel: str
+    motion: str
+    state: str
+    direction: str
+    model: float
+    measured: float
+    error: float
+    """Root mean square of measured minus model over the trials, in `unit`."""
+    noise: float
+    """Standard deviation that noise and trial scatter give such a difference."""
+    unit: str
+    trial: str
+    """File of the trial in which it is worst."""
+    words: str = ""
+
+    @property
+    def sigmas(self) -> float:
+        """Error in units of the noise."""
+        return self.error / self.noise if self.noise > 0 else 0.0
+
+    def as_json(self) -> dict[str, Any]:
+        """As it stands in the JSON answer."""
+        return {
+            "channel": self.channel,
+            "motion": self.motion,
+            "state": self.state,
+            "direction": self.direction,
+            "model": round(self.model, 5),
+            "measured": round(self.measured, 5),
+            "error": round(self.error, 5),
+            "noise": round(self.noise, 5),
+            "sigmas": round(self.sigmas, 2),
+            "unit": self.unit,
+            "trial": self.trial,
+            "words": self.words,
+        }
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The answer to `needle-rig compare`."""
+
+    prepared: Prepared = field(repr=False)
+    places: tuple[Place, ...]
+    """Every channel × motion × state × direction."""
+    worst: tuple[Place, ...]
+    channels: dict[str, dict[str, Any]]
+    free_parameters: dict[str, Any]
+    reduced_chi2: float
+    held_out_error: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The stated form of the answer."""
+        return {
+            "dataset": self.prepared.dataset.name,
+            "model": self.prepared.problem.base.name,
+            "free_parameters": self.free_parameters,
+            "held_out_error": _finite(self.held_out_error),
+            "noise_floor": 1.0,
+            "reduced_chi2": _finite(self.reduced_chi2),
+            "channels": self.channels,
+            "worst": [p.as_json() for p in self.worst],
+            "notes": [*self.prepared.dataset.notes, *self.prepared.notes],
+        }
+
+
+def _finite(value: float) -> float | None:
+    return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+def compare(
+    dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
+) -> Comparison:
+    """Fit the model to the dataset and look where it still fails. Raises BadInput, SolverError."""
+    return compared(prepare(dataset, model, library))
+
+
+def compared(prepared: Prepared) -> Comparison:
+    """The comparison of a model that is fitted already."""
+    problem, found = prepared.problem, prepared.present
+    every = list(range(len(problem.trials)))
+    readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
+    names = ("torque", *prepared.dataset.sensor_names)
+    places = _places(prepared, readings, names)
+    worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)
+    shown: list[Place] = []
+    for place in worst:
+        if sum(p.channel == place.channel for p in shown) < 2:
+            shown.append(_in_words(place, places, names))
+        if len(shown) == WORST:
+            break
+    point = found.point
+    free: dict[str, dict[str, Any]] = {
+        "friction_nmm_per_100mm": {"value": float(f"{np.exp(point.log_friction) * 100:.6g}")},
+        "torsional_rigidity_nmm2": {
+            "value": float(f"{np.exp(point.log_rigidity) * 1e6:.6g}"),
+            "pull_sigma": round(found.pull_rigidity, 2),
+        },
+        "friction_scatter": {"value": float(f"{found.scatter:.3g}")},
+    }
+    for axis, at in zip(found.axes, point.positions, strict=True):
+        free[f"{axis.effect}.{axis.name}"] = {
+            "value": float(f"{axis.value(float(at)):.6g}"),
+            "unit": axis.info.unit,
+        }
+    return Comparison(
+        prepared=prepared,
+        places=tuple(places),
+        worst=tuple(shown),
+        channels=_channels(prepared, readings, names, places),
+        free_parameters=free,
+        reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.axes)),
+        held_out_error=prepared.held.error,
+    )
+
+
+def scale_of(channel: int) -> tuple[float, str]:
+    """Factor from SI to what people read, and its unit."""
+    return (nmm(1.0), "N·mm") if channel == 0 else (deg(1.0), "°")
+
+
+def motion_words(name: str) -> str:
+    """A motion's name as people read it."""
+    return name.replace("_", " ")
+
+
+def _places(prepared: Prepared, readings: list[Array], names: tuple[str, ...]) -> list[Place]:
+    problem = prepared.problem
+    noise = problem.noise
+    groups: dict[tuple[int, str, str, str], list[tuple[float, float, float, float, str]]] = {}
+    for binned, reading in zip(problem.trials, readings, strict=True):
+        for m, motion in enumerate(binned.motions):
+            move = binned.last_move_rad[binned.motion == m]
+            way = "" if not move.size or abs(move[0]) < 0.01 else "up" if move[0] > 0 else "down"
+            for state in ("moving", "settled"):
+                inside = (binned.motion == m) & (binned.moving == (state == "moving"))
+                if not inside.any():
+                    continue
+                for c in range(len(names)):
+                    use = inside & np.isfinite(binned.mean[c])
+                    if not use.any():
+                        continue
+                    weight = binned.count[c][use]
+                    measured = float(np.average(binned.mean[c][use], weights=weight))
+                    modelled = float(np.average(reading[c][use], weights=weight))
+                    left = binned.mean[c][use] - reading[c][use]
+                    rms = float(np.sqrt(np.average(left**2, weights=weight)))
+                    if state == "settled":
+                        rms = abs(measured - modelled)
+                    variance = (
+                        noise.white[c] ** 2 / (weight.sum() if state == "settled" else weight.mean())
+                        + noise.correlated[c] ** 2
+                        / max(1.0, binned.duration_s[use].sum() / (2 * noise.correlation_s[c]))
+                        + noise.offset[c] ** 2
+                        + noise.motion[c] ** 2
+                        + (noise.jitter_s * np.abs(binned.base_rate_rad_s[use]).max()) ** 2 * (c > 0)
+                    )
+                    groups.setdefault((c, motion, state, way), []).append(
+                        (measured, modelled, rms, float(np.sqrt(variance)), binned.file)
+                    )
+    places = []
+    for (c, motion, state, way), seen in groups.items():
+        factor, unit = scale_of(c)
+        worst = max(seen, key=lambda s: s[2])
+        rms = float(np.sqrt(np.mean([s[2] ** 2 for s in seen])))
+        expected = float(np.sqrt(np.mean([s[3] ** 2 for s in seen])))
+        places.append(
+            Place(
+                names[c],
+                motion,
+                state,
+                way,
+                factor * worst[1],
+                factor * worst[0],
+                factor * rms,
+                factor * expected,
+                unit,
+                worst[4],
+            )
+        )
+    return places
+
+
+def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Place:
+    digits = 3 if place.unit == "N·mm" else 1
+    when = (
+        f"settled after {motion_words(place.motion)}"
+        if place.state == "settled"
+        else f"during {motion_words(place.motion)}"
+    )
+    way = {"up": " (base turned up)", "down": " (base turned down)"}.get(place.direction, "")
+    text = (
+        f"{place.channel} {when}{way}: model {place.model:.{digits}f} {place.unit},"
+        f" measured {place.measured:.{digits}f} {place.unit}"
+    )
+    more = []
+    if place.channel != "torque":
+        same = [
+            p.error
+            for n in names[1:]
+            for p in places
+            if (p.channel, p.motion, p.state, p.direction) == (n, place.motion, place.state, place.direction)
+        ]
+        if len(same) > 2:
+            first, last = same[0], same[-1]
+            if last > 1.3 * first:
+                more.append("grows with depth")
+            elif first > 1.3 * last:
+                more.append("falls with depth")
+            else:
+                more.append("alike at every depth")
+    twin = [
+        p
+        for p in places
+        if (p.channel, p.motion, p.direction) == (place.channel, place.motion, place.direction)
+        and p.state != place.state
+    ]
+    if twin and place.state == "settled":
+        more.append("there while moving too" if twin[0].sigmas > NOISE_LIMIT else "only once settled")
+    elif twin:
+        more.append("stays when settled" if twin[0].sigmas > NOISE_LIMIT else "gone once settled")
+    other = [
+        p
+        for p in places
+        if (p.channel, p.state) == (place.channel, place.state) and p.direction not in ("", place.direction)
+    ]
+    if other and place.direction and max(p.error for p in other) < 0.3 * place.error:
+        more.append("in this direction alone")
+    words = text + ("; " + "; ".join(more) if more else "")
+    return dataclasses.replace(place, words=words)
+
+
+def _channels(
+    prepared: Prepared, readings: list[Array], names: tuple[str, ...], places: list[Place]
+) -> dict[str, dict[str, Any]]:
+    problem = prepared.problem
+    found: dict[str, dict[str, Any]] = {}
+    for c, name in enumerate(names):
+        factor, unit = scale_of(c)
+        squares, count, noise = 0.0, 0.0, problem.noise
+        for binned, reading in zip(problem.trials, readings, strict=True):
+            use = np.isfinite(binned.mean[c])
+            squares += float(((binned.mean[c][use] - reading[c][use]) ** 2 * binned.count[c][use]).sum())
+            count += float(binned.count[c][use].sum())
+        white = np.hypot(noise.white[c], noise.correlated[c])
+        phases: dict[str, Any] = {}
+        for p in places:
+            if p.channel == name:
+                key = p.motion if not p.direction else f"{p.motion} {p.direction}"
+                phases.setdefault(key, {})[p.state] = {
+                    "error": round(p.error, 5),
+                    "noise": round(p.noise, 5),
+                    "sigmas": round(p.sigmas, 2),
+                }
+        whitened = np.concatenate(
+            [r[w.channel == c] for r, w in zip(prepared.present.residuals, problem.whiteners, strict=True)]
+        )
+        found[name] = {
+            "rmse": float(f"{factor * np.sqrt(squares / max(count, 1.0)):.4g}"),
+            "noise": float(f"{factor * white:.4g}"),
+            "unit": unit,
+            "whitened": _finite(float(np.sqrt(np.mean(whitened**2)))) if whitened.size else None,
+            "by_phase": phases,
+        }
+    return found

@@ -1,0 +1,1 @@
+"""What was measured, as independent numbers with their noise."""

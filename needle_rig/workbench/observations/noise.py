@@ -1,0 +1,281 @@
+"""Noise measured on the data: white and correlated sensor noise, offsets and scatter from trial to trial.
+
+Sensor noise comes from the settled ends of the motions, where nothing moves. What differs from trial to
+trial is read from the rest before the first motion and from replicates of one command, so that a wrong model
+does not pass for noise. A floor stands for the accuracy that the solver promises.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
+
+from needle_rig.dataset import DatasetTrial
+from needle_rig.units import nm, rad
+from needle_rig.workbench.observations.binning import BinnedTrial, channels, motions_of, set_aside
+
+Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.int64]
+
+CORRELATION_TIMES_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+FLOOR_ANGLE_RAD = rad(0.03)
+FLOOR_TORQUE_NM = nm(1.5e-4)
+CORRELATION_GAIN = 25.0
+"""Fall of the misfit of the autocovariance, in its own variances, that shows correlated noise."""
+CLOCK_JITTER_S = 1e-3
+SCATTER_PRIOR = 0.025
+SCATTER_PRIOR_DOF = 4.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations, an entry a channel (torque N·m, then Hall rad) unless said."""
+
+    white: Array
+    correlated: Array
+    correlation_s: Array
+    offset: Array
+    """From trial to trial, constant within a trial."""
+    motion: Array
+    """From motion to motion, constant within a motion: the floor or what replicates show beyond it."""
+    jitter_s: float
+    """Of the time between base and sensors, from trial to trial."""
+    scatter: float
+    """Prior relative scatter of friction from trial to trial."""
+    scatter_dof: float
+    replicates: int
+    """Degrees of freedom among replicates; 0 when no command was repeated."""
+    stated: bool = False
+    """Taken from the dataset's own statement, not measured."""
+
+
+def _windows(trials: Sequence[DatasetTrial]) -> tuple[list[list[Array]], float]:
+    """Settled stretches of every channel, and the sample spacing."""
+    found: list[list[Array]] = []
+    spacing = []
+    for given in trials:
+        spacing.append(float(np.median(np.diff(given.trial.time_s))))
+        values = [set_aside(v) for v in channels(given)]
+        if not found:
+            found = [[] for _ in values]
+        for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
+            begin = stop + int(0.4 * (end - stop))
+            for at in range(begin, end - 15, 160):
+                until = min(end, at + 160)
+                if until - at < 16:
+                    continue
+                for c, (filled, valid, _) in enumerate(values):
+                    if valid[at:until].mean() > 0.9:
+                        found[c].append(filled[at:until])
+    return found, float(np.median(spacing))
+
+
+def _split(pieces: list[Array], spacing_s: float) -> tuple[float, float, float]:
+    """(white, correlated, correlation time): the two parts whose autocovariance the pieces show.
+
+    Expected autocovariances are those of detrended windows, so that short windows bias nothing.
+    """
+    if not pieces:
+        return 0.0, 0.0, CORRELATION_TIMES_S[0]
+    n = int(np.median([p.size for p in pieces]))
+    t = np.linspace(-1, 1, n)
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(n), t]))
+    out = np.eye(n) - basis @ basis.T
+    cut = np.array([p[i : i + n] for p in pieces for i in range(0, p.size - n + 1, n)]) @ out
+    lags = min(25, n // 2)
+    seen = np.array([(cut[:, : n - k] * cut[:, k:]).sum() / (cut.shape[0] * (n - k)) for k in range(lags)])
+
+    def expected(covariance: Array) -> Array:
+        left = out @ covariance @ out
+        return np.array([np.trace(left, k) / (n - k) for k in range(lags)])
+
+    distance = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * spacing_s
+    white = expected(np.eye(n))
+    scale = max(seen[0], 1e-30)
+    alone, misfit_alone = nnls(white[:, None], seen / scale)
+    best = (misfit_alone, alone[0] * scale, 0.0, CORRELATION_TIMES_S[0])
+    for tau in CORRELATION_TIMES_S:
+        if tau > n * spacing_s / 2:
+            continue
+        columns = np.column_stack([white, expected(np.exp(-distance / tau))])
+        parts, misfit = nnls(columns, seen / scale)
+        if misfit < best[0]:
+            best = (misfit, parts[0] * scale, parts[1] * scale, tau)
+    misfit, white_var, slow_var, tau = best
+    gain = (misfit_alone**2 - misfit**2) * cut.size
+    if gain < CORRELATION_GAIN:
+        white_var, slow_var = alone[0] * scale, 0.0
+    return float(np.sqrt(max(white_var, 1e-6 * scale))), float(np.sqrt(slow_var)), tau
+
+
+def replicate_groups(commands: Sequence[object]) -> list[list[int]]:
+    """Trials of equal command, in order of first appearance."""
+    groups: dict[object, list[int]] = {}
+    for i, command in enumerate(commands):
+        groups.setdefault(command, []).append(i)
+    return list(groups.values())
+
+
+def floors(count: int) -> Array:
+    """The solver's accuracy a channel, shape (count,)."""
+    return np.concatenate([[FLOOR_TORQUE_NM], np.full(count - 1, FLOOR_ANGLE_RAD)])
+
+
+def measure_noise(trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial]) -> Noise:
+    """Noise of a dataset, before any model is held against it."""
+    pieces, spacing = _windows(trials)
+    parts = np.array([_split(p, spacing) for p in pieces])
+    floor = floors(parts.shape[0])
+    silent = parts[:, 0] <= 0
+    parts[silent, 0] = 10 * floor[silent]
+    groups = replicate_groups([t.command for t in trials])
+    return Noise(
+        white=parts[:, 0],
+        correlated=parts[:, 1],
+        correlation_s=parts[:, 2],
+        offset=_rest_offsets(binned, parts, floor),
+        motion=floor,
+        jitter_s=CLOCK_JITTER_S,
+        scatter=SCATTER_PRIOR,
+        scatter_dof=SCATTER_PRIOR_DOF,
+        replicates=sum(len(g) - 1 for g in groups),
+    )
+
+
+def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> Array:
+    """Scatter of the readings at rest before the first motion, a trend over the series taken out."""
+    rests, variances, starts = [], [], []
+    for b in binned:
+        rest = (b.motion == 0) & ~b.moving & (np.abs(b.last_move_rad) < rad(1.0))
+        if rest.any() and np.all(np.isfinite(b.mean[:, rest])):
+            weight = b.count[:, rest]
+            total = weight.sum(1)
+            rests.append((b.mean[:, rest] * weight).sum(1) / total)
+            span = b.duration_s[rest].sum()
+            slow = parts[:, 1] ** 2 / np.maximum(1.0, span / (2 * parts[:, 2]))
+            variances.append(parts[:, 0] ** 2 / total + slow)
+            starts.append(b.trial.start_s)
+    if len(rests) < 4:
+        return 0.7 * floor
+    t = np.asarray(starts)
+    t = (t - t.mean()) / (np.ptp(t) or 1.0)
+    columns = np.column_stack([np.ones(t.size), t]) if np.ptp(t) > 0 else np.ones((t.size, 1))
+    values = np.asarray(rests)
+    left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    dof = t.size - columns.shape[1]
+    excess = (left**2).sum(0) / dof - np.mean(variances, 0)
+    significant = excess > 2.0 * np.mean(variances, 0) * np.sqrt(2.0 / dof)
+    return np.maximum(0.7 * floor, np.where(significant, np.sqrt(np.maximum(excess, 0)), 0.0))
+
+
+def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places, Array]:
+    """(bins in use (k,), covariance (k, k)) of one channel's bin means."""
+    use = np.flatnonzero(np.isfinite(binned.mean[channel]))
+    time, width = binned.time_s[use], binned.duration_s[use]
+    tau = noise.correlation_s[channel]
+    slow = noise.correlated[channel] ** 2
+    ratio = np.maximum(width / tau, 1e-6)
+    within = 2 * (ratio - 1 + np.exp(-ratio)) / ratio**2
+    gap = np.maximum(np.abs(np.subtract.outer(time, time)) - 0.5 * np.add.outer(width, width), 0.0)
+    edge = (1 - np.exp(-ratio)) / ratio
+    matrix = slow * np.exp(-gap / tau) * np.outer(edge, edge)
+    matrix[np.diag_indices(use.size)] = slow * within + noise.white[channel] ** 2 / binned.count[channel, use]
+    matrix += noise.offset[channel] ** 2
+    motion = binned.motion[use]
+    matrix += noise.motion[channel] ** 2 * (motion[:, None] == motion[None, :])
+    rate = np.zeros(use.size)
+    for m in np.unique(motion):
+        inside = np.flatnonzero((motion == m) & binned.moving[use])
+        if inside.size > 1:
+            rate[inside] = np.gradient(binned.mean[channel, use][inside], time[inside])
+    late = noise.jitter_s * rate
+    matrix += np.outer(late, late) + np.diag((0.5 * late) ** 2)
+    if binned.from_encoder is not None:
+        moved = binned.from_encoder[channel, use]
+        matrix += moved @ moved.T / moved.shape[1]
+    return use, matrix
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns the bin means of one trial into independent values of unit variance."""
+
+    use: tuple[Places, ...]
+    inverse: tuple[Array, ...]
+    log_det: float
+
+    def __call__(self, means: Array) -> Array:
+        """(C, K, …) bin means to (n, …) whitened values, channel after channel."""
+        return np.concatenate(
+            [w @ means[c][u] for c, (u, w) in enumerate(zip(self.use, self.inverse, strict=True))]
+        )
+
+    def raw(self, values: Array) -> Array:
+        """Bin means (C, K, …) that whiten to `values` (n, …); NaN where a channel has none."""
+        bins = 1 + max((int(u.max()) for u in self.use if u.size), default=-1)
+        means = np.full((len(self.use), bins, *values.shape[1:]), np.nan)
+        for c, (use, inverse) in enumerate(zip(self.use, self.inverse, strict=True)):
+            means[c, use] = solve_triangular(inverse, values[self.channel == c], lower=True)
+        return means
+
+    @property
+    def channel(self) -> npt.NDArray[np.int64]:
+        """Channel of each whitened value (n,)."""
+        return np.concatenate([np.full(u.size, c) for c, u in enumerate(self.use)])
+
+
+def whitener(noise: Noise, binned: BinnedTrial) -> Whitener:
+    """The whitener of one trial under `noise`."""
+    use: list[Places] = []
+    inverse: list[Array] = []
+    log_det = 0.0
+    for c in range(binned.mean.shape[0]):
+        bins, matrix = covariance(noise, binned, c)
+        use.append(bins)
+        lower = np.linalg.cholesky(matrix) if bins.size else np.zeros((0, 0))
+        inverted = solve_triangular(lower, np.eye(bins.size), lower=True) if bins.size else lower
+        inverse.append(np.asarray(inverted, dtype=np.float64))
+        log_det += 2 * float(np.log(np.diag(lower)).sum())
+    return Whitener(tuple(use), tuple(inverse), log_det)
+
+
+def with_replicate_scatter(
+    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
+) -> Noise:
+    """Noise with the scatter from motion to motion that replicates show beyond friction and offset.
+
+    `residuals` are data minus model in bin means (C, K), a trial each, at each trial's own friction. Their
+    differences between replicates hold no model error that the replicates share.
+    """
+    channel_count = residuals[0].shape[0]
+    total, dof = np.zeros(channel_count), np.zeros(channel_count)
+    for group in groups:
+        if len(group) < 2:
+            continue
+        names = min((binned[i].motions for i in group), key=len)
+        for m in range(1, len(names)):
+            means, variances = [], []
+            for i in group:
+                b = binned[i]
+                held = (b.motion == m) & ~b.moving
+                weight = np.where(np.isfinite(b.mean), b.count, 0.0) * held
+                total_weight = np.maximum(weight.sum(1), 1e-9)
+                means.append((np.nan_to_num(residuals[i]) * weight).sum(1) / total_weight)
+                span = b.duration_s[held].sum()
+                slow = noise.correlated**2 / np.maximum(1.0, span / (2 * noise.correlation_s))
+                variances.append(noise.white**2 / total_weight + slow + noise.offset**2)
+            spread = np.var(np.asarray(means), axis=0, ddof=1)
+            total += (len(group) - 1) * (spread - np.mean(variances, 0))
+            dof += len(group) - 1
+    if not dof.any():
+        return noise
+    floor = floors(channel_count)
+    prior_dof = 10.0
+    variance = (prior_dof * floor**2 + np.maximum(total, 0.0)) / (prior_dof + dof)
+    return dataclasses.replace(noise, motion=np.maximum(floor, np.sqrt(variance)))

@@ -1,0 +1,1 @@
+"""Reed (2008) beside ours: its parameters and its figures."""

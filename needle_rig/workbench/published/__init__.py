@@ -1,0 +1,1 @@
+"""The same questions asked of published settled values instead of traces."""

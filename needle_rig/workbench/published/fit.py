@@ -1,0 +1,296 @@
+"""Fits to settled values, with the strategy's own loop run on the model.
+
+The loop belongs to it: the strategy's waypoints follow the torque that the model's sensor shows. Minimised
+are squared rows: values in units of their standard errors, the stated torsional rigidity, and each effect's
+parameters, whose plausible range (in the effect's file) is read as 95 % from off to its edge.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.special import chdtrc
+
+from needle_rig.control.strategy import History, Strategy, Task, make_strategy
+from needle_rig.dataset.settled import Seen, SettledData, SettledValue
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.units import deg, nmm, rad
+from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
+from needle_rig.workbench.virtual.dataset import NO_NOISE
+from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
+
+Array = npt.NDArray[np.float64]
+
+STEP = 0.01
+"""Of a derivative: 1 % of friction, rigidity or an effect's typical size; dry friction makes less jagged."""
+FRICTIONS_N = (2e-4, 4e-4, 7e-4, 1e-3, 1.6e-3, 3e-3)
+STRENGTHS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
+FURTHER = 3
+"""How many of the starts are followed to their minimum."""
+MOST_EVALUATIONS = 40
+FAR = 1e3
+SIGMAS_95 = 1.96
+
+
+def pull(axis: Coordinate, position: float) -> float:
+    """How far a position lies towards the edge of the plausible range, in σ; the edge itself is 1.96."""
+    if axis.info.shapes:
+        return position / axis.width
+    edges = [axis.position(v) for v in axis.info.literature]
+    same = [e for e in edges if e * position > 0]
+    edge = max(map(abs, same)) if same else STEP * max(map(abs, edges))
+    return SIGMAS_95 * position / edge
+
+
+@dataclass(frozen=True)
+class SettledProblem:
+    """Values to meet and what predicts them."""
+
+    data: SettledData
+    base: NeedleModel
+    """Geometry and stated constants, without effects."""
+    library: Mapping[str, type[Effect]]
+    values: tuple[SettledValue, ...]
+
+    @cached_property
+    def loops(self) -> tuple[tuple[Strategy, Task], ...]:
+        """Strategy and task of each sequence. Raises BadInput with file and line."""
+        found = []
+        for s in self.data.sequences:
+            task = Task(
+                rad(s.target_deg),
+                self.base.layout,
+                self.data.needle.torsional_rigidity_nm2,
+                rad(s.speed_deg_s),
+                s.settle_s,
+                model=self.base,
+            )
+            try:
+                strategy = make_strategy(s.strategy, s.options)
+                strategy.check(task)
+            except BadInput as error:
+                raise BadInput(f"{s.place}: {error}") from None
+            found.append((Recorded(strategy, s.base_deg), task))
+        return tuple(found)
+
+    @cached_property
+    def measured(self) -> Array:
+        """(n,)."""
+        return np.array([v.value for v in self.values])
+
+    @cached_property
+    def errors(self) -> Array:
+        """Standard errors (n,)."""
+        return np.array([v.standard_error or np.inf for v in self.values])
+
+    def axes(self, names: Sequence[str]) -> tuple[Coordinate, ...]:
+        """Coordinates of the named effects."""
+        return coordinates(self.library, names, self.base.layout)
+
+    def model(self, axes: Sequence[Coordinate], x: Array) -> NeedleModel:
+        """The model at x: logarithms of friction (N) and of rigidity over the stated one, then positions."""
+        return dataclasses.replace(
+            self.base,
+            friction_n=float(np.exp(x[0])),
+            torsional_rigidity_nm2=self.data.needle.torsional_rigidity_nm2 * float(np.exp(x[1])),
+            effects=make_effects(self.library, axes, x[2:]),
+        )
+
+    def run(self, model: NeedleModel) -> tuple[History, ...]:
+        """Every sequence on `model`. Raises SolverError, BadInput."""
+        random = np.random.default_rng(0)
+        zeroed = self.data.zeroed_at_rest
+        return tuple(
+            run_settled(model, s, task, random, NO_NOISE, zeroed=zeroed).history for s, task in self.loops
+        )
+
+    def predict(self, model: NeedleModel) -> Array:
+        """What the weighed values would be, (n,)."""
+        runs = self.run(model)
+        return np.array([self.reading(runs, v.of) for v in self.values])
+
+    def reading(self, runs: tuple[History, ...], of: Seen) -> float:
+        """One quantity of the runs, in its unit. Raises BadInput, with file and line, for no such motion."""
+        history = runs[of.sequence]
+        named = [m for m in history if m.name == of.motion]
+        if not named:
+            raise BadInput(
+                f"{self.data.sequences[of.sequence].place}: the sequence has no motion {of.motion};"
+                f" it has {', '.join(m.name for m in history)}"
+            )
+        motion = named[-1]
+        hall = np.degrees(motion.hall_rad)
+        if of.sensor is not None:
+            return float(hall[of.sensor])
+        return {
+            "torque_nmm": nmm(motion.torque_nm),
+            "tip_lag_deg": deg(motion.tip_lag_rad),
+            "hall_mean_deg": float(hall.mean()),
+            "hall_range_deg": float(np.ptp(hall)),
+        }[of.quantity]
+
+
+@dataclass(frozen=True)
+class SettledFit:
+    """A minimum. n values, p = 2 + k parameters."""
+
+    effects: tuple[str, ...]
+    axes: tuple[Coordinate, ...]
+    x: Array
+    predicted: Array
+    chi2: float
+    """Of the values alone."""
+    objective: float
+    """With the pulls of rigidity and of what is plausible."""
+    covariance: Array
+    freedom: float
+    """Values less what the parameters can make of them (effective number of parameters, MacKay 1992)."""
+    pulls: Array
+    """Of each position towards the edge of its plausible range, in σ (k,)."""
+
+    @property
+    def p_value(self) -> float:
+        """Probability that scatter alone leaves a χ² like this; 0 when nothing is left to test."""
+        return float(chdtrc(self.freedom, self.chi2)) if self.freedom > 0 else 0.0
+
+    @property
+    def error(self) -> Array:
+        """Standard deviation of each position (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
+
+
+class _Rows:
+    def __init__(self, problem: SettledProblem, names: Sequence[str]) -> None:
+        self.problem, self.axes = problem, problem.axes(names)
+        self.low = np.r_[math.log(1e-5), -1.5, [a.bounds[0] for a in self.axes]]
+        self.high = np.r_[math.log(0.045), 1.5, [a.bounds[1] for a in self.axes]]
+        self._at: dict[bytes, Array] = {}
+
+    def predicted(self, x: Array) -> Array:
+        key = x.tobytes()
+        if key not in self._at:
+            try:
+                self._at[key] = self.problem.predict(self.problem.model(self.axes, x))
+            except SolverError:
+                self._at[key] = np.full(len(self.problem.values), np.nan)
+        return self._at[key]
+
+    def __call__(self, x: Array) -> Array:
+        data = (self.predicted(x) - self.problem.measured) / self.problem.errors
+        sigma = max(self.problem.data.needle.rigidity_sigma, 1e-4)
+        pulls = [pull(a, float(p)) for a, p in zip(self.axes, x[2:], strict=True)]
+        return np.concatenate([np.nan_to_num(data, nan=FAR), [x[1] / sigma], pulls])
+
+    def jacobian(self, x: Array) -> Array:
+        here, columns = self(x), []
+        for j in range(x.size):
+            moved = x.copy()
+            moved[j] += STEP if x[j] + STEP <= self.high[j] else -STEP
+            columns.append((self(moved) - here) / (moved[j] - x[j]))
+        return np.stack(columns, -1)
+
+
+def fit_settled(
+    problem: SettledProblem,
+    names: Sequence[str],
+    starts: Sequence[Array] | None = None,
+    *,
+    within: SettledFit | None = None,
+) -> SettledFit | None:
+    """The best fit of friction, rigidity and the named effects, from `starts` or from a grid.
+
+    `within` is the fit of the model that the last of the effects is added to. None when nothing can be
+    solved, or when that effect changes none of the values. Raises BadInput for a sequence that cannot be run.
+    """
+    rows = _Rows(problem, names)
+    if starts is None:
+        starts = _starts(rows, within)
+    best = None
+    for start in starts:
+        found = least_squares(
+            rows,
+            np.clip(start, rows.low + 1e-9, rows.high - 1e-9),
+            rows.jacobian,
+            (rows.low, rows.high),
+            max_nfev=MOST_EVALUATIONS,
+            xtol=1e-6,
+            ftol=1e-6,
+        )
+        if best is None or found.cost < best.cost:
+            best = found
+    if best is None or not np.all(np.isfinite(rows.predicted(best.x))):
+        return None
+    n = len(problem.values)
+    jacobian = rows.jacobian(best.x)
+    covariance: Array = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True).astype(np.float64)
+    data = jacobian[:n]
+    used = float(np.trace(data @ covariance @ data.T))
+    return SettledFit(
+        tuple(names),
+        rows.axes,
+        best.x,
+        rows.predicted(best.x),
+        float(best.fun[:n] @ best.fun[:n]),
+        float(best.fun @ best.fun),
+        covariance,
+        n - used,
+        np.asarray(best.fun[n + 1 :]),
+    )
+
+
+def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
+    """Root mean square error on each motion's values, left out of the fit in turn, in standard errors."""
+    motions = [(v.of.sequence, v.of.motion) for v in problem.values]
+    squares = []
+    for motion in dict.fromkeys(motions):
+        out = np.array([m == motion for m in motions])
+        kept = tuple(v for v, left in zip(problem.values, out, strict=True) if not left)
+        again = (
+            fit_settled(dataclasses.replace(problem, values=kept), found.effects, [found.x]) if kept else None
+        )
+        if again is None:
+            return float("nan")
+        foretold = problem.predict(problem.model(again.axes, again.x))
+        squares += list(((foretold - problem.measured) / problem.errors)[out] ** 2)
+    return float(np.sqrt(np.mean(squares)))
+
+
+def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) -> float:
+    """How many σ worse than `truth` the rival meets what `truth` foretells, plausibility included."""
+    values = tuple(
+        dataclasses.replace(v, value=float(p)) for v, p in zip(problem.values, truth.predicted, strict=True)
+    )
+    foretold = dataclasses.replace(problem, values=values)
+    own = fit_settled(foretold, truth.effects, [truth.x])
+    other = fit_settled(foretold, rival.effects, [rival.x])
+    if own is None or other is None:
+        return float("inf")
+    return float(np.sqrt(max(other.objective - own.objective, 0.0)))
+
+
+def _starts(rows: _Rows, within: SettledFit | None) -> list[Array]:
+    """The most promising of a grid of frictions and strengths; none when strength changes nothing."""
+    old = within.x[2:] if within is not None else np.zeros(0)
+    new = rows.axes[old.size :]
+    strengths = STRENGTHS if new else (0.0,)
+    rated, moved = [], not new
+    for friction in (*FRICTIONS_N, *([math.exp(within.x[0])] if within is not None else [])):
+        off = np.r_[math.log(friction), 0.0, old, np.zeros(len(new))]
+        for strength in strengths:
+            x = np.r_[off[: 2 + old.size], [0.0 if a.info.shapes else strength for a in new]]
+            x = np.clip(x, rows.low + 1e-9, rows.high - 1e-9)
+            row = rows(x)
+            change = np.abs(rows.predicted(x) - rows.predicted(off)) / rows.problem.errors
+            moved |= bool(np.any(change > STEP))
+            rated.append((float(row @ row), tuple(x)))
+    rated.sort()
+    return [np.array(x) for _, x in rated[:FURTHER]] if moved else []

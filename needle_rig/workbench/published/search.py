@@ -1,0 +1,135 @@
+"""What can explain settled values: every effect added to the present model, and those that tie.
+
+An effect ties when it meets the values within their scatter with parameters that are plausible, and leaves
+something to test it by.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtrc
+
+from needle_rig.dataset.settled import SettledData
+from needle_rig.errors import BadInput
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
+from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
+from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
+from needle_rig.workbench.selection.evidence import SIGNIFICANCE
+
+Array = npt.NDArray[np.float64]
+
+CLOSE = 9.0
+"""Difference of objectives (3σ) within which two explanations are a tie."""
+TESTABLE = 0.5
+"""Degrees of freedom that must be left for a fit to say something."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The present model with one effect more; `fit` is None when the effect changes none of the values."""
+
+    effect: str
+    fit: SettledFit | None
+    adjusted_p: float
+    """Probability, adjusted over the library, that scatter makes a gain like this."""
+
+    @property
+    def meets(self) -> bool:
+        """Whether the values are met within their scatter."""
+        return self.fit is not None and self.fit.p_value > SIGNIFICANCE
+
+    @property
+    def testable(self) -> bool:
+        """Whether fewer parameters than values are used up."""
+        return self.fit is not None and self.fit.freedom >= TESTABLE
+
+    @property
+    def plausible(self) -> bool:
+        """Whether every parameter of the effect is within its plausible range."""
+        return self.fit is not None and bool(
+            np.all(np.abs(own_parameters(self.fit, self.effect)[1]) <= SIGMAS_95)
+        )
+
+    @property
+    def explains(self) -> bool:
+        """Whether it can be the answer."""
+        return self.meets and self.testable and self.plausible and self.adjusted_p < SIGNIFICANCE
+
+
+def settled_problem(
+    data: SettledData, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
+) -> tuple[SettledProblem, SettledFit]:
+    """The values with the present model (default: the null model) fitted to them. Raises BadInput."""
+    present = model or NeedleModel(
+        "null", data.layout, data.needle.torsional_rigidity_nm2, FRICTIONS_N[2], element_length_m=0.5e-3
+    )
+    if len(present.layout.sensor_positions_m) != len(data.sensor_names):
+        raise BadInput(
+            f"{data.name} has {len(data.sensor_names)} Hall sensors and the model {present.name}"
+            f" {len(present.layout.sensor_positions_m)}; give a model made for this rig"
+        )
+    base = dataclasses.replace(
+        present,
+        layout=data.layout,
+        torsional_rigidity_nm2=data.needle.torsional_rigidity_nm2,
+        effects=(),
+        element_length_m=element_length(present),
+    )
+    effects = {e.name(): type(e) for e in present.effects}
+    problem = SettledProblem(data, base, {**library, **effects}, data.weighed)
+    start = None
+    if effects:
+        at = positions_of(problem.axes(tuple(effects)), present.effects)
+        start = [np.r_[np.log(f), 0.0, at] for f in (present.friction_n, *FRICTIONS_N)]
+    found = fit_settled(problem, tuple(effects), start)
+    if found is None:
+        raise BadInput(
+            f"{data.name}: the present model cannot be solved on these sequences; check the layout"
+        )
+    return problem, found
+
+
+def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: int) -> Candidate:
+    """The present model with the effect `name`, one of `library` that are tried."""
+    found = fit_settled(problem, (*root.effects, name), within=root)
+    if found is None:
+        return Candidate(name, None, 1.0)
+    gain = max(root.objective - found.objective, 0.0)
+    p = float(chdtrc(max(1.0, root.freedom - found.freedom), gain))
+    return Candidate(name, found, float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16)))))
+
+
+def tied_effects(problem: SettledProblem, tried: list[Candidate]) -> list[Candidate]:
+    """What can be the answer, most plausible first; what only generalises another of them is left out."""
+    able = [c for c in tried if c.explains and c.fit]
+    if not able:
+        return []
+    least = min(c.fit.objective for c in able if c.fit)
+    close = [c for c in able if c.fit and c.fit.objective < least + CLOSE]
+    names = {c.effect for c in close}
+    special = [c for c in close if not names & set(problem.library[c.effect].limits)]
+    return sorted(special, key=lambda c: (c.fit.objective if c.fit else 0.0, c.effect))
+
+
+def fits_of(candidates: list[Candidate]) -> list[SettledFit]:
+    """Their fits, in the same order."""
+    return [c.fit for c in candidates if c.fit is not None]
+
+
+def own_parameters(
+    found: SettledFit, effect: str
+) -> tuple[list[tuple[Coordinate, float, float]], np.ndarray]:
+    """Coordinates of one effect with position and error, and their pulls."""
+    rows = [
+        (a, float(x), float(e), float(p))
+        for a, x, e, p in zip(found.axes, found.x[2:], found.error, found.pulls, strict=True)
+        if a.effect == effect
+    ]
+    return [r[:3] for r in rows], np.array([r[3] for r in rows])

@@ -1,0 +1,162 @@
+"""What a diagnosis answers: values, decisions, ranking and verdict, as they stand in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from needle_rig.workbench.selection.lack_of_fit import LackOfFit
+from needle_rig.workbench.selection.residual_patterns import Leftover
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Value:
+    """One fitted parameter with its 95 % interval."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    plausible: bool
+
+    def as_json(self) -> dict[str, Any]:
+        """As it stands in the JSON answer."""
+        return {
+            "value": _plain(self.value),
+            "unit": self.unit,
+            "low": _plain(self.low),
+            "high": _plain(self.high),
+        }
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What can be said of one effect."""
+
+    effect: str
+    decision: str
+    """present, negligible, absent or cannot_tell."""
+    limit: float | None
+    """Upper end of the 95 % range of its size, in the unit of `parameter`."""
+    parameter: str
+    unit: str
+    matters_from: float
+    downwards: bool = False
+    """Whether the effect grows as its parameter falls, as a compliance does given as a stiffness."""
+
+    def sentence(self) -> str:
+        """The effect with the limit of its size, in words."""
+        if self.limit is None:
+            return self.effect
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.effect} ({'>' if self.downwards else '<'} {self.limit:.2g}{unit})"
+
+    def as_json(self) -> dict[str, Any]:
+        """As it stands in the JSON answer."""
+        return {
+            "decision": self.decision,
+            "limit": _plain(self.limit),
+            "parameter": self.parameter,
+            "unit": self.unit,
+            "matters_from": _plain(self.matters_from),
+        }
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate of the ranking."""
+
+    effect: str
+    held_out_error: float | None
+    error_removed: float
+    values: tuple[Value, ...]
+    indistinguishable_from: tuple[str, ...]
+    separation_sigma: float | None
+    in_favour: str
+    against: str
+
+    def as_json(self) -> dict[str, Any]:
+        """As it stands in the JSON answer."""
+        return {
+            "effect": self.effect,
+            "held_out_error": _error(self.held_out_error),
+            "error_removed": _plain(self.error_removed),
+            "parameters": {v.name: v.as_json() for v in self.values},
+            "indistinguishable_from": list(self.indistinguishable_from),
+            "separation_sigma": _plain(self.separation_sigma),
+            "in_favour": self.in_favour,
+            "against": self.against,
+        }
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What `needle-rig diagnose` says, whatever kind of data it was asked of."""
+
+    left_out: ClassVar[str] = "commands"
+    """What held-out errors leave out in turn."""
+
+    dataset: str
+    model: str
+    verdict: str
+    effects: tuple[str, ...]
+    ranking: tuple[Ranked, ...]
+    decisions: dict[str, Decision]
+    left_over: Leftover
+    explained: bool
+    lack_before: LackOfFit | None
+    """Whether replicates show anything to explain in the present model; None without replicates."""
+    lack_after: LackOfFit | None
+    """The same of what the answer leaves."""
+    explained_fraction: float
+    held_out_error_before: float
+    held_out_error_after: float
+    noise_floor: float
+    next_experiment: dict[str, Any] | None
+    notes: tuple[str, ...]
+
+    def left_in_words(self) -> list[str]:
+        """What is left: patterns, and what replicates share beyond how they differ."""
+        lack = self.lack_after
+        shared = [lack.sentence()] if lack is not None and lack.significant else []
+        return [p.sentence() for p in self.left_over.patterns] + shared
+
+    def as_json(self) -> dict[str, Any]:
+        """The stated form of the answer."""
+        return {
+            "dataset": self.dataset,
+            "model": self.model,
+            "verdict": self.verdict,
+            "effects": list(self.effects),
+            "ranking": [r.as_json() for r in self.ranking],
+            "noise_floor": _plain(self.noise_floor),
+            "held_out_error_before": _error(self.held_out_error_before),
+            "held_out_error_after": _error(self.held_out_error_after),
+            "explained_fraction": _plain(self.explained_fraction),
+            "decisions": {name: d.as_json() for name, d in self.decisions.items()},
+            "left_over": {"explained": self.explained, "where": self.left_in_words()},
+            "lack_of_fit": {
+                "before": self.lack_before.as_json() if self.lack_before else None,
+                "after": self.lack_after.as_json() if self.lack_after else None,
+            },
+            "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
+        }
+
+
+def _plain(value: float | None) -> float | str | None:
+    """JSON has no infinity: it is written as text."""
+    if value is None or np.isnan(value):
+        return None
+    return float(f"{value:.6g}") if np.isfinite(value) else ("inf" if value > 0 else "-inf")
+
+
+def _error(value: float | None) -> float | None:
+    """An error, or None where no command could be left out."""
+    return None if value is None or not np.isfinite(value) else float(f"{value:.6g}")

@@ -1,0 +1,248 @@
+"""The trial that would best tell two effects apart, within the rig's limits."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.dataset import DatasetTrial, TrialCommand
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.physics.effect import Trial
+from needle_rig.simulation.base_drive import base_path, phases
+from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
+from needle_rig.workbench.observations.noise import whitener
+from needle_rig.workbench.virtual.dataset import NO_NOISE, planned_motions
+
+Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.int64]
+
+RATE_HZ = 50.0
+REPLICATES = 3
+FASTEST_DEG_S = 60.0
+LARGEST_DEG = 360.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A command, and by how many σ one trial of it would separate two models beyond what is known."""
+
+    command: TrialCommand
+    separation_sigma: float
+    duration_s: float
+    watch: str
+    """Channel and motion in which the two differ most, with the difference."""
+
+    @property
+    def worth(self) -> float:
+        """Separation squared gained a minute."""
+        return self.separation_sigma**2 / (self.duration_s / 60.0)
+
+    def sentence(self, first: str, second: str) -> str:
+        """In words."""
+        return (
+            f"{described(self.command)} separates {first} from {second} by {self.separation_sigma:.1f}σ"
+            f" a trial of {self.duration_s:.0f} s; watch {self.watch}."
+        )
+
+
+def commands(
+    speed_limit_deg_s: float = FASTEST_DEG_S, angle_limit_deg: float = LARGEST_DEG
+) -> list[TrialCommand]:
+    """Commands to choose from: targets, speeds, dwells and reversals within the rig's limits."""
+    fast = min(45.0, speed_limit_deg_s)
+    slow = min(5.0, speed_limit_deg_s)
+    found = [
+        *(compensation(t, fast, 3.0) for t in (45.0, 90.0, -45.0)),
+        compensation(45.0, fast, 0.5),
+        compensation(45.0, fast, 20.0),
+        compensation(45.0, slow, 3.0),
+        staircase((90.0, 0.0, 90.0, 0.0, 45.0), fast, 2.0),
+        staircase((90.0, 0.0, 90.0, 0.0, 45.0), fast, 0.5),
+        staircase((90.0, 0.0, 90.0, 0.0), slow, 0.5),
+        staircase((60.0, 50.0, 60.0, 30.0, 60.0, 0.0, 60.0), fast, 2.0),
+        staircase((360.0, 0.0), min(30.0, speed_limit_deg_s), 2.0),
+        staircase((60.0, 62.0, 64.0, 66.0), fast, 20.0),
+        staircase((45.0, -45.0, 45.0, -45.0, 0.0), fast, 2.0),
+    ]
+    reach = {c: max(abs(c.target_deg or 0.0) * 1.8, *(abs(s) for s in c.steps_deg), 0.0) for c in found}
+    return [c for c in found if reach[c] <= angle_limit_deg]
+
+
+def described(command: TrialCommand) -> str:
+    """A command in words."""
+    pace = f"at {command.speed_deg_s:g}°/s, {command.settle_s:g} s dwell"
+    if command.steps_deg:
+        return "the base to " + ", ".join(f"{s:g}°" for s in command.steps_deg) + f" {pace}"
+    return f"a compensation to {command.target_deg:g}° {pace}"
+
+
+def proposals(
+    problem: Problem,
+    first: Fit,
+    second: Fit,
+    sensors: Sequence[str],
+    among: Sequence[TrialCommand] | None = None,
+) -> list[Proposal]:
+    """Commands by what a minute of each would tell, best first, without those that cannot be simulated."""
+    found = []
+    for command in among or commands():
+        try:
+            proposal = _proposal(problem, first, second, sensors, command)
+        except (SolverError, BadInput):
+            continue
+        found.append(proposal)
+    return sorted(found, key=lambda p: -p.worth)
+
+
+def planned(problem: Problem, truth: Fit, command: TrialCommand) -> tuple[BinnedTrial, float]:
+    """One noise-free trial of `command` in bins, as `truth` gives it after the others; its duration."""
+    model = problem.model(truth.axes, dataclasses.replace(truth.point, trial_friction=np.zeros(1)))
+    last = problem.trials[-1].trial
+    travel = last.travel_before_rad + float(np.abs(np.diff(last.base_angle_rad)).sum())
+    place = Trial(
+        np.empty(0), np.empty(0), last.start_s + float(last.time_s[-1]) + 30.0, len(problem.trials), travel
+    )
+    motions = planned_motions(
+        model,
+        command,
+        place,
+        NO_NOISE,
+        np.random.default_rng(0),
+        problem.base.torsional_rigidity_nm2,
+        RATE_HZ,
+    )
+    time_s = np.arange(int(motions[-1].end_s * RATE_HZ)) / RATE_HZ
+    trial = dataclasses.replace(place, time_s=time_s, base_angle_rad=base_path(motions, time_s))
+    reading = model.predict(trial)
+    given = DatasetTrial(
+        trial=trial,
+        base_measured_rad=trial.base_angle_rad,
+        base_residual_rad=0.0,
+        torque_nm=reading.torque_nm,
+        hall_rad=reading.hall_rad,
+        phase=phases(motions, time_s),
+        command=command,
+        file="planned",
+    )
+    return bin_trial(given), float(motions[-1].end_s)
+
+
+def _proposal(
+    problem: Problem, first: Fit, second: Fit, sensors: Sequence[str], command: TrialCommand
+) -> Proposal:
+    binned, duration_s = planned(problem, first, command)
+    one = dataclasses.replace(problem, trials=(binned,), whiteners=(), nuisance=(), _cache=OrderedDict())
+    whiten = whitener(problem.noise, binned)
+    alone = dataclasses.replace(second.point, trial_friction=np.zeros(1))
+    start = np.r_[alone.log_friction, alone.log_rigidity, alone.positions]
+
+    def seen(x: Array, own: float = 0.0) -> Array:
+        point = Point(float(x[0]), float(x[1]), x[2:], np.array([own]))
+        return one.readings([one.model(second.axes, point, 0)], [0])[0]
+
+    at = seen(start)
+    columns = []
+    for j in range(start.size):
+        high = second.axes[j - 2].bounds[1] if j >= 2 else np.inf
+        step = -STEP if j == 1 or start[j] + STEP > high else STEP
+        moved = start.copy()
+        moved[j] += step
+        columns.append((seen(moved) - at) / step)
+    columns.append((seen(start, STEP) - at) / STEP)
+    jacobian = whiten(np.stack(columns, -1))
+    difference = whiten(binned.mean - at)
+    known = np.zeros((start.size + 1, start.size + 1))
+    known[:-1, :-1] = np.linalg.pinv(second.covariance, hermitian=True)
+    known[-1, -1] = second.scatter**-2
+    move = np.linalg.solve(jacobian.T @ jacobian + known, jacobian.T @ difference)
+    left = difference - jacobian @ move
+    separation = float(np.sqrt(left @ left + move @ known @ move))
+    return Proposal(
+        command, separation, duration_s, _watch(binned, whiten.channel, left, whiten.use, sensors)
+    )
+
+
+def _watch(
+    binned: BinnedTrial, channel: Places, left: Array, use: tuple[Places, ...], sensors: Sequence[str]
+) -> str:
+    """Where most of the separation lies."""
+    names = ["the torque", *sensors]
+    motion = binned.motion[np.concatenate(use)]
+    moving = binned.moving[np.concatenate(use)]
+    best, said = -1.0, names[0]
+    for c, name in enumerate(names):
+        for m, title in enumerate(binned.motions):
+            for state in (True, False):
+                share = float((left[(channel == c) & (motion == m) & (moving == state)] ** 2).sum())
+                if share > best:
+                    best = share
+                    said = f"{name} {'during' if state else 'settled after'} {title} (motion {m})"
+    return said
+
+
+def best_experiment(
+    problem: Problem, first: Fit, second: Fit, name: str, rival: str, sensors: Sequence[str]
+) -> dict[str, Any] | None:
+    """The best proposal as it stands in a diagnosis; None when nothing separates the two by 1σ."""
+    ranked = proposals(problem, first, second, sensors)
+    if not ranked or ranked[0].separation_sigma < 1.0:
+        return None
+    best = ranked[0]
+    command = best.command
+    return {
+        "between": [name, rival],
+        "kind": command.kind,
+        "target_deg": command.target_deg,
+        "steps_deg": list(command.steps_deg),
+        "speed_deg_s": command.speed_deg_s,
+        "settle_s": command.settle_s,
+        "separation_sigma": round(best.separation_sigma, 2),
+        "duration_s": round(best.duration_s, 1),
+        "watch": best.watch,
+        "sentence": best.sentence(name, rival),
+    }
+
+
+def expected_power(
+    problem: Problem, first: Fit, second: Fit, command: TrialCommand, replicates: int
+) -> float:
+    """σ between the two after `replicates` trials of `command` on top of the present data.
+
+    Everything is simulated from `first` without noise, and the other model is fitted to all of it.
+    """
+    every = list(range(len(problem.trials)))
+    readings = problem.readings([problem.model(first.axes, first.point, t) for t in every], every)
+    old = tuple(
+        dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), r, np.nan))
+        for b, r in zip(problem.trials, readings, strict=True)
+    )
+    binned, _ = planned(problem, first, command)
+    trials = (*old, *([binned] * replicates))
+    joint = dataclasses.replace(problem, trials=trials, whiteners=(), nuisance=(), _cache=OrderedDict())
+    own = np.r_[second.point.trial_friction, np.zeros(replicates)]
+    rival = fit(joint, second.effects, dataclasses.replace(second.point, trial_friction=own))
+    truth = fit(
+        joint,
+        first.effects,
+        dataclasses.replace(
+            first.point, trial_friction=np.r_[first.point.trial_friction, np.zeros(replicates)]
+        ),
+    )
+    if rival is None or truth is None:
+        return 0.0
+    return float(np.sqrt(max(rival.objective - truth.objective, 0.0)))
+
+
+def protocol_of(command: TrialCommand, first: str, second: str, replicates: int = REPLICATES) -> Protocol:
+    """A protocol that repeats the command, so that its scatter is measured with it."""
+    return Protocol(f"{first} or {second}", (command,) * replicates)

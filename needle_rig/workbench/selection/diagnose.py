@@ -1,0 +1,200 @@
+"""Which effect is missing: a verdict with its evidence, its rivals and what it cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from needle_rig.dataset import Dataset
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.units import per_100mm
+from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prepare
+from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.parallel import Here, Work
+from needle_rig.workbench.selection.answer import Answer, Say
+from needle_rig.workbench.selection.decisions import decide
+from needle_rig.workbench.selection.design import best_experiment
+from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
+from needle_rig.workbench.selection.ranking import order, rank, values_of
+from needle_rig.workbench.selection.residual_patterns import find_leftover
+from needle_rig.workbench.selection.rivals import Rival, find_rivals
+from needle_rig.workbench.selection.search import Search
+
+EXPLAINED = 0.8
+"""Share of the explainable error below which a library model is never called an explanation."""
+REACHED = 1.1
+"""Error on commands left out, in units of the noise, above which an answer leaves something to explain."""
+MOST_AT_ANY_VALUE = 2
+"""Effects that may be named together whatever their values: more of them can stand for anything, and are
+believed only with values that are plausible."""
+SIZE_THAT_MATTERS_DEG = 0.12
+SIZE_THAT_MATTERS_NMM = 0.0008
+SIZE_THAT_MATTERS_PERCENT = 2.0
+
+
+@dataclass(frozen=True)
+class Diagnosis(Answer):
+    """The answer on traces, with the fits behind it."""
+
+    prepared: Prepared = field(repr=False)
+    search: Search = field(repr=False)
+
+
+def _too_small(size: float, unit: str) -> bool:
+    matters = {"°": SIZE_THAT_MATTERS_DEG, "N·mm": SIZE_THAT_MATTERS_NMM, "%": SIZE_THAT_MATTERS_PERCENT}
+    return size <= matters[unit]
+
+
+def diagnose(
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    model: NeedleModel | None = None,
+    *,
+    max_effects: int = 3,
+    seed: int = 0,
+    work: Work | None = None,
+    say: Say = lambda _: None,
+) -> Diagnosis:
+    """Hold the present model against a dataset and look for what is missing.
+
+    Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
+    """
+    say("measuring the noise, fitting the present model")
+    prepared = prepare(dataset, model, library)
+    names = tuple(sorted(set(library) - set(prepared.present.effects)))
+    with work or Here() as at:
+        at.share(prepared.problem)
+        search = Search(prepared.problem, names, at, max_effects, prepared.present, prepared.held)
+        say("trying every effect")
+        search.run()
+        say("looking for what cannot be told apart")
+        rivals = find_rivals(search, seed)
+        say("holding the answer against our own error")
+        return _conclude(prepared, search, rivals, dataset.sensor_names)
+
+
+def _conclude(
+    prepared: Prepared, search: Search, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
+) -> Diagnosis:
+    root, root_held = search.root, search.root_held
+    named = search.named(search.best)
+    contrived = _contrived(search, named)
+    if contrived:
+        named = []
+    gain = max(0.0, root.objective - search.fits[search.best][0].objective)
+    problem, best, held = search.problem, root, root_held
+    if named:
+        problem, best, held = as_compared(prepared, problem, *search.fits[search.best])
+    left = find_leftover(problem, best, sensors)
+    explained_fraction = gain / (gain + left.gain) if gain + left.gain > 0 else 1.0
+    if not named:
+        explained_fraction = 1.0 if not left.significant else 0.0
+    lack = lack_of_fit(problem, best, sensors)
+    unexplained = left.significant and any(not _too_small(p.size, p.unit) for p in left.patterns)
+    if explained_fraction < EXPLAINED and left.significant and named:
+        unexplained = True
+    if named and left.significant and held.error > REACHED:
+        unexplained = True
+    if not named and lack is not None and lack.significant and not _too_small(lack.size, lack.unit):
+        unexplained = True
+    verdict = "unknown" if unexplained else "effect" if named else "none"
+    ordered = order(search, named)
+    ranking = rank(search, ordered, rivals, verdict, best, held)
+    ties = [(e, r) for e in ordered for r in rivals.get(e, []) if r.tied]
+    experiment = None
+    if ties and verdict == "effect":
+        effect, rival = ties[0]
+        mine, other = search.fits[search.best][0], search.fits[rival.key][0]
+        experiment = best_experiment(search.problem, mine, other, effect, rival.effect, sensors)
+    return Diagnosis(
+        dataset=prepared.dataset.name,
+        model=problem.base.name,
+        verdict=verdict,
+        effects=tuple(ordered) if verdict == "effect" else (),
+        ranking=tuple(ranking),
+        decisions=decide(search, named if verdict == "effect" else []),
+        left_over=left,
+        explained=not unexplained,
+        lack_before=lack_of_fit(prepared.problem, prepared.present, sensors),
+        lack_after=lack,
+        explained_fraction=explained_fraction,
+        held_out_error_before=root_held.error,
+        held_out_error_after=held.error if verdict == "effect" else root_held.error,
+        noise_floor=1.0,
+        next_experiment=experiment,
+        notes=(
+            *prepared.dataset.notes,
+            *prepared.notes,
+            *_trace_notes(search),
+            *_mean_notes(best),
+            *(_preview_notes(search, named) if verdict == "effect" else []),
+            *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),
+            *contrived,
+        ),
+        prepared=prepared,
+        search=search,
+    )
+
+
+def _contrived(search: Search, named: list[str]) -> list[str]:
+    """What to say of a set that meets the data but is too many effects at values that none should have."""
+    found = search.fits[search.best][0]
+    odd = [(e, v) for e in named for v in values_of(found, e) if not v.plausible]
+    if len(named) <= MOST_AT_ANY_VALUE or not odd:
+        return []
+    said = ", ".join(f"{effect} {v.name} = {v.value:.3g} {v.unit}" for effect, v in odd)
+    return [
+        f"{', '.join(named[:-1])} and {named[-1]} together come near the data, but only with values outside"
+        f" what is plausible ({said}): they describe what is missing, they are not named for it."
+    ]
+
+
+def _preview_notes(search: Search, named: list[str]) -> list[str]:
+    """What was not fitted in the place of an effect, since its preview gains too little."""
+    notes = []
+    here = search.fits[search.best][0].objective
+    for effect in named:
+        rest = frozenset(search.best - {effect})
+        left_out = [
+            c
+            for c in search.children.get(rest, [])
+            if c.fit is None and rest | {c.effect} not in search.fits and c.effect not in search.best
+        ]
+        if left_out:
+            most = max(left_out, key=lambda c: (c.preview.gain, c.effect))
+            gain = search.fits[rest][0].objective - here
+            notes.append(
+                f"In the place of {effect}, {len(left_out)} effects were not refitted: their previews promise"
+                f" at most {100 * most.preview.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
+            )
+    return notes
+
+
+def _partial_notes(named: list[str], share: float, held: HeldOut) -> list[str]:
+    return [
+        f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
+        f" {held.error:.2f} × the noise on commands left out: not the whole truth."
+    ]
+
+
+def _mean_notes(found: Fit) -> list[str]:
+    """Of factors that count against their mean: what all share is friction."""
+    fields = sorted({f"{a.effect} {a.field}" for a in found.axes if a.info.relative})
+    friction_nmm_per_100mm = per_100mm(float(np.exp(found.point.log_friction)))
+    return [
+        f"The mean of {field} is held at 1: what all items share is friction,"
+        f" here {friction_nmm_per_100mm:.3g} N·mm per 100 mm."
+        for field in fields
+    ]
+
+
+def _trace_notes(search: Search) -> list[str]:
+    notes = []
+    for name, (found, _) in search.traces.items():
+        said = ", ".join(f"{v.name} = {v.value:.3g} {v.unit}" for v in values_of(found, name))
+        notes.append(f"{name} is seen, but too small to matter ({said}).")
+    return notes

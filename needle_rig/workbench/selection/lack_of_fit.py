@@ -1,0 +1,200 @@
+"""Is there anything to explain? The pure-error F test: what replicates share against how they differ.
+
+Facts are the means of each channel in each motion, moving and settled, freed of the correlations that the
+noise model states. The mean of the replicates of a command holds the model's error, the differences among
+them do not, whatever the noise is: so a wrong noise level does not pass for an effect, as in a plain χ².
+Commands without replicates are held against the differences among the others' replicates.
+
+What each trial's own friction or the needle's constants can take up is not seen here (wear, a torque gain):
+the test says that something is missing, never that nothing is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+from scipy.special import fdtrc
+
+from needle_rig.units import deg, nmm
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.observations.binning import BinnedTrial
+from needle_rig.workbench.observations.noise import Whitener
+
+Array = npt.NDArray[np.float64]
+Key = tuple[int, int, bool]
+"""(channel, motion, moving) of one fact."""
+
+SIGNIFICANCE = 0.01
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """The F test of one fit."""
+
+    statistic: float
+    """Mean square of what replicates share over that of how they differ."""
+    shared_dof: int
+    differing_dof: int
+    p: float
+    where: str
+    """The channel and state with most of it, in words."""
+    size: float
+    """Root mean square there, in `unit`."""
+    unit: str
+
+    @property
+    def significant(self) -> bool:
+        """Whether the model lacks something that replicates share."""
+        return self.p < SIGNIFICANCE
+
+    def sentence(self) -> str:
+        """In words."""
+        return (
+            f"{self.where}: off by about {self.size:.2g} {self.unit}, alike in every replicate"
+            f" (F = {self.statistic:.2f} on {self.shared_dof} and {self.differing_dof}, p = {self.p:.1g})"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """As it stands in the JSON answer."""
+        return {
+            "f": float(f"{self.statistic:.4g}"),
+            "dof": [self.shared_dof, self.differing_dof],
+            "p": float(f"{self.p:.3g}"),
+        }
+
+
+def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackOfFit | None:
+    """The test of `found`, whose residuals are linearised in its parameters; None without replicates."""
+    groups = problem.groups
+    if all(len(g) < 2 for g in groups):
+        return None
+    p = 2 + len(found.axes)
+    keys = [_shared_keys([problem.trials[t] for t in group], problem, group) for group in groups]
+    takers = {
+        t: _taker(problem.trials[t], problem.whiteners[t], chosen)
+        for group, chosen in zip(groups, keys, strict=True)
+        for t in group
+    }
+    values: list[Array] = []
+    columns: list[Array] = []
+    within, differing_dof = 0.0, 0
+    for g, group in enumerate(groups):
+        seen = np.array([takers[t] @ found.residuals[t] for t in group])
+        jacobian = np.array([takers[t] @ found.jacobians[t] for t in group])
+        nuisance = np.mean([takers[t] @ problem.nuisance[t] for t in group], axis=0)
+        own = np.zeros((seen.shape[1], len(groups)))
+        own[:, g] = jacobian[:, :, p].mean(0)
+        root = np.sqrt(len(group))
+        values.append(root * seen.mean(0))
+        columns.append(root * np.column_stack([jacobian[:, :, :p].mean(0), nuisance, own]))
+        if len(group) > 1:
+            direction = own[:, g] / (np.linalg.norm(own[:, g]) or 1.0)
+            apart = seen - seen.mean(0)
+            apart -= np.outer(apart @ direction, direction)
+            within += float((apart**2).sum())
+            differing_dof += (len(group) - 1) * (seen.shape[1] - 1)
+    held = np.array([np.mean(found.point.trial_friction[g]) for g in groups])
+    tight = np.r_[
+        0.0,
+        1.0 / problem.rigidity_prior,
+        [1.0 / a.width for a in found.axes],
+        np.ones(found.nuisance.size),
+        [np.sqrt(len(g)) / found.scatter for g in groups],
+    ]
+    stated = -np.r_[
+        0.0, found.pull_rigidity * problem.rigidity_prior, found.point.positions, found.nuisance, held
+    ]
+    prior = tight > 0
+    matrix = np.vstack([*columns, np.diag(tight)[prior]])
+    value = np.concatenate([*values, (tight * stated)[prior]])
+    basis, _ = np.linalg.qr(matrix)
+    left = value - basis @ (basis.T @ value)
+    shared_dof = matrix.shape[0] - matrix.shape[1]
+    if shared_dof < 1 or differing_dof < 1 or not within > 0:
+        return None
+    statistic = float(left @ left) / shared_dof / (within / differing_dof)
+    each = np.split(left, np.cumsum([len(chosen) for chosen in keys]))[:-1]
+    where, size, unit = _worst(problem, found, keys, each, within / differing_dof, sensors)
+    return LackOfFit(
+        statistic,
+        shared_dof,
+        differing_dof,
+        float(fdtrc(shared_dof, differing_dof, statistic)),
+        where,
+        size,
+        unit,
+    )
+
+
+def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) -> list[Key]:
+    """Facts that every trial of a group has."""
+    each = []
+    for b, t in zip(binned, group, strict=True):
+        use = problem.whiteners[t].use
+        each.append(
+            {(c, int(b.motion[k]), bool(b.moving[k])) for c, places in enumerate(use) for k in places}
+        )
+    return sorted(set.intersection(*each))
+
+
+def _taker(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
+    """(facts, n): from whitened values of a trial to its facts, independent and of unit variance."""
+    taker = np.zeros((len(keys), whitener.channel.size))
+    for c, (use, inverse) in enumerate(zip(whitener.use, whitener.inverse, strict=True)):
+        rows = [i for i, key in enumerate(keys) if key[0] == c]
+        if not rows:
+            continue
+        average = np.zeros((len(rows), use.size))
+        for i, row in enumerate(rows):
+            _, motion, moving = keys[row]
+            inside = (binned.motion[use] == motion) & (binned.moving[use] == moving)
+            weight = binned.count[c][use] * inside
+            average[i] = weight / weight.sum()
+        raw = solve_triangular(inverse, np.eye(use.size), lower=True)
+        given = average @ raw
+        lower = np.linalg.cholesky(given @ given.T)
+        place = np.flatnonzero(whitener.channel == c)
+        taker[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
+    return taker
+
+
+def _worst(
+    problem: Problem,
+    found: Fit,
+    keys: list[list[Key]],
+    left: list[Array],
+    differing: float,
+    sensors: tuple[str, ...],
+) -> tuple[str, float, str]:
+    """(words, size, unit) of the channel and state in which most is left beyond how replicates differ."""
+    squares: dict[tuple[int, bool], list[float]] = {}
+    raw: dict[tuple[int, bool], list[float]] = {}
+    for group, chosen, values in zip(problem.groups, keys, left, strict=True):
+        means = [_raw_means(problem, found, t, chosen) for t in group]
+        for (channel, _, moving), value, mean in zip(chosen, values, np.mean(means, axis=0), strict=True):
+            squares.setdefault((channel, moving), []).append(float(value) ** 2)
+            raw.setdefault((channel, moving), []).append(float(mean) ** 2)
+    place = max(squares, key=lambda k: (np.mean(squares[k]), k))
+    beyond = max(0.0, 1.0 - differing / float(np.mean(squares[place])))
+    rms = float(np.sqrt(beyond * np.mean(raw[place])))
+    channel, moving = place
+    name = ("torque", *sensors)[channel]
+    size, unit = (nmm(rms), "N·mm") if channel == 0 else (deg(rms), "°")
+    return f"{name} {'while moving' if moving else 'once settled'}", size, unit
+
+
+def _raw_means(problem: Problem, found: Fit, trial: int, keys: list[Key]) -> list[float]:
+    """Mean of data minus model in each fact, N·m and rad."""
+    b, w, rows = problem.trials[trial], problem.whiteners[trial], found.residuals[trial]
+    raw = w.raw(rows)
+    means = []
+    for channel, motion, moving in keys:
+        use = w.use[channel]
+        inside = (b.motion[use] == motion) & (b.moving[use] == moving)
+        means.append(float(np.average(raw[channel][use][inside], weights=b.count[channel][use][inside])))
+    return means

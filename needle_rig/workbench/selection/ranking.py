@@ -1,0 +1,162 @@
+"""How well each effect does, with what speaks for it and against it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.selection.answer import Ranked, Value
+from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, held_gain
+from needle_rig.workbench.selection.rivals import Rival
+from needle_rig.workbench.selection.search import Candidate, Search
+
+
+def order(search: Search, named: list[str]) -> list[str]:
+    """Effects in the order of what each would leave unexplained if it were missing."""
+    here = search.fits[search.best][0].objective
+
+    def loss(effect: str) -> float:
+        rest = frozenset(search.best - {effect})
+        return search.fits[rest][0].objective - here if rest in search.fits else np.inf
+
+    return sorted(named, key=lambda e: (-loss(e), e))
+
+
+def values_of(fit: Fit, effect: str) -> tuple[Value, ...]:
+    """Fitted parameters of one effect with their 95 % intervals."""
+    found = []
+    for axis, at, error in zip(fit.axes, fit.point.positions, fit.position_error, strict=True):
+        if axis.effect != effect:
+            continue
+        ends = [axis.value(float(np.clip(at + s * 1.96 * error, *axis.bounds))) for s in (-1, 1)]
+        value = axis.value(float(at))
+        low, high = axis.info.literature
+        plausible = low <= value <= high or value == axis.info.off
+        found.append(Value(axis.name, value, min(ends), max(ends), axis.info.unit, plausible))
+    return tuple(found)
+
+
+def rank(
+    search: Search,
+    ordered: list[str],
+    rivals: dict[str, list[Rival]],
+    verdict: str,
+    adopted: Fit,
+    held: HeldOut,
+) -> list[Ranked]:
+    """The named effects in the order given, then every other by what it does alone.
+
+    `adopted` and `held` are of the set that is named, as a comparison with its model sees them.
+    """
+    problem = search.problem
+    ranked = []
+    root = search.root
+    best, _ = search.fits[search.best]
+    done = set()
+    if verdict == "effect":
+        for effect in ordered:
+            tied = tuple(r.effect for r in rivals[effect] if r.tied)
+            rest = search.fits.get(frozenset(search.best - {effect}))
+            alone = rest[0].objective - best.objective if rest else np.inf
+            apart = [r for r in rivals[effect] if r.separation_sigma is not None]
+            ranked.append(
+                Ranked(
+                    effect,
+                    held.error,
+                    _removed(problem, root, best)
+                    if len(ordered) == 1
+                    else min(1.0, alone / _room(problem, root)),
+                    values_of(adopted, effect),
+                    tied,
+                    apart[0].separation_sigma if apart else None,
+                    _favour(search, best, effect, alone),
+                    _against(adopted, effect, rivals[effect]),
+                )
+            )
+            done.add(effect)
+        for effect in ordered:
+            for rival in rivals[effect]:
+                if rival.tied and rival.effect not in done:
+                    found, found_held = search.fits[rival.key]
+                    ranked.append(
+                        Ranked(
+                            rival.effect,
+                            found_held.error if found_held else None,
+                            _removed(problem, root, found),
+                            values_of(found, rival.effect),
+                            (effect,),
+                            rival.separation_sigma,
+                            _favour(search, found, rival.effect, None),
+                            _against(found, rival.effect, []) or f"{effect} fits as well",
+                        )
+                    )
+                    done.add(rival.effect)
+    others = [c for c in search.children.get(search.start, []) if c.fit is not None and c.effect not in done]
+    others.sort(key=lambda c: (c.fit.objective if c.fit else 0.0, c.effect))
+    for candidate in others:
+        ranked.append(_single(search, candidate))
+    return ranked
+
+
+def _single(search: Search, candidate: Candidate) -> Ranked:
+    found = candidate.fit
+    assert found is not None
+    seen = chance(search.root, found, len(search.names)) < SIGNIFICANCE
+    foretells = held_gain(search.root_held, candidate.held) > 0 or not np.isfinite(search.root_held.error)
+    removed = _removed(search.problem, search.root, found)
+    favour = (
+        f"alone it removes {100 * removed:.0f} % of the error above the noise"
+        if seen
+        else "nothing beyond chance"
+    )
+    against = "" if seen and foretells else "what it gains does not carry over to commands left out"
+    return Ranked(
+        candidate.effect,
+        candidate.held.error if candidate.held else None,
+        removed,
+        values_of(found, candidate.effect),
+        (),
+        None,
+        favour,
+        against if seen else "a gain like this comes by chance",
+    )
+
+
+def _room(problem: Any, root: Fit) -> float:
+    return float(max(root.chi2 - problem.size, 1.0))
+
+
+def _removed(problem: Any, root: Fit, found: Fit) -> float:
+    """Share of the error above the noise that a fit removes, 0 to 1."""
+    gain = root.objective - found.objective
+    return float(
+        np.clip(gain / max(root.objective - min(found.objective, problem.size), gain, 1e-9), 0.0, 1.0)
+    )
+
+
+def _favour(search: Search, found: Fit, effect: str, alone: float | None) -> str:
+    removed = 100 * _removed(search.problem, search.root, found)
+    sigmas = (
+        f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""
+    )
+    names = "it" if len(found.effects) - len(search.start) == 1 else "the model with it"
+    told = " and foretells commands left out" if np.isfinite(search.root_held.error) else ""
+    return f"{names} removes {removed:.0f} % of the error above the noise{told}{sigmas}"
+
+
+def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
+    parts = [
+        f"{v.name} = {v.value:.3g} {v.unit} is outside what is plausible"
+        for v in values_of(found, effect)
+        if not v.plausible
+    ]
+    tied = [r for r in rivals if r.tied]
+    for rival in tied[:2]:
+        apart = "" if rival.separation_sigma is None else f" ({rival.separation_sigma:.1f}σ apart)"
+        parts.append(f"{rival.effect} fits as well{apart}")
+    if abs(found.pull_rigidity) > 3:
+        parts.append(f"the needle's constants are pulled by {found.pull_rigidity:+.1f}σ")
+    return "; ".join(parts)

@@ -1,0 +1,98 @@
+"""What cannot be told apart from what was found, and by how much the rest can."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.selection.search import Search, score
+
+CLOSE = 10.0
+"""Difference of scores (3σ) within which two explanations are a tie."""
+SURE_SHARE = 0.8
+ALL_UP_TO = 100.0
+"""Gain of what was found up to which every effect is refitted in its place: a preview says little there."""
+OUT_OF_REACH = 0.25
+"""Above it, share of that gain which a preview must promise: what fits as well promised 0.7 and more."""
+DRAWS = 400
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect in the place of one that was found."""
+
+    effect: str
+    instead_of: str
+    key: frozenset[str]
+    behind: float
+    """Score of the rival over that of what was found."""
+    share: float
+    """Share of reweightings of the trials in which what was found stays ahead."""
+    tied: bool
+    separation_sigma: float | None = None
+    """From simulating what was found and fitting the rival to it; None where it was not needed."""
+
+
+def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> float:
+    """Share of random reweightings of the trials (Bayesian bootstrap) in which `first` stays ahead."""
+    generator = np.random.default_rng(seed)
+    trials = len(problem.trials)
+    weights = generator.dirichlet(np.ones(trials), DRAWS) * trials
+    priors = (other.objective - other.trial_loss.sum()) - (first.objective - first.trial_loss.sum())
+    price = score(problem, other) - other.objective - (score(problem, first) - first.objective)
+    # sorted, so that the order in which trials are listed changes nothing
+    ahead = weights @ np.sort(other.trial_loss - first.trial_loss) + priors + price
+    return float(np.mean(ahead > 0))
+
+
+def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
+    """How many σ apart the rival's best fit to the noise-free prediction of `truth` would be."""
+    every = list(range(len(problem.trials)))
+    readings = problem.readings([problem.model(truth.axes, truth.point, t) for t in every], every)
+    trials = tuple(
+        dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), r, np.nan))
+        for b, r in zip(problem.trials, readings, strict=True)
+    )
+    perfect = dataclasses.replace(problem, trials=trials, _cache=problem._cache)
+    found = fit(perfect, rival.effects, rival.point, nuisance=rival.nuisance)
+    return float(np.sqrt(found.chi2)) if found is not None else float("inf")
+
+
+def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
+    """Rivals of each effect found, closest first."""
+    problem, best = search.problem, search.best
+    here = search.fits[best][0]
+    found: dict[str, list[Rival]] = {}
+    for effect in search.named(best):
+        rest = frozenset(best - {effect})
+        if rest in search.fits and rest not in search.children:
+            gain = search.fits[rest][0].objective - here.objective
+            search.expand(rest, worth=OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
+        rivals = []
+        for candidate in search.children.get(rest, []):
+            key = rest | {candidate.effect}
+            if candidate.effect == effect or candidate.effect in best or key not in search.fits:
+                continue
+            other = search.fits[key][0]
+            if not search.passes(rest, key):
+                continue
+            behind = score(problem, other) - score(problem, here)
+            share = bootstrap_share(problem, here, other, seed)
+            near = CLOSE + excess(problem, here.chi2)
+            tied = behind < near or (share < SURE_SHARE and behind < 3 * near)
+            contains = effect in problem.library[candidate.effect].limits
+            if contains and other.objective > here.objective - CLOSE:
+                tied = False
+            rivals.append(Rival(candidate.effect, effect, key, behind, share, tied))
+        rivals.sort(key=lambda r: (r.behind, r.effect))
+        for place, rival in enumerate(rivals[:2]):
+            if rival.tied or (place == 0 and rival.behind < 400.0):
+                apart = separation(problem, here, search.fits[rival.key][0])
+                rivals[place] = dataclasses.replace(rival, separation_sigma=apart)
+        found[effect] = rivals
+    return found

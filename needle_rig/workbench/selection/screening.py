@@ -1,0 +1,297 @@
+"""What each effect would buy, from a few simulations at finite strength: where to start a fit of it.
+
+Signatures are taken at 0.1, 0.5 and 1.5 of the typical size, because derivatives at zero strength miss most
+of what dry friction does; all parameters of the present fit are projected out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.parameters import Coordinate, against_mean
+from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.estimation.problem import Point, Problem
+
+Array = npt.NDArray[np.float64]
+
+STRENGTHS = (0.1, 0.5, 1.5)
+MOST_FORMS = 6
+BEST_FORMS = 2
+ALWAYS_IN_FULL = 10.0
+"""Where no more than this is asked every form is tried: chance alone may decide there."""
+OUT_OF_REACH = 0.05
+"""Share of what is asked below which the typical form's gain rules out that another form reaches it."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where to start a fit, and the fall of the objective that the preview expects there."""
+
+    positions: Array
+    gain: float
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What one effect would buy on top of a fit."""
+
+    effect: str
+    gain: float
+    starts: tuple[Start, ...]
+    """Best first."""
+    error: float
+    """Standard deviation of the strength (on its axis), from the smallest strength's signature."""
+    estimate: float
+    whole: bool = True
+    """Whether every form was tried."""
+
+    def may_reach(self, worth: float) -> bool:
+        """Whether this gain, or that of a form not tried yet, may be as much as `worth`."""
+        return self.gain >= worth or not self.whole
+
+
+class Projector:
+    """Projects the parameters of a fit out of whitened vectors over all trials.
+
+    `missed` is what the fit leaves, with the pulls on its parameters as rows of their own: an effect may be
+    seen by nothing but what it relieves them of.
+    """
+
+    def __init__(self, problem: Problem, fit: Fit) -> None:
+        trials = len(problem.trials)
+        p, q = 2 + len(fit.axes), fit.nuisance.size
+        sizes = [r.size for r in fit.residuals]
+        total = sum(sizes)
+        width = p + trials + q
+        matrix = np.zeros((total + width, width))
+        at = 0
+        for t, size in enumerate(sizes):
+            matrix[at : at + size, :p] = fit.jacobians[t][:, :p]
+            matrix[at : at + size, p + t] = fit.jacobians[t][:, p]
+            matrix[at : at + size, p + trials :] = problem.nuisance[t]
+            at += size
+        tight = np.r_[
+            0.0,
+            1.0 / problem.rigidity_prior,
+            [1.0 / a.width for a in fit.axes],
+            np.full(trials, 1.0 / fit.scatter),
+            np.ones(q),
+        ]
+        matrix[total:, :] = np.diag(tight)
+        self.total = total
+        self._own = slice(total + p, total + p + trials)
+        self._scatter = fit.scatter
+        self._basis, _ = np.linalg.qr(matrix)
+        point, widths = fit.point, np.array([a.width for a in fit.axes])
+        own = point.trial_friction / fit.scatter
+        pulls = np.r_[0.0, fit.pull_rigidity, point.positions / widths, own, fit.nuisance]
+        left = np.r_[np.concatenate(fit.residuals), -pulls]
+        self.missed: Array = left - self._basis @ (self._basis.T @ left)
+
+    def __call__(self, vectors: Array, own: Array | None = None) -> Array:
+        """(n,) or (n, m) over all trials to what the fit's parameters cannot make; n becomes longer.
+
+        `own` (T,) is what goes with it of the trials' own friction, of which their prior tells.
+        """
+        padded = np.zeros((self._basis.shape[0], *vectors.shape[1:]))
+        padded[: self.total] = vectors
+        if own is not None:
+            padded[self._own] = own / self._scatter
+        return np.asarray(padded - self._basis @ (self._basis.T @ padded))
+
+    def rigidity(self) -> Array:
+        """The direction (n longer, as above) in which the stated rigidity stands against the data."""
+        row = self.total + 1
+        stated = -self._basis @ self._basis[row]
+        stated[row] += 1.0
+        return np.asarray(stated)
+
+
+def forms(axes: Sequence[Coordinate]) -> list[Array]:
+    """Positions of the form parameters to try, typical first; entries of strengths are 0."""
+    choices = []
+    for axis in axes:
+        if not axis.info.shapes:
+            choices.append([0.0])
+            continue
+        low, high = axis.bounds
+        if axis.info.scale == "log":
+            options = [0.0, -0.6, 0.6]
+        else:
+            options = [0.0, *[low + (high - low) * f for f in (0.125, 0.375, 0.625, 0.875)]]
+        choices.append([o for o in options if low <= o <= high])
+    every = [np.array(c) for c in itertools.islice(itertools.product(*choices), 200)]
+    every.sort(key=lambda c: float(np.abs(c).sum()))
+    if len(every) <= MOST_FORMS:
+        return every
+    return [every[round(i * (len(every) - 1) / (MOST_FORMS - 1))] for i in range(MOST_FORMS)]
+
+
+def _patterns(axes: Sequence[Coordinate]) -> list[list[int]]:
+    """Groups of coordinates that are tried together: items of a field one by one, single fields at once."""
+    single = [i for i, a in enumerate(axes) if not a.info.shapes and a.item is None]
+    each = [[i] for i, a in enumerate(axes) if not a.info.shapes and a.item is not None]
+    return ([single] if single else []) + each
+
+
+def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Preview:
+    """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing.
+
+    Every form is tried at the middle strength, the best two and the typical one at all; forms other than
+    the typical one are left out where that one stays far below `worth` and below what is to be explained.
+    """
+    project = Projector(problem, parent)
+    own = problem.axes([effect])
+    axes = (*parent.axes, *own)
+    residual = project.missed
+    patterns = _patterns(own)
+    asked = max(worth, excess(problem, parent.objective))
+    starts: list[Start] = []
+    error, estimate = float("inf"), 0.0
+
+    def tried(form: Array, strengths: Sequence[float]) -> list[tuple[Array, Array]]:
+        nonlocal error, estimate
+        signatures: list[tuple[Array, Array]] = []
+        for pattern, strength in itertools.product(patterns, strengths):
+            for sign in (1.0, -1.0) if not all(own[i].one_sided for i in pattern) else (1.0,):
+                positions = form.copy()
+                for i in pattern:
+                    low, high = own[i].bounds
+                    direction = 1.0 if own[i].one_sided and high > 0 else (-1.0 if own[i].one_sided else sign)
+                    positions[i] = np.clip(direction * strength, low, high)
+                if not np.any([positions[i] != 0 for i in pattern]):
+                    continue
+                change = signature(problem, parent, axes, positions)
+                if change is None:
+                    continue
+                projected = project(*change)
+                signatures.append((positions, projected))
+                size = float(projected @ projected)
+                along = float(residual @ projected)
+                starts.append(Start(positions, 2 * along - size))
+                scale = float(np.clip(along / size, -4.0, 4.0)) if size > 0 else 0.0
+                scaled = positions.copy()
+                for i in pattern:
+                    low, high = own[i].bounds
+                    scaled[i] = np.clip(scale * positions[i], low, high)
+                if abs(scale) > 0.02 and (scale > 0 or not all(own[i].one_sided for i in pattern)):
+                    starts.append(Start(scaled, 0.9 * along**2 / size if size > 0 else 0.0))
+                if strength == STRENGTHS[0] and size > 0:
+                    here = STRENGTHS[0] / np.sqrt(size)
+                    if here < error:
+                        error = here
+                        estimate = (
+                            abs(float(along / size * strength)) if along > 0 or len(patterns) > 1 else 0.0
+                        )
+        return signatures
+
+    seen: list[tuple[float, int, Array, list[tuple[Array, Array]]]] = []
+    for place, form in enumerate(forms(own)):
+        begun = len(starts)
+        signatures = tried(form, STRENGTHS if place == 0 else STRENGTHS[1:2])
+        seen.append((max((s.gain for s in starts[begun:]), default=0.0), place, form, signatures))
+        if asked > ALWAYS_IN_FULL and seen[0][0] < OUT_OF_REACH * asked:
+            break
+    seen.sort(key=lambda s: (-s[0], s[1]))
+    for rank, (_, place, form, signatures) in enumerate(seen):
+        if rank < BEST_FORMS and place > 0:
+            signatures += tried(form, (STRENGTHS[0], *STRENGTHS[2:]))
+        if len(patterns) > 1 and signatures:
+            starts += _joint(own, patterns, signatures, residual, form)
+    starts.sort(key=lambda s: -s.gain)
+    kept: list[Start] = []
+    for start in starts:
+        if all(_apart(start.positions, k.positions, own) for k in kept):
+            kept.append(start)
+        if len(kept) == 4:
+            break
+    gain = max(0.0, kept[0].gain) if kept else 0.0
+    return Preview(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(own)))
+
+
+def _joint(
+    own: Sequence[Coordinate],
+    patterns: list[list[int]],
+    signatures: list[tuple[Array, Array]],
+    residual: Array,
+    form: Array,
+) -> list[Start]:
+    """Starts with all items at once: their signatures fitted together, at each strength."""
+    found = []
+    for strength in STRENGTHS[:2]:
+        columns, places = [], []
+        for pattern in patterns:
+            near = [
+                (abs(abs(pos[pattern[0]]) - strength), -float(residual @ s), pos, s)
+                for pos, s in signatures
+                if pos[pattern[0]] != 0
+            ]
+            if near:
+                _, _, pos, s = min(near, key=lambda n: (n[0], n[1]))
+                columns.append(s / pos[pattern[0]])
+                places.append(pattern)
+        if not columns:
+            continue
+        matrix = np.column_stack(columns)
+        square = matrix.T @ matrix + np.eye(len(columns)) * 0.01
+        best = np.linalg.solve(square, matrix.T @ residual)
+        positions = form.copy()
+        for amount, pattern in zip(best, places, strict=True):
+            for i in pattern:
+                positions[i] = np.clip(amount, *own[i].bounds)
+        found.append(Start(positions, 0.8 * float(best @ (matrix.T @ residual))))
+    return found
+
+
+def _apart(a: Array, b: Array, own: Sequence[Coordinate]) -> bool:
+    gap = [abs(x - y) / max(0.3, 0.5 * abs(x), 0.5 * abs(y)) for x, y in zip(a, b, strict=True)]
+    return max(gap, default=0.0) > 1.0
+
+
+def beside(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Point:
+    """The parent's optimum with an effect at `positions`, each trial's slip limits as large as they were.
+
+    Otherwise what the parent took for the trials' own friction would be there twice.
+    """
+    every = against_mean(axes, np.r_[parent.point.positions, positions])
+    point = dataclasses.replace(parent.point, positions=every)
+    try:
+        before, after = _slip_limits(problem, parent.axes, parent.point), _slip_limits(problem, axes, point)
+    except BadInput:
+        return point
+    scale = np.log(np.where((before > 0) & (after > 0), before / np.maximum(after, 1e-300), 1.0))
+    return dataclasses.replace(point, trial_friction=point.trial_friction + scale)
+
+
+def _slip_limits(problem: Problem, axes: Sequence[Coordinate], point: Point) -> Array:
+    """Sum of both slip limits of all nodes in each trial (T,), N·m."""
+    trials = enumerate(problem.trials)
+    rods = [problem.model(axes, point, t).rod(binned.trial) for t, binned in trials]
+    return np.array([float(rod.slip_plus_nm.sum() + rod.slip_minus_nm.sum()) for rod in rods])
+
+
+def signature(
+    problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array
+) -> tuple[Array, Array] | None:
+    """Whitened change of the model (n,) over all trials when the effect is put at `positions`, and what it
+    moves in the trials' own friction (T,)."""
+    point = beside(problem, parent, axes, positions)
+    trials = list(range(len(problem.trials)))
+    try:
+        readings = problem.readings([problem.model(axes, point, t) for t in trials], trials)
+    except (SolverError, BadInput):
+        return None
+    after = problem.residuals(readings, trials)
+    change = []
+    for t in trials:
+        change.append(parent.residuals[t] + problem.nuisance[t] @ parent.nuisance - after[t])
+    found, moved = np.concatenate(change), point.trial_friction - parent.point.trial_friction
+    return (found, moved - moved.mean()) if np.all(np.isfinite(found)) else None

@@ -1,0 +1,221 @@
+"""Simulated measurements with a known effect: datasets for practice and tests."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.control.lag import lag_rad
+from needle_rig.control.reports import SettledMotion
+from needle_rig.control.strategy import Strategy, Task, make_strategy
+from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, denoised_base
+from needle_rig.errors import BadInput
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.trial_friction import FrictionOfTrial
+from needle_rig.simulation.base_drive import Motion, base_path, phases
+from needle_rig.simulation.protocol import Protocol
+from needle_rig.units import nm, rad
+
+Array = npt.NDArray[np.float64]
+
+REST_S = 0.5
+WINDOW_S = 0.5
+"""Length over which the torque is averaged at the end of a hold."""
+SAMPLES_LIMIT = 1_000_000
+"""Of one trial: five hours at 50 a second, which take 1 GB and some seconds."""
+DIAMETER_M = 0.39e-3
+DENSITY_KG_M3 = 6450.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Imperfections of the simulated rig; the defaults are those of the practice datasets.
+
+    Sensor noise is white, standard deviations. Friction differs from trial to trial, and the needle's
+    torsional rigidity from what the dataset says of it, by the given fractions (standard deviations).
+    """
+
+    hall_deg: float = 0.25
+    torque_nmm: float = 0.0008
+    encoder_deg: float = 0.02
+    friction_scatter: float = 0.02
+    rigidity_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value >= 0):
+                raise BadInput(f"noise: {field.name} is {value:g}; give a number from 0 on")
+
+
+NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def simulate_dataset(
+    model: NeedleModel,
+    protocol: Protocol,
+    seed: int = 1,
+    noise: Noise | None = None,
+    *,
+    name: str | None = None,
+    rate_hz: float = 50.0,
+) -> Dataset:
+    """A series of trials as a rig with the needle `model` would give them.
+
+    Waypoints of compensations come from the torque that the simulated sensor shows after the first motion, as
+    in a run (Reed 2008, (9)). The same seed gives the same numbers, whatever comes later in the series.
+    Raises BadInput for rates that cannot resolve the motions.
+    """
+    noise = noise or Noise()
+    if not 5.0 <= rate_hz <= 10_000.0:
+        raise BadInput(f"rate_hz is {rate_hz:g}; give 5 to 10000 samples a second")
+    stated = _needle(model)
+    error = noise.rigidity_error * float(np.random.default_rng([seed, 0]).standard_normal())
+    true = dataclasses.replace(model, torsional_rigidity_nm2=model.torsional_rigidity_nm2 * math.exp(error))
+    trials: list[DatasetTrial] = []
+    start_s, travel_rad = 0.0, 0.0
+    for index, command in enumerate(protocol.trials):
+        random = np.random.default_rng([seed, index + 1])
+        scatter = max(0.0, 1.0 + noise.friction_scatter * float(random.standard_normal()))
+        needle = true.with_effects(FrictionOfTrial(scatter))
+        place = Trial(np.empty(0), np.empty(0), start_s, index, travel_rad)
+        motions = planned_motions(
+            needle, command, place, noise, random, stated.torsional_rigidity_nm2, rate_hz
+        )
+        trial = _measured(needle, motions, place, command, noise, random, rate_hz)
+        trials.append(trial)
+        travel_rad += float(np.abs(np.diff(trial.trial.base_angle_rad)).sum())
+        start_s = round(start_s + motions[-1].end_s + protocol.pause_s, 1)
+    names = tuple(f"hall_{k}" for k in range(1, len(model.layout.sensor_positions_m) + 1))
+    return Dataset(name or model.name, model.layout, names, stated, tuple(trials))
+
+
+def planned_motions(
+    model: NeedleModel,
+    command: TrialCommand,
+    place: Trial,
+    noise: Noise,
+    random: np.random.Generator,
+    stated_rigidity_nm2: float,
+    rate_hz: float = 50.0,
+    strategy: Strategy | None = None,
+) -> tuple[Motion, ...]:
+    """The motions of one trial; a compensation asks its strategy (reed2008) after each, as the brain does."""
+    speed, settle = (
+        rad(command.speed_deg_s or 45.0),
+        command.settle_s if command.settle_s is not None else 3.0,
+    )
+    if command.kind == "staircase" or command.steps_deg:
+        motions: tuple[Motion, ...] = ()
+        for k, step_deg in enumerate(command.steps_deg, start=1):
+            motions = (*motions, _next(motions, f"step_{k}", rad(step_deg), speed, settle))
+        return motions
+    if command.target_deg is None:
+        raise BadInput(f"a trial of kind {command.kind} has neither target_deg nor steps_deg; give one")
+    strategy = strategy or make_strategy("reed2008", {})
+    task = Task(rad(command.target_deg), model.layout, stated_rigidity_nm2, speed, settle)
+    history: tuple[SettledMotion, ...] = (_settled((), model, place, task, noise, random, rate_hz),)
+    motions = ()
+    while (waypoint := strategy.next(task, history)) is not None:
+        motions = (
+            *motions,
+            _next(
+                motions,
+                waypoint.name,
+                waypoint.angle_rad,
+                waypoint.speed_rad_s or speed,
+                settle if waypoint.settle_s is None else waypoint.settle_s,
+            ),
+        )
+        history = (*history, _settled(motions, model, place, task, noise, random, rate_hz))
+    return motions
+
+
+def _next(
+    before: tuple[Motion, ...], name: str, to_rad: float, speed_rad_s: float, settle_s: float
+) -> Motion:
+    if not before:
+        return Motion(name, REST_S, 0.0, to_rad, speed_rad_s, settle_s)
+    return Motion(name, before[-1].end_s, before[-1].to_rad, to_rad, speed_rad_s, settle_s)
+
+
+def _settled(
+    motions: tuple[Motion, ...],
+    model: NeedleModel,
+    place: Trial,
+    task: Task,
+    noise: Noise,
+    random: np.random.Generator,
+    rate_hz: float,
+) -> SettledMotion:
+    """What the sensors show, on average, at the end of the last motion."""
+    end_s = motions[-1].end_s if motions else REST_S
+    trial = driven(motions, end_s, place, rate_hz)
+    reading = model.predict(trial)
+    window = trial.time_s > end_s - WINDOW_S
+    count = max(1, int(window.sum()))
+    torque = float(reading.torque_nm[window].mean())
+    torque += nm(noise.torque_nmm) * float(random.standard_normal()) / math.sqrt(count)
+    hall = reading.hall_rad[window].mean(axis=0)
+    hall = hall + rad(noise.hall_deg) * random.standard_normal(hall.shape) / math.sqrt(count)
+    base = float(trial.base_angle_rad[window].mean())
+    return SettledMotion(
+        index=len(motions),
+        name=motions[-1].name if motions else "rest",
+        moved_s=motions[-1].start_s if motions else 0.0,
+        time_s=end_s,
+        waypoint_rad=motions[-1].to_rad if motions else 0.0,
+        base_angle_rad=base,
+        torque_nm=torque,
+        hall_rad=tuple(hall.tolist()),
+        predicted_lag_rad=lag_rad(torque, model.layout, task.torsional_rigidity_nm2),
+        tip_lag_rad=base - float(hall[-1]) if len(hall) else math.nan,
+    )
+
+
+def driven(motions: tuple[Motion, ...], end_s: float, place: Trial, rate_hz: float) -> Trial:
+    """The trial at `place` in its series that these motions make, up to `end_s`; BadInput when it is long."""
+    if end_s * rate_hz > SAMPLES_LIMIT:
+        raise BadInput(
+            f"trial {place.index + 1} lasts {end_s:g} s, more than {SAMPLES_LIMIT} samples at {rate_hz:g} a"
+            " second; let it turn faster or settle for less time"
+        )
+    time_s = np.arange(max(2, math.ceil(end_s * rate_hz - 1e-9))) / rate_hz
+    return dataclasses.replace(place, time_s=time_s, base_angle_rad=base_path(motions, time_s))
+
+
+def _measured(
+    model: NeedleModel,
+    motions: tuple[Motion, ...],
+    place: Trial,
+    command: TrialCommand,
+    noise: Noise,
+    random: np.random.Generator,
+    rate_hz: float,
+) -> DatasetTrial:
+    trial = driven(motions, motions[-1].end_s, place, rate_hz)
+    reading = model.predict(trial)
+    count = len(trial.time_s)
+    base = trial.base_angle_rad + rad(noise.encoder_deg) * random.standard_normal(count)
+    path = denoised_base(trial.time_s, base)
+    return DatasetTrial(
+        trial=dataclasses.replace(trial, base_angle_rad=path.angle_rad),
+        base_measured_rad=base,
+        base_residual_rad=path.residual_rad,
+        torque_nm=reading.torque_nm + nm(noise.torque_nmm) * random.standard_normal(count),
+        hall_rad=reading.hall_rad + rad(noise.hall_deg) * random.standard_normal(reading.hall_rad.shape),
+        phase=phases(motions, trial.time_s),
+        command=command,
+        file=f"trials/{place.index + 1:02d}.csv",
+    )
+
+
+def _needle(model: NeedleModel) -> Needle:
+    """Constants that give the model's rigidity for the paper's wire of 0.39 mm."""
+    polar_m4 = math.pi * DIAMETER_M**4 / 32.0
+    return Needle(DIAMETER_M, model.torsional_rigidity_nm2 / polar_m4, DENSITY_KG_M3)

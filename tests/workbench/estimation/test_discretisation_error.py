@@ -1,0 +1,181 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from needle_rig.model import load_parameters
+from needle_rig.workbench.estimation import discretisation_error as own_error
+from needle_rig.workbench.estimation.baseline import as_compared, prepare
+from needle_rig.workbench.estimation.cross_validation import held_out
+from needle_rig.workbench.estimation.discretisation_error import (
+    MOST_OURS,
+    at_own_error,
+    by_every_sample,
+    solver_error,
+)
+from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.parameters import positions_of
+from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.evidence import may_be_ours
+from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
+from tests.workbench.hidden import PROTOCOL, dataset, effect, few
+
+
+def test_our_own_error_is_a_direction_of_every_fit():
+    data = dataset(seed=21)
+    prepared = prepare(data, None, few())
+    problem, found = prepared.problem, prepared.present
+    error = np.concatenate([n[:, 0] for n in problem.nuisance])
+    assert 0.05 < np.linalg.norm(error) < 10.0
+    assert found.nuisance.shape == (1,)
+    # data that hold this error twice over raise its coefficient, and no misfit
+    shifted = []
+    for b, w, n in zip(problem.trials, problem.whiteners, problem.nuisance, strict=True):
+        mean = b.mean.copy()
+        for c, (use, inverse) in enumerate(zip(w.use, w.inverse, strict=True)):
+            mean[c, use] += 20.0 * np.linalg.solve(inverse, n[w.channel == c, 0]) / np.linalg.norm(error)
+        shifted.append(dataclasses.replace(b, mean=mean))
+    moved = dataclasses.replace(problem, trials=tuple(shifted))
+    again = fit(moved, (), found.point)
+    assert again.nuisance[0] > found.nuisance[0] + 0.5
+
+
+def test_a_claim_under_three_times_our_own_error_is_refused():
+    data = dataset(seed=22)
+    prepared = prepare(data, None, few())
+    problem, parent = prepared.problem, prepared.present
+
+    def child(times):
+        rows = tuple(r - times * n[:, 0] for r, n in zip(parent.residuals, problem.nuisance, strict=True))
+        return dataclasses.replace(parent, residuals=rows)
+
+    assert may_be_ours(problem, parent, child(2.9))
+    assert may_be_ours(problem, parent, child(-1.0))
+    assert not may_be_ours(problem, parent, child(3.1))
+    freed = dataclasses.replace(child(1.0), pull_rigidity=parent.pull_rigidity + 12.0)
+    assert not may_be_ours(problem, parent, freed)
+    own = parent.point.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
+    steadied = dataclasses.replace(child(1.0), point=dataclasses.replace(parent.point, trial_friction=own))
+    assert not may_be_ours(problem, parent, steadied)
+
+
+def test_a_finer_solver_leaves_less_of_our_own_error():
+    data = dataset(seed=23)
+    problem = prepare(data, None, few()).problem
+    found = fit(problem, (), prepare(data, None, few()).present.point)
+    sizes = []
+    for length_m in (4e-3, 0.5e-3):
+        used = dataclasses.replace(
+            problem,
+            base=dataclasses.replace(problem.base, element_length_m=length_m),
+        )
+        error = solver_error(used, found, data.trials, 0.25e-3)
+        sizes.append(float(np.linalg.norm(np.concatenate([e[:, 0] for e in error]))))
+    assert sizes[1] < sizes[0]
+
+
+def ageing():
+    """(dataset, prepared present model, fit of the hidden effect on coarse paths)."""
+    hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
+    data = dataset(hidden, seed=25)
+    prepared = prepare(data, None, few("stiction_ageing"))
+    at = positions_of(prepared.problem.axes(["stiction_ageing"]), [hidden])
+    coarse = fit(
+        prepared.problem, ["stiction_ageing"], dataclasses.replace(prepared.present.point, positions=at)
+    )
+    assert coarse is not None
+    return data, prepared, coarse
+
+
+@pytest.mark.slow
+def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
+    """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
+    data, prepared, coarse = ageing()
+    errors = solver_error(prepared.problem, coarse, data.trials, prepared.fine_m)
+    before = [np.linalg.norm(e) for e in errors]
+    assert np.linalg.norm(before) > MOST_OURS
+    problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
+    assert [b.trial.time_s.size for b in problem.trials] == [t.trial.time_s.size for t in data.trials]
+    assert sum(np.linalg.norm(n[:, 0]) for n in problem.nuisance) < 0.3 * sum(before)
+    assert held.error < 1.05
+    growth = found.axes[0].value(float(found.point.positions[0]))
+    assert growth == pytest.approx(0.4, abs=0.08)
+
+
+@pytest.mark.slow
+def test_a_comparison_drives_an_adopted_model_as_finely():
+    data, prepared, coarse = ageing()
+    problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
+    length_m = load_parameters("rig_rigid").element_length_m
+    model = dataclasses.replace(problem.model(found.axes, found.point), element_length_m=length_m)
+    assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
+
+
+def slipping(encoder_deg):
+    """(data, problem, fit at the true values) of friction that weakens as soon as it slips."""
+    hidden = effect("stribeck", static_excess=0.3)
+    noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)
+    data = dataset(hidden, seed=42, noise=noise)
+    prepared = prepare(data, None, few("stribeck"))
+    at = positions_of(prepared.problem.axes(["stribeck"]), [hidden])
+    found = fit(prepared.problem, ["stribeck"], dataclasses.replace(prepared.present.point, positions=at))
+    return data, prepared.problem, found
+
+
+def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison():
+    """A path off by 0.01° slips a sample sooner or later: true values would leave more than the noise."""
+    data, problem, found = slipping(encoder_deg=0.02)
+    wider, again = by_every_sample(problem, found, data.trials)
+    sensors_alone = tuple(dataclasses.replace(b, from_encoder=None) for b in wider.trials)
+    narrow = dataclasses.replace(wider, trials=sensors_alone, whiteners=())
+    assert held_out(narrow, fit(narrow, ["stribeck"], again.point)).error > 1.03
+    assert held_out(wider, again).error < 1.0
+    assert (
+        0.0 < np.linalg.norm(wider.whiteners[0].inverse[1]) < np.linalg.norm(narrow.whiteners[0].inverse[1])
+    )
+
+
+def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch):
+    data, problem, found = slipping(encoder_deg=0.02)
+    met = []
+    monkeypatch.setattr(own_error, "over_shapes", lambda _, found, steps: met.append(found) or found)
+    fine_m = load_parameters("rig_rigid").element_length_m
+    before = np.linalg.norm(np.vstack(solver_error(problem, found, data.trials, fine_m)))
+    assert before > MOST_OURS
+    after, again = at_own_error(problem, found, data.trials, fine_m)
+    assert [b.trial.time_s.size for b in after.trials] == [t.trial.time_s.size for t in data.trials]
+    assert np.linalg.norm(np.vstack([n[:, :1] for n in after.nuisance])) < 0.5 * before
+    far = dataclasses.replace(found, objective=3.0 * problem.size)
+    assert at_own_error(problem, far, data.trials, fine_m)[0].trials == problem.trials
+    # the encoder's noise moves the minimum further than derivatives between two slips tell
+    assert np.all(again.position_error > 1.5 * met[0].position_error)
+    assert np.all(np.abs(again.point.positions - [1.0, 0.0, 0.0]) < 3.0 * again.position_error)
+
+
+def test_an_encoder_without_noise_adds_none():
+    data, problem, found = slipping(encoder_deg=0.0)
+    wider, _ = by_every_sample(problem, found, data.trials)
+    assert all(not b.from_encoder.any() for b in wider.trials)
+
+
+def test_directions_of_other_nuisances_outlast_a_change_of_the_noise():
+    data, problem, found = slipping(encoder_deg=0.02)
+    raw = [np.cos(3.0 * b.base_rad) + np.zeros_like(b.mean) for b in problem.trials]
+    kept = tuple(
+        np.column_stack([n, w(r)]) for n, w, r in zip(problem.nuisance, problem.whiteners, raw, strict=True)
+    )
+    found = dataclasses.replace(found, nuisance=np.append(found.nuisance, 0.0))
+    wider, _ = by_every_sample(dataclasses.replace(problem, nuisance=kept), found, data.trials)
+    for whitener, nuisance, given in zip(wider.whiteners, wider.nuisance, raw, strict=True):
+        assert nuisance[:, 1] == pytest.approx(whitener(given))
+
+
+@pytest.mark.parametrize("seed", [31, 32])
+def test_a_sloppy_solver_is_not_an_effect(seed):
+    """Data from cells and tolerances eight times coarser hold a numerical error, and no effect."""
+    model = load_parameters("rig_rigid")
+    sloppy = dataclasses.replace(
+        model, element_length_m=8 * model.element_length_m, tolerance_rad=8 * model.tolerance_rad
+    )
+    found = diagnose(simulate_dataset(sloppy, PROTOCOL, seed, Noise(), name="sloppy"), few())
+    assert found.verdict == "none"

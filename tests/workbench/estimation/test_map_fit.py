@@ -1,0 +1,330 @@
+import dataclasses
+import math
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+
+from needle_rig.physics.library import find_effects
+from needle_rig.physics.trial_friction import FrictionOfTrial
+from needle_rig.workbench.estimation import multistart as minima_module
+from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.cross_validation import held_out
+from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.multistart import over_shapes
+from needle_rig.workbench.estimation.parameters import coordinates, make_effects, positions_of
+from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.selection.evidence import chance, held_gain
+from needle_rig.workbench.selection.search import try_effect
+from needle_rig.workbench.virtual.dataset import Noise
+from tests.workbench.hidden import dataset, effect, few
+
+EVERY = find_effects()
+
+
+@given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
+def test_positions_and_values_are_inverse(name, strength):
+    axes = coordinates(EVERY, [name], dataset().layout)
+    positions = np.array(
+        [
+            0.0 if a.info.shapes else np.clip(strength if a.bounds[1] > 0 else -strength, *a.bounds)
+            for a in axes
+        ]
+    )
+    made = make_effects(EVERY, axes, positions)
+    assert positions_of(axes, made) == pytest.approx(positions, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(EVERY))
+def test_off_is_the_origin(name):
+    axes = coordinates(EVERY, [name], dataset().layout)
+    made = make_effects(EVERY, axes, np.zeros(len(axes)))[0]
+    assert made.is_off()
+    for axis in axes:
+        low, high = axis.bounds
+        assert low <= 0.0 <= high or axis.info.shapes
+        if not axis.info.shapes:
+            assert axis.position(axis.info.typical) == pytest.approx(1.0)
+            assert 0 < axis.smallest < 1.2
+
+
+def test_the_null_model_finds_friction_and_the_noise():
+    prepared = prepare(dataset(), None, few())
+    friction = np.exp(prepared.present.point.log_friction)
+    assert friction * 100 == pytest.approx(0.0996, rel=0.03)
+    assert abs(prepared.present.pull_rigidity) < 3
+    assert prepared.held.error == pytest.approx(1.0, abs=0.1)
+    assert 0.7 < prepared.present.chi2 / prepared.problem.size < 1.15
+
+
+def test_a_hidden_stiffness_is_found_within_its_error():
+    prepared = prepare(
+        dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
+    )
+    found = try_effect(prepared.problem, prepared.present, "tissue_elasticity")
+    axis, at, error = found.fit.axes[0], found.fit.point.positions[0], found.fit.position_error[0]
+    assert axis.value(at) == pytest.approx(0.45, rel=0.01)
+    assert abs(at - axis.position(0.45)) < 4 * error
+    assert chance(prepared.present, found.fit, 5) < 1e-6
+    assert held_gain(prepared.held, found.held) > 0
+
+
+def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
+    parent = prepare(dataset(), None, few()).present
+    gain = 2.0 * parent.scatter_dof * math.log(2.0)
+    seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
+    steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
+    assert parent.scatter_dof == 9.0
+    assert chance(parent, seen, 22) < 0.01
+    # t² = (2² - 1) · 7 with 7 degrees of freedom: p = 0.00254, halved for want of a second sign
+    assert chance(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
+
+
+def test_a_child_is_never_worse_than_its_parent():
+    prepared = prepare(dataset(), None, few())
+    for name in few():
+        found = try_effect(prepared.problem, prepared.present, name).fit
+        assert found.objective < prepared.present.objective + 1.0
+
+
+def test_held_out_prediction_needs_a_second_command():
+    data = dataset()
+    one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
+    prepared = prepare(one, None, few())
+    assert held_out(prepared.problem, prepared.present).error == float("inf")
+
+
+def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
+    one_sided = {
+        "tissue_elasticity",
+        "tissue_viscoelasticity",
+        "viscous_slip",
+        "chuck_backlash",
+        "tip_friction",
+    }
+    for name in one_sided:
+        strength = coordinates(EVERY, [name], dataset().layout)[0]
+        assert strength.one_sided
+        assert strength.bounds[1] > 10
+    assert not coordinates(EVERY, ["torque_bias"], dataset().layout)[0].one_sided
+
+
+@pytest.mark.parametrize("name", ["tip_friction", "guide_friction", "platform_friction"])
+def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
+    """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
+    quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
+    prepared = prepare(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
+    found = try_effect(prepared.problem, prepared.present, name).fit
+    factors = [
+        1.0 + 0.15 * np.random.default_rng([3, i + 1]).standard_normal()
+        for i in range(len(prepared.problem.trials))
+    ]
+    own = np.exp(found.point.trial_friction)
+    assert abs(np.log(own).mean()) < 0.005
+    assert own / own.mean() == pytest.approx(np.array(factors) / np.mean(factors), rel=0.01)
+    assert found.chi2 < 1.1 * prepared.problem.size
+
+
+@pytest.mark.parametrize(
+    ("names", "lumped"),
+    [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
+)
+def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
+    problem = prepare(dataset(), None, few(*names) if names else few()).problem
+    assert problem.lumps_friction(problem.axes(names)) is lumped
+
+
+def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
+    data = dataset(effect("tip_friction", torque_nmm=0.03))
+    prepared = prepare(data, None, few("tip_friction"))
+    problem = prepared.problem
+    found = try_effect(problem, prepared.present, "tip_friction").fit
+    every = list(range(len(problem.trials)))
+    moved = dataclasses.replace(found.point, trial_friction=found.point.trial_friction + STEP)
+    readings = [
+        problem.readings([problem.model(found.axes, p, t) for t in every], every)
+        for p in (found.point, moved)
+    ]
+    for t in every:
+        change = problem.whiteners[t](readings[1][t] - readings[0][t]) / STEP
+        assert found.jacobians[t][:, -1] == pytest.approx(change, rel=1e-6, abs=1e-6)
+    shared = np.concatenate([j[:, 0] for j in found.jacobians])
+    own = np.concatenate([j[:, -1] for j in found.jacobians])
+    assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
+
+
+def test_commands_left_out_are_foretold_at_their_own_friction():
+    """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
+    data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
+    prepared = prepare(data, None, few("tip_friction"))
+    found = try_effect(prepared.problem, prepared.present, "tip_friction")
+    assert np.abs(found.fit.point.trial_friction).max() > 0.1
+    assert found.held.error < 1.1
+
+
+def left_out_and_fitted_again(problem, found):
+    """The error by the long way: a fit to the other commands, then the own friction at its minimum of χ²."""
+    chi2 = 0.0
+    for group in problem.groups:
+        kept = [t for t in range(len(problem.trials)) if t not in group]
+        rest = dataclasses.replace(
+            problem,
+            trials=tuple(problem.trials[t] for t in kept),
+            whiteners=tuple(problem.whiteners[t] for t in kept),
+            nuisance=tuple(problem.nuisance[t] for t in kept),
+            _cache=OrderedDict(),
+        )
+        own = found.point.trial_friction[kept]
+        again = fit(rest, found.effects, dataclasses.replace(found.point, trial_friction=own))
+        model = problem.model(again.axes, again.point)
+        for t in group:
+
+            def of(own, model=model, again=again, t=t):
+                with_own = model.with_effects(FrictionOfTrial(math.exp(own)))
+                rows = problem.residuals(problem.readings([with_own], [t]), [t])[0]
+                rows = rows - problem.nuisance[t] @ again.nuisance
+                return rows @ rows + (own / found.scatter) ** 2
+
+            near = found.point.trial_friction[t]
+            grid = np.linspace(near - 0.1, near + 0.1, 41)
+            least = grid[np.argmin([of(own) for own in grid])]
+            around = (least - 0.005, least + 0.005)
+            chi2 += minimize_scalar(of, bounds=around, method="bounded").fun
+    return math.sqrt(chi2 / problem.size)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "scatter", "seed"),
+    [
+        (effect("torque_bias", bias_nmm=0.012), 0.1, 8),
+        (effect("friction_wear", loss_per_turn=0.3), 0.05, 9),
+        (effect("chuck_backlash", play_deg=3.0), 0.05, 10),
+    ],
+)
+def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, seed):
+    data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
+    prepared = prepare(data, None, few(hidden.name()))
+    found = try_effect(prepared.problem, prepared.present, hidden.name())
+    exact = left_out_and_fitted_again(prepared.problem, found.fit)
+    assert exact == pytest.approx(1.0, abs=0.06)
+    assert found.held.error == pytest.approx(exact, rel=0.01)
+
+
+def test_leaving_a_command_out_may_take_several_steps():
+    """From a place where the other commands would not leave the parameters, one linear step is not enough."""
+    data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
+    prepared = prepare(data, None, few())
+    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, "tissue_elasticity").fit
+    away = dataclasses.replace(found.point, positions=0.6 * found.point.positions)
+    there = fit(problem, found.effects, away, iterations=0)
+    assert np.sqrt(there.chi2 / problem.size) > 3.0
+    near = dataclasses.replace(there, objective=found.objective, scatter=found.scatter)
+    assert held_out(problem, near).error == pytest.approx(held_out(problem, found).error, rel=0.02)
+
+
+def test_the_predictive_density_is_that_of_a_linear_model():
+    """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
+    data = dataset(effect("torque_bias", bias_nmm=0.012), noise=Noise(friction_scatter=0.01))
+    prepared = prepare(data, None, few("torque_bias"))
+    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, "torque_bias").fit
+    trials, s = len(problem.trials), 3 + found.nuisance.size
+    design = []
+    for t in range(trials):
+        own = np.zeros((found.jacobians[t].shape[0], trials))
+        own[:, t] = found.jacobians[t][:, -1]
+        design.append(np.hstack([found.jacobians[t][:, :3], problem.nuisance[t], own]))
+    point = found.point
+    away = np.zeros(s + trials)
+    away[1] = found.pull_rigidity * problem.rigidity_prior
+    away[2:] = np.r_[point.positions, found.nuisance, point.trial_friction]
+    tight = np.r_[0.0, problem.rigidity_prior**-2, found.axes[0].width ** -2.0, np.ones(s - 3)]
+    prior = np.diag(np.r_[tight, np.full(trials, found.scatter**-2)])
+    loss = 0.0
+    for group in problem.groups:
+        kept = [t for t in range(trials) if t not in group]
+        inverse = np.linalg.inv(prior + sum(design[t].T @ design[t] for t in kept))
+        push = sum(design[t].T @ found.residuals[t] for t in kept) - prior @ away
+        left_out = np.vstack([design[t] for t in group])
+        rows = np.concatenate([found.residuals[t] for t in group]) - left_out @ inverse @ push
+        spread = np.eye(rows.size) + left_out @ inverse @ left_out.T
+        loss += rows @ np.linalg.solve(spread, rows) + np.linalg.slogdet(spread)[1]
+    assert held_out(problem, found).loss == pytest.approx(loss, abs=1.0)
+
+
+def test_wear_that_one_command_shows_foretells_better_than_scatter():
+    data = dataset(effect("friction_wear", loss_per_turn=0.5))
+    prepared = prepare(data, None, few("friction_wear"))
+    found = try_effect(prepared.problem, prepared.present, "friction_wear")
+    assert found.fit.scatter < 0.5 * prepared.present.scatter
+    assert held_gain(prepared.held, found.held) > 5.0
+
+
+def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
+    """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
+    noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
+    data = dataset(effect("friction_wear", loss_per_turn=0.06), noise=noise, seed=3)
+    prepared = prepare(data, None, few("friction_wear"))
+    found = try_effect(prepared.problem, prepared.present, "friction_wear").fit
+    assert prepared.present.objective - found.objective > 9.0
+    assert found.point.positions[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
+    data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
+    prepared = prepare(data, None, few("tip_friction"))
+    found = try_effect(prepared.problem, prepared.present, "tip_friction").fit
+    mean = found.scatter / np.sqrt(len(prepared.problem.trials))
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(mean, rel=0.3)
+    assert found.position_error[0] / found.point.positions[0] == pytest.approx(mean, rel=0.3)
+    assert abs(found.axes[0].value(found.point.positions[0]) - 0.035) < 0.035 * 3 * mean
+
+
+def test_factors_of_sections_count_against_their_mean():
+    """What all sections share is friction, to the last digit: only their ratios can be known, and are."""
+    given = np.array([1.6, 0.8, 1.2, 1.2])
+    prepared = prepare(
+        dataset(effect("layered_friction", factor=tuple(given))), None, few("layered_friction")
+    )
+    found = try_effect(prepared.problem, prepared.present, "layered_friction").fit
+    assert found is not None
+    factors = np.array([a.value(float(x)) for a, x in zip(found.axes, found.point.positions, strict=True)])
+    assert factors.mean() == pytest.approx(1.0, abs=1e-6)
+    assert factors == pytest.approx(given / given.mean(), abs=0.02)
+    errors = 0.5 * found.position_error
+    assert np.all(errors < 0.02)
+    assert np.all(np.abs(factors - given / given.mean()) < 4 * errors)
+    assert held_out(prepared.problem, found).error < 1.1
+
+
+def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(monkeypatch):
+    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    start = dataclasses.replace(
+        prepared.present.point, positions=np.zeros(len(EVERY["stribeck"].parameters()))
+    )
+    found = fit(prepared.problem, ["stribeck"], start)
+    assert found is not None
+
+    def moved(by, worse):
+        positions = found.point.positions.copy()
+        positions[0] += by
+        point = dataclasses.replace(found.point, positions=positions)
+        return dataclasses.replace(found, point=point, objective=found.objective + worse)
+
+    others = [moved(0.5, 0.0), moved(0.5, 0.9), moved(-0.7, 40.0)]
+    monkeypatch.setattr(minima_module, "_from_other_shapes", lambda *_: others)
+    spread = over_shapes(prepared.problem, found).position_error
+    assert spread[0] == pytest.approx(np.hypot(found.position_error[0], 0.5 / np.sqrt(2)), rel=0.02)
+    assert spread[1:] == pytest.approx(found.position_error[1:], rel=1e-6)
+
+
+def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest():
+    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    start = dataclasses.replace(prepared.present.point, positions=np.array([0.9, -0.6, 0.0]))
+    stuck = fit(prepared.problem, ["stribeck"], start)
+    assert stuck is not None
+    found = over_shapes(prepared.problem, stuck)
+    assert found.objective < stuck.objective - 10.0
+    assert found.axes[0].value(float(found.point.positions[0])) == pytest.approx(0.3, abs=0.01)

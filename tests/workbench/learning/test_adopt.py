@@ -1,0 +1,111 @@
+import dataclasses
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from needle_rig.cli import adopt as adopt_cli
+from needle_rig.cli.compare import command as compare_command
+from needle_rig.cli.history import command as history_command
+from needle_rig.dataset import in_series, write_dataset
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.model import load_model
+from needle_rig.workbench.estimation import discretisation_error as own_error_module
+from needle_rig.workbench.estimation.discretisation_error import solver_error
+from needle_rig.workbench.learning.adopt import IN_NOISE_UNITS, Refused, adopt, undo
+from needle_rig.workbench.learning.history import ladder
+from tests.workbench.hidden import dataset, effect, few
+
+TWO = (
+    effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45),
+    effect("torque_bias", bias_nmm=0.02),
+)
+
+
+def test_the_error_falls_step_by_step_and_steps_can_be_taken_back():
+    data = dataset(*TWO)
+    one = adopt(data, "tissue_elasticity", few(), today="2026-01-01", name="mine")
+    two = adopt(data, "torque_bias", few(), one, today="2026-01-02")
+    steps = ladder(two)
+    assert [s.label for s in steps] == ["null", "+ tissue_elasticity", "+ torque_bias"]
+    held = [s.held_out for s in steps]
+    assert held[0] > held[1] > held[2]
+    assert held[2] < 1.1
+    last = steps[-1].channels["hall_4_deg"]
+    assert last.held_out_after < 1.5 * last.floor
+    values = two.model.values()
+    for name, truth in (
+        ("tissue_elasticity.stiffness_nmm_per_rad_per_100mm", 0.45),
+        ("torque_bias.bias_nmm", 0.02),
+    ):
+        assert values[name] == pytest.approx(truth, abs=4 * two.uncertainties[name])
+    back = undo(two)
+    assert back.model.values() == pytest.approx(one.model.values(), rel=0.02)
+    assert [e.name() for e in undo(back).model.effects] == []
+    with pytest.raises(BadInput, match="no step"):
+        undo(undo(back))
+
+
+def test_an_effect_that_foretells_nothing_is_refused():
+    data = dataset(seed=5)
+    with pytest.raises(Refused, match="--force"):
+        adopt(data, "torque_bias", few())
+    forced = adopt(data, "torque_bias", few(), force=True)
+    assert "force" in forced.history[-1].note
+
+
+def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeypatch):
+    solved = []
+
+    def once(*given):
+        if solved:
+            raise SolverError("no balance")
+        solved.append(solver_error(*given))
+        return solved[0]
+
+    monkeypatch.setattr(own_error_module, "solver_error", once)
+    one = adopt(dataset(*TWO[:1]), "tissue_elasticity", few("tissue_elasticity"))
+    stiffness = one.model.values()["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
+    assert stiffness == pytest.approx(0.45, abs=0.01)
+    assert one.history[0].errors[IN_NOISE_UNITS].held_out_after < 1.1
+
+
+def test_unknown_and_double_effects_are_refused():
+    data = dataset(*TWO)
+    with pytest.raises(BadInput, match="no such effect"):
+        adopt(data, "glue", few())
+    one = adopt(data, "tissue_elasticity", few())
+    with pytest.raises(BadInput, match="already"):
+        adopt(data, "tissue_elasticity", few(), one)
+
+
+def test_one_command_alone_is_fitted_and_said_to_prove_nothing(tmp_path):
+    data = dataset(*TWO)
+    one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
+    folder = write_dataset(one, tmp_path / "data")
+    model = tmp_path / "mine.yaml"
+    made = CliRunner().invoke(adopt_cli.command, [str(folder), "tissue_elasticity", "--out", str(model)])
+    assert made.exit_code == 0, made.output
+    assert "left out — → — × the noise" in made.stdout
+    assert "all trials are of one command" in made.stdout
+    shown = CliRunner().invoke(compare_command, [str(folder)])
+    assert "error on commands left out — × the noise" in " ".join(shown.stdout.split())
+
+
+def test_the_commands_write_show_and_undo(tmp_path, monkeypatch):
+    folder = write_dataset(dataset(*TWO), tmp_path / "data")
+    model = tmp_path / "mine.yaml"
+    run = CliRunner().invoke
+    made = run(adopt_cli.command, [str(folder), "tissue_elasticity", "--out", str(model), "--json"])
+    assert made.exit_code == 0, made.output
+    told = json.loads(made.stdout)
+    assert told["held_out_error"] < told["held_out_error_before"]
+    assert load_model(model).history[0].added == ("tissue_elasticity",)
+    shown = run(history_command, [str(model), "--png", str(tmp_path / "ladder.png")])
+    assert "+ tissue_elasticity" in shown.stdout
+    assert (tmp_path / "ladder.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads(run(history_command, [str(model), "--json"]).stdout)["steps"]
+    assert len(rows) == 2
+    back = run(adopt_cli.command, ["--undo", "--model", str(model), "--out", str(model)])
+    assert back.exit_code == 0, back.output
+    assert load_model(model).model.effects == ()

@@ -1,0 +1,90 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from needle_rig.units import nm, rad
+from needle_rig.workbench.observations.binning import bin_trial, set_aside
+from needle_rig.workbench.observations.noise import covariance, measure_noise, replicate_groups, whitener
+from tests.workbench.hidden import dataset
+
+
+def measured(data):
+    binned = tuple(bin_trial(t) for t in data.trials)
+    return measure_noise(data.trials, binned), binned
+
+
+def test_white_noise_is_what_was_put_in():
+    noise, _ = measured(dataset())
+    assert noise.white[0] == pytest.approx(nm(0.0008), rel=0.06)
+    assert noise.white[1:] == pytest.approx(rad(0.25), rel=0.06)
+    assert not noise.correlated.any()
+    assert noise.replicates == 2
+
+
+def test_correlated_noise_is_seen_as_correlated():
+    data = dataset()
+    random = np.random.default_rng(3)
+    trials = []
+    for given in data.trials:
+        step = np.median(np.diff(given.trial.time_s))
+        keep = np.exp(-step / 0.2)
+        slow = np.zeros(given.hall_rad.shape)
+        for i in range(1, len(slow)):
+            slow[i] = keep * slow[i - 1] + np.sqrt(1 - keep**2) * rad(0.4) * random.standard_normal(
+                slow.shape[1]
+            )
+        trials.append(dataclasses.replace(given, hall_rad=given.hall_rad + slow))
+    noise, _ = measured(dataclasses.replace(data, trials=tuple(trials)))
+    assert noise.correlated[1:] == pytest.approx(rad(0.4), rel=0.3)
+    assert noise.correlation_s[1:] == pytest.approx(0.2, abs=0.21)
+    assert noise.correlated[0] == 0.0
+
+
+def test_offsets_from_trial_to_trial_are_seen_at_rest():
+    data = dataset()
+    shifts = rad(np.array([1.0, -1.0, 0.5, 1.5, -2.0]))
+    trials = tuple(
+        dataclasses.replace(t, hall_rad=t.hall_rad + shift)
+        for t, shift in zip(data.trials, shifts, strict=True)
+    )
+    noise, _ = measured(dataclasses.replace(data, trials=trials))
+    assert np.all(noise.offset[1:] > rad(0.5))
+    assert np.all(noise.offset[1:] < rad(3.0))
+
+
+def test_outliers_and_holes_do_not_move_bin_means():
+    data = dataset()
+    clean = bin_trial(data.trials[0])
+    hall = data.trials[0].hall_rad.copy()
+    hall[::37, 0] += rad(40.0)
+    hall[10:14, 1] = np.nan
+    spoiled = bin_trial(dataclasses.replace(data.trials[0], hall_rad=hall))
+    assert spoiled.outliers[1] >= 20
+    assert spoiled.missing[2] == 4
+    assert np.nanmax(np.abs(spoiled.mean[1] - clean.mean[1])) < rad(0.25)
+
+
+def test_a_slow_ramp_has_no_outliers():
+    random = np.random.default_rng(0)
+    values = np.linspace(0, 90, 2000) + 0.25 * random.standard_normal(2000)
+    _, _, outlier = set_aside(values)
+    assert outlier.sum() <= 2
+
+
+def test_whitened_noise_is_white():
+    noise, binned = measured(dataset())
+    use, matrix = covariance(noise, binned[0], 2)
+    lower = np.linalg.cholesky(matrix)
+    random = np.random.default_rng(1)
+    draws = np.zeros((binned[0].mean.shape[0], binned[0].mean.shape[1], 400))
+    draws[2][use] = lower @ random.standard_normal((use.size, 400))
+    whiten = whitener(noise, binned[0])
+    white = whiten(draws)[whiten.channel == 2]
+    assert np.allclose(np.cov(white), np.eye(use.size), atol=0.35)
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
+
+
+def test_replicates_are_trials_of_one_command():
+    data = dataset()
+    assert replicate_groups([t.command for t in data.trials]) == [[0, 1, 4], [2], [3]]

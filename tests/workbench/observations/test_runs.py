@@ -1,0 +1,82 @@
+"""Run files of the daemon as data for the workbench: whole, cut off, with gaps, truncated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needle_rig.dataset import write_dataset
+from needle_rig.errors import BadInput
+from needle_rig.recording import RunFile, RunWriter, run_tables
+from needle_rig.workbench.observations.sources import read_measurements
+
+
+def rewritten(tmp_path, run_path, change):
+    """A copy of the run with its ticks changed."""
+    whole = RunFile(run_path)
+    ticks = whole.table("ticks")
+    change(ticks)
+    path = tmp_path / "changed.h5"
+    names = ("config", "strategy", "target_deg", "started_utc")
+    with RunWriter(path, {n: whole.attributes[n] for n in names}, run_tables(sensors=4)) as writer:
+        writer.append("ticks", ticks)
+    return path
+
+
+def test_runs_and_folders_of_one_rig_are_one_series(tmp_path, run_path):
+    alone = read_measurements([run_path])
+    assert len(alone.trials) == 1
+    assert alone.trials[0].torque_ok.all()
+    folder = write_dataset(alone, tmp_path / "folder")
+    both = read_measurements([run_path, folder])
+    assert len(both.trials) == 2
+    assert len(both.replicates) == 1
+    with pytest.raises(BadInput, match="no data was named"):
+        read_measurements([])
+
+
+def test_commands_take_runs_and_names_of_datasets(tmp_path, run_path):
+    from needle_rig.cli._workbench import read_data, read_settled_values
+
+    assert len(read_data((run_path,)).trials) == 1
+    assert read_settled_values((run_path,)) is None
+    assert read_settled_values((Path("reed2008"),)).name == "reed2008"
+    with pytest.raises(BadInput, match="holds settled values; give it alone"):
+        read_settled_values((run_path, Path("reed2008")))
+    with pytest.raises(BadInput, match="there is no such folder"):
+        read_data((Path("nowhere"),))
+
+
+def test_gaps_of_a_run_are_masked_and_said(tmp_path, run_path):
+    def spoil(ticks):
+        ticks["torque_nm"][300:340] = np.nan
+        ticks["hall_rad"][:, 2] = np.nan
+
+    dataset = read_measurements([rewritten(tmp_path, run_path, spoil)])
+    trial = dataset.trials[0]
+    assert (~trial.torque_ok).sum() == 40
+    assert not trial.hall_ok[:, 2].any()
+    assert any("base_torque is missing in 40 samples" in note for note in dataset.notes)
+    assert any("hall_3 is missing in every sample" in note for note in dataset.notes)
+
+
+def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path, run_path):
+    whole = read_measurements([run_path]).trials[0].hall_rad[:, 3]
+
+    def wrap(ticks):
+        ticks["hall_rad"][:, 3] = (ticks["hall_rad"][:, 3] + 5.9) % (2 * np.pi) - 5.9
+
+    dataset = read_measurements([rewritten(tmp_path, run_path, wrap)])
+    np.testing.assert_allclose(dataset.trials[0].hall_rad[:, 3], whole, atol=1e-6)
+    assert any("hall_4 wraps" in note for note in dataset.notes)
+
+
+@pytest.mark.parametrize("kept", [0.02, 0.3, 0.6, 0.97])
+def test_a_run_file_that_lost_its_end_is_refused(tmp_path, run_path, kept):
+    cut = tmp_path / "cut.h5"
+    content = run_path.read_bytes()
+    cut.write_bytes(content[: int(len(content) * kept)])
+    with pytest.raises(BadInput, match=r"cut\.h5: lost its end on the way: it has \d+ of \d+ bytes"):
+        read_measurements([cut])

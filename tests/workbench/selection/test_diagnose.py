@@ -1,0 +1,295 @@
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needle_rig.dataset import in_series, read_dataset, write_dataset
+from needle_rig.units import nm
+from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.parallel import Here, workers
+from needle_rig.workbench.selection import diagnose as diagnose_module
+from needle_rig.workbench.selection import search
+from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.search import try_effect
+from tests.workbench.hidden import dataset, effect, few
+
+ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
+
+
+def test_nothing_hidden_is_none():
+    found = diagnose(dataset(seed=5), few())
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert {d.decision for d in found.decisions.values()} <= {"absent", "cannot_tell", "negligible"}
+    assert found.next_experiment is None
+
+
+def test_one_hidden_effect_is_named_with_its_size():
+    found = diagnose(dataset(ELASTIC), few())
+    assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
+    value = found.ranking[0].values[0]
+    assert value.low <= 0.45 <= value.high
+    assert value.plausible
+    assert found.held_out_error_before > 10
+    assert found.held_out_error_after < 1.1 * found.noise_floor
+    assert found.explained_fraction > 0.99
+    assert found.decisions["tissue_elasticity"].decision == "present"
+
+
+def test_two_hidden_effects_are_both_named():
+    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
+    found = diagnose(data, few())
+    assert set(found.effects) == {"torque_bias", "tip_friction"}
+
+
+def test_an_effect_in_no_library_is_unknown_and_described():
+    found = diagnose(dataset(ELASTIC), few("torque_bias", "hall_offset", "clock_offset"))
+    assert found.verdict == "unknown"
+    assert found.effects == ()
+    assert found.left_over.patterns
+    assert "%" in found.left_over.patterns[0].sentence()
+    assert found.as_json()["left_over"]["explained"] is False
+
+
+def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
+    creeping = effect(
+        "tissue_viscoelasticity",
+        relaxed_stiffness_nmm_per_rad_per_100mm=0.35,
+        relaxing_stiffness_nmm_per_rad_per_100mm=0.05,
+        relaxation_time_s=2.0,
+    )
+    found = diagnose(dataset(creeping), few("tissue_elasticity", "torque_bias", "hall_offset"))
+    assert found.explained_fraction > 0.99
+    assert found.verdict == "unknown"
+    assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
+    assert "time since a stop" in found.left_over.patterns[0].sentence()
+
+
+def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(search, "refit", lambda *_: (None, None))
+    found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
+    assert found.verdict == "none"
+    assert found.decisions["torque_bias"].decision == "negligible"
+
+
+def test_an_effect_too_small_to_matter_is_negligible():
+    found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
+    assert found.verdict == "none"
+    assert found.decisions["torque_bias"].decision == "negligible"
+
+
+def test_a_torque_gain_is_known_by_the_needle_s_stated_constants():
+    found = diagnose(
+        dataset(effect("torque_gain", gain=0.7)), few("torque_gain", "torque_bias", "tip_friction")
+    )
+    assert found.effects == ("torque_gain",)
+    assert found.ranking[0].values[0].value == pytest.approx(0.7, abs=0.06)
+
+
+def test_friction_that_wears_is_not_taken_for_scatter():
+    found = diagnose(
+        dataset(effect("friction_wear", loss_per_turn=0.5)),
+        few("friction_wear", "torque_bias", "tip_friction"),
+    )
+    assert found.effects == ("friction_wear",)
+    assert found.ranking[0].values[0].value == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "law"),
+    [
+        (effect("torque_gain", gain=0.7), "the needle is softer in torsion than stated"),
+        (effect("friction_wear", loss_per_turn=0.5), "the trials' friction changes with"),
+    ],
+)
+def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden, law):
+    found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
+    assert (found.verdict, found.effects) == ("unknown", ())
+    assert law in found.left_over.patterns[0].sentence()
+    assert not found.left_over.patterns[1:]
+
+
+def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
+    monkeypatch.setattr(diagnose_module, "MOST_AT_ANY_VALUE", 0)
+    found = diagnose(dataset(effect("chuck_backlash", play_deg=14.0)), few("chuck_backlash", "torque_bias"))
+    assert (found.verdict, found.effects) == ("unknown", ())
+    assert "chuck_backlash play_deg = 14 °" in found.notes[-1]
+    assert found.left_over.patterns
+
+
+def test_the_answer_does_not_depend_on_names_and_order(tmp_path):
+    data = dataset(ELASTIC)
+    shuffled = tuple(data.trials[i] for i in (3, 0, 4, 2, 1))
+    renamed = tuple(dataclasses.replace(t, file=f"other/{i}.csv") for i, t in enumerate(shuffled))
+    other = dataclasses.replace(data, name="another", trials=in_series(renamed))
+    one, two = diagnose(data, few()).as_json(), diagnose(other, few()).as_json()
+    one.pop("dataset"), two.pop("dataset")
+    assert one == two
+
+
+TWO = ("chuck_backlash", "torque_bias")
+
+
+@pytest.fixture(scope="module")
+def answer_here():
+    return diagnose(dataset(effect("chuck_backlash", play_deg=5.0)), few(*TWO)).as_json()
+
+
+def test_processes_give_the_same_answer(answer_here):
+    data = dataset(effect("chuck_backlash", play_deg=5.0))
+    assert diagnose(data, few(*TWO), work=workers(2, None)).as_json() == answer_here
+
+
+def test_a_dask_cluster_gives_the_same_answer(answer_here):
+    distributed = pytest.importorskip("distributed")
+    data = dataset(effect("chuck_backlash", play_deg=5.0))
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        there = diagnose(data, few(*TWO), work=workers(None, cluster.scheduler_address)).as_json()
+    assert there == answer_here
+
+
+def test_without_replicates_the_answer_says_so():
+    data = dataset(ELASTIC)
+    one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 2, 3))))
+    found = diagnose(one, few("tissue_elasticity", "torque_bias"))
+    assert found.effects == ("tissue_elasticity",)
+    assert any("repeat one command" in n for n in found.notes)
+
+
+def test_outliers_are_not_physics():
+    data = dataset(seed=7)
+    random = np.random.default_rng(2)
+    trials = []
+    for given in data.trials:
+        torque = given.torque_nm.copy()
+        hit = random.random(torque.size) < 0.02
+        torque[hit] += nm(0.05) * random.standard_normal(hit.sum())
+        trials.append(dataclasses.replace(given, torque_nm=torque))
+    found = diagnose(dataclasses.replace(data, trials=tuple(trials)), few())
+    assert found.verdict == "none"
+    assert any("outliers" in n for n in found.notes)
+
+
+def test_the_command_prints_the_stated_json(tmp_path, monkeypatch):
+    from click.testing import CliRunner
+
+    from needle_rig.cli.diagnose import command
+
+    folder = write_dataset(dataset(effect("torque_bias", bias_nmm=0.02)), tmp_path / "data")
+    monkeypatch.setattr("needle_rig.cli.diagnose.library", lambda _: few("torque_bias", "chuck_backlash"))
+    result = CliRunner().invoke(command, [str(folder), "--json", "--jobs", "1"])
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["verdict"] == "effect"
+    assert answer["effects"] == ["torque_bias"]
+    assert set(answer["ranking"][0]["parameters"]["bias_nmm"]) == {"value", "unit", "low", "high"}
+    assert set(answer) >= {
+        "noise_floor",
+        "held_out_error_before",
+        "held_out_error_after",
+        "explained_fraction",
+        "decisions",
+        "left_over",
+        "next_experiment",
+    }
+    plain = CliRunner().invoke(command, [str(folder), "--jobs", "1"])
+    assert "torque_bias missing" in plain.stdout
+
+
+def test_a_single_command_is_ranked_and_said_to_be_weak():
+    data = dataset(effect("torque_bias", bias_nmm=0.02))
+    one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
+    found = diagnose(one, few("torque_bias", "tip_friction"))
+    assert found.effects == ("torque_bias",)
+    assert found.as_json()["held_out_error_after"] is None
+    assert any("one command" in n for n in found.notes)
+
+
+def test_a_dead_sensor_does_not_stop_the_diagnosis():
+    data = dataset(effect("torque_bias", bias_nmm=0.02))
+    trials = []
+    for given in data.trials:
+        hall = given.hall_rad.copy()
+        hall[:, 2] = np.nan
+        trials.append(dataclasses.replace(given, hall_rad=hall))
+    found = diagnose(dataclasses.replace(data, trials=tuple(trials)), few("torque_bias", "tip_friction"))
+    assert found.effects == ("torque_bias",)
+
+
+def test_two_names_for_one_law_are_a_tie(tmp_path):
+    import needle_rig.physics.effects.torque_bias as built_in
+    from needle_rig.physics.library import find_effects
+
+    source = Path(built_in.__file__).read_text()
+    (tmp_path / "cell_zero.py").write_text(source.replace("class TorqueBias", "class CellZero"))
+    every = find_effects([tmp_path])
+    library = {n: every[n] for n in ("torque_bias", "cell_zero", "chuck_backlash")}
+    found = diagnose(dataset(effect("torque_bias", bias_nmm=0.02)), library)
+    assert found.verdict == "effect"
+    assert {found.effects[0], *found.ranking[0].indistinguishable_from} == {"torque_bias", "cell_zero"}
+    assert found.ranking[0].separation_sigma < 1
+    assert "fits as well" in found.ranking[0].against
+
+
+def test_a_tie_comes_with_the_trial_that_breaks_it():
+    data = dataset(effect("guide_friction", torque_nmm=0.004))
+    found = diagnose(data, few("guide_friction", "chuck_backlash", "tip_friction"))
+    assert "guide_friction" in {*found.effects, *found.ranking[0].indistinguishable_from}
+    if found.ranking[0].indistinguishable_from:
+        assert found.next_experiment["separation_sigma"] > 1
+
+
+def test_what_was_not_refitted_is_said():
+    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
+    found = diagnose(data, few())
+    search = found.search
+    on_top = search.children[search.best]
+    assert on_top
+    assert all(c.fit is not None for c in on_top)
+    for name in found.effects:
+        rest = frozenset(search.best - {name})
+        left_out = [
+            c for c in search.children[rest] if c.fit is None and rest | {c.effect} not in search.fits
+        ]
+        left_out = [c for c in left_out if c.effect not in search.best]
+        said = [n for n in found.notes if n.startswith(f"In the place of {name}, {len(left_out)} effects")]
+        assert len(said) == bool(left_out)
+
+
+def test_the_seed_and_the_folder_change_no_verdict(tmp_path):
+    data = dataset(effect("torque_bias", bias_nmm=0.02))
+    names = few("torque_bias", "tip_friction")
+    answers = []
+    for folder, seed in (("one", 0), ("zwei", 7)):
+        read = read_dataset(write_dataset(data, tmp_path / folder))
+        answers.append(diagnose(dataclasses.replace(read, name="x"), names, seed=seed).as_json())
+    assert answers[0] == answers[1]
+
+
+def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
+    prepared = prepare(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
+    problem, names = prepared.problem, ("tissue_elasticity", "torque_bias")
+    good = try_effect(problem, prepared.present, "tissue_elasticity")
+    worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
+    idle = dataclasses.replace(good.fit.point, positions=np.r_[good.fit.point.positions, 0.0])
+    hunt = search.Search(problem, names, Here(), 3, prepared.present, prepared.held)
+    hunt.keep(worse, good.held)
+    both = frozenset(names)
+    hunt.keep(*search.refit(problem, names, idle))
+    hunt._take_over(both, "torque_bias")
+    assert both not in hunt.fits
+    assert hunt.fits[frozenset(names[:1])][0].objective == pytest.approx(good.fit.objective, abs=0.1)
+
+
+def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all():
+    """Friction of the guide, not in the library: two others take 99 % of it and leave the torque."""
+    found = diagnose(
+        dataset(effect("guide_friction", torque_nmm=0.02)),
+        few("layered_friction", "insertion_depth"),
+    )
+    assert found.explained_fraction > 0.97
+    assert found.search.fits[found.search.best][1].error < 1.1
+    assert found.verdict == "unknown"
+    assert not found.effects

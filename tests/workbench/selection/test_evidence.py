@@ -1,0 +1,34 @@
+import dataclasses
+
+import pytest
+
+from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.selection.evidence import MOST_LOST, foretells
+from tests.workbench.hidden import dataset, few
+
+
+@pytest.mark.parametrize(
+    ("loss", "error", "relieved_sigmas", "speaks_for"),
+    [
+        (99.0, 1.20, 0.0, True),
+        (101.0, 1.20, 0.0, False),
+        (101.0, 1.20, 2.9, False),
+        (101.0, 1.20, 3.1, True),
+        (101.0, 1.20 * MOST_LOST * 1.001, 3.1, False),
+    ],
+)
+def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_them(
+    loss, error, relieved_sigmas, speaks_for
+):
+    child = prepare(dataset(seed=21), None, few()).present
+    child = dataclasses.replace(child, pull_rigidity=0.0)
+    parent = dataclasses.replace(child, pull_rigidity=relieved_sigmas)
+    assert foretells(parent, HeldOut(1.20, 100.0, ()), child, HeldOut(error, loss, ())) is speaks_for
+
+
+def test_nothing_is_foretold_where_nothing_was_left_out():
+    found = prepare(dataset(seed=21), None, few()).present
+    parent = dataclasses.replace(found, pull_rigidity=5.0)
+    child = dataclasses.replace(found, pull_rigidity=0.0)
+    assert not foretells(parent, None, child, HeldOut(1.0, 1.0, ()))
