@@ -21,7 +21,7 @@ class HallTurns:
         self._sensors = tuple(sensors)
         count = len(self._sensors)
         self._angle_rad = [math.nan] * count
-        self._base_rad = [math.nan] * count
+        self._from_base_rad = [math.nan] * count
         self._healthy_s = [-math.inf] * count
         self._lost = [""] * count
         self._told_rad = [math.nan] * count
@@ -66,17 +66,20 @@ class HallTurns:
             return self._lost[index]
         elif not math.isnan(last_rad) and now_s - self._healthy_s[index] > GAP_S:
             away_s = now_s - self._healthy_s[index]
-            expected = last_rad + base_rad - self._base_rad[index]
-            if math.isnan(expected):
+            if math.isnan(base_rad):
                 return f"was away for {away_s:.1f} s; its turns wait for the drive's angle"
+            expected = base_rad + self._from_base_rad[index]
             off_rad = math.remainder(angle - expected, math.tau)
-            if abs(off_rad) > SURE_RAD:
+            if not abs(off_rad) <= SURE_RAD:
+                came = f" and came back {abs(deg(off_rad)):.0f}° from where the base's motion puts it"
                 self._lost[index] = (
-                    f"was away for {away_s:.1f} s and came back {abs(deg(off_rad)):.0f}° from where the "
-                    "base's motion puts it: its turns are not known; give the base its reference anew"
+                    f"was away for {away_s:.1f} s{'' if math.isnan(off_rad) else came}: "
+                    "its turns are not known; give the base its reference anew"
                 )
                 return self._lost[index]
         self._angle_rad[index] = expected + math.remainder(angle - expected, math.tau)
-        self._base_rad[index], self._healthy_s[index] = base_rad, now_s
+        if not math.isnan(base_rad):
+            self._from_base_rad[index] = self._angle_rad[index] - base_rad
+        self._healthy_s[index] = now_s
         self._told_rad[index], self._lost[index] = math.nan, ""
         return ""

@@ -68,13 +68,20 @@ def test_a_sensor_without_a_magnet_grows_old_alone_and_is_named() -> None:
     assert device.complaint == "hall_2 sees a field of 500, healthy is 20000 to 60000"
 
 
-def hall_after_an_outage(away_s: float, base_deg: tuple[float, float], hall_deg: float) -> HallSerial:
-    """Sensors that stood at 100°, were away, and came back at `hall_deg` while the base moved."""
+def hall_after_an_outage(
+    away_s: float, base_deg: tuple[float, float], hall_deg: float, base_known_frames: int = 60
+) -> HallSerial:
+    """Sensors that stood at 100°, were away, and came back at `hall_deg` while the base moved.
+
+    The base's angle was known at the first `base_known_frames` of the 60 frames before.
+    """
     clock = Clock()
     base = [math.radians(base_deg[0])]
     port = SerialSection(port="/dev/none")
     device = HallSerial(port, ("hall_1",), now=clock, base=lambda: base[0])
     for index in range(60):
+        if index == base_known_frames:
+            base[0] = math.nan
         device.data_received(encode_hall(index, index * 1000, [math.radians(100.0)], [40_000]))
         clock.now_s += 1e-3
     clock.now_s += away_s
@@ -117,6 +124,13 @@ def test_turns_wait_for_a_base_that_is_not_known() -> None:
     device = hall_after_an_outage(0.4, (10.0, math.nan), 110.0)
     assert "its turns wait for the drive's angle" in device.complaint
     assert device.age_s(device.now_s) > 0.4  # type: ignore[attr-defined]
+
+
+def test_a_base_not_known_when_the_sensor_fell_silent_tells_the_turns_by_what_was_known_before() -> None:
+    device = hall_after_an_outage(1.0, (10.0, 210.0), 300.0, base_known_frames=59)
+    assert (math.degrees(device.angle_rad[0]), device.complaint) == (pytest.approx(300.0, abs=1e-3), "")
+    device = hall_after_an_outage(1.0, (10.0, 210.0), 300.0, base_known_frames=0)
+    assert "hall_1 was away for 1.0 s: its turns are not known; give the base its" in device.complaint
 
 
 def test_a_short_gap_needs_no_base() -> None:
