@@ -13,6 +13,7 @@ import numpy as np
 from detection import at_strength, detection_limit, smallest_strength
 from scipy.stats import f as f_distribution
 
+from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
@@ -208,8 +209,18 @@ def judge(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         return {**task, "crash": traceback.format_exc(limit=-4)}
 
 
-def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
-    """The answer to one dataset."""
+@dataclass(frozen=True)
+class Made:
+    """A dataset of the table with what is known of it."""
+
+    dataset: Dataset
+    library: dict
+    truth: dict[str, dict[str, float]]
+    limits: dict[str, tuple[float, float, float]]
+
+
+def made(task: dict, known: dict[str, tuple[float, float, float]]) -> Made | None:
+    """The dataset of a task; None when its effect does not show in the setup at any strength."""
     library = dict(find_effects())
     layout = SETUPS[task["setup"]].layout or load_parameters("rig_rigid").layout
     turn = -1.0 if task["seed"] % 2 else 1.0
@@ -219,7 +230,7 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         limits[place] = tuple(known.get(place) or limits_of(task["setup"], name, turn))
         limit, _, matters = limits[place]
         if not np.isfinite(limit):
-            return {"limits": {}, "skipped": f"{name} does not show in this setup"}
+            return None
         axes = coordinates(library, [name], layout)
         strength = task["strength"] * (limit if task["strength"] < 1 else matters)
         positions = at_strength(axes, strength, turn)
@@ -233,14 +244,23 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         dataset = spoiled(dataset, impostor, seed)
     if task["kind"] == "removed":
         library.pop(task["effects"][0])
+    return Made(dataset, library, truth, limits)
+
+
+def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
+    """The answer to one dataset."""
+    given = made(task, known)
+    if given is None:
+        return {"limits": {}, "skipped": f"{' '.join(task['effects'])} does not show in this setup"}
+    truth = given.truth
     begun, cpu = time.monotonic(), time.process_time()
-    found = diagnose(dataset, library)
+    found = diagnose(given.dataset, given.library)
     spent = {"wall_s": round(time.monotonic() - begun, 1), "cpu_s": round(time.process_time() - cpu, 1)}
     named = found.ranking[: len(found.effects)]
     values = [(v, truth[r.effect].get(v.name)) for r in named if r.effect in truth for v in r.values]
     return {
         **spent,
-        "limits": limits,
+        "limits": given.limits,
         "verdict": found.verdict,
         "named": list(found.effects),
         "ties": {r.effect: list(r.indistinguishable_from) for r in named},
