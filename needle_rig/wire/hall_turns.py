@@ -68,13 +68,14 @@ class HallTurns:
             away_s = now_s - self._healthy_s[index]
             if math.isnan(base_rad):
                 return f"was away for {away_s:.1f} s; its turns wait for the drive's angle"
-            expected = base_rad + self._from_base_rad[index]
+            from_base_rad = self._from_base_rad[index]
+            # never seen beside a base: as at the first frame
+            expected = angle if math.isnan(from_base_rad) else base_rad + from_base_rad
             off_rad = math.remainder(angle - expected, math.tau)
-            if not abs(off_rad) <= SURE_RAD:
-                came = f" and came back {abs(deg(off_rad)):.0f}° from where the base's motion puts it"
+            if abs(off_rad) > SURE_RAD:
                 self._lost[index] = (
-                    f"was away for {away_s:.1f} s{'' if math.isnan(off_rad) else came}: "
-                    "its turns are not known; give the base its reference anew"
+                    f"was away for {away_s:.1f} s and came back {abs(deg(off_rad)):.0f}° from where the "
+                    "base's motion puts it: its turns are not known; give the base its reference anew"
                 )
                 return self._lost[index]
         self._angle_rad[index] = expected + math.remainder(angle - expected, math.tau)
