@@ -7,14 +7,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
+from needle_rig.control.clearing import ClearHandshake, awake
 from needle_rig.control.compensation import ACTIVE, Event, Sequence, Think, after, think_at_once
 from needle_rig.control.faults import Fault, FaultName
-from needle_rig.control.in_si import layout_of, limits_of, supervision_of, torsional_rigidity_nm2
-from needle_rig.control.limits import find_fault, gate, heard_age_s, slow_host_fault, tick_fault
+from needle_rig.control.in_si import limits_of, supervision_of
+from needle_rig.control.limits import find_fault, gate, tick_fault
+from needle_rig.control.listening import Listening
 from needle_rig.control.manual import SEARCH_RAD_S, SETTLE_S, WINDOW_S, Turn
 from needle_rig.control.pid import PositionLoop
 from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion, Status
 from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
+from needle_rig.control.tasks import Before, Tasks
 from needle_rig.control.verdict import judge, outcome
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.records import RELEASE, STOP, Command, DriveState, Measurement, Phase, Sample
@@ -22,16 +25,6 @@ from needle_rig.units import deg, nm, rad
 
 if TYPE_CHECKING:
     from needle_rig.physics.needle_model import NeedleModel
-
-CLEAR_S = 1.0
-"""How long a clear is repeated to the drive before its faults count again."""
-CLEAR_EVERY = 4
-"""Ticks from one clear to the next: the drive takes only one that follows a command without."""
-LISTENING_PERIODS = 2.0
-"""Of one longer tick only so much counts as time in which the links were listened to; a second in a row is a
-host that is too slow."""
-SLOWEST_RAD_S = rad(0.1)
-"""At a slower speed a turn over the whole range would last longer than four hours."""
 
 
 class Brain:
@@ -52,15 +45,12 @@ class Brain:
         """
         self._think = think
         self._sequence_config = config.sequence
-        self._model = model
-        self._trust = trust or Trust()
-        self._layout = layout_of(config)
-        self._torsional_rigidity_nm2 = torsional_rigidity_nm2(config)
+        self._tasks = Tasks(config, model, trust)
         self._limits = limits_of(config)
         self._supervision = supervision_of(config)
         self._index_rad = rad(config.drive.index_deg)
-        self._listening_s = LISTENING_PERIODS / config.tick_hz
-        self._heard_age_s: tuple[float, ...] = (math.inf, math.inf, math.inf)
+        self._listening = Listening(config.tick_hz)
+        self._clearing = ClearHandshake()
         self._loop = PositionLoop(
             config.pid.kp_per_s, config.pid.ki_per_s2, config.pid.kd, self._limits.acceleration_rad_s2
         )
@@ -69,12 +59,9 @@ class Brain:
         self._request: Request | None = None
         self._outcome: Outcome | None = None
         self._fault: Fault | None = None
-        self._clear_s = 0.0
         self._released = False
         self._hold_rad: float | None = None
-        self._late_ticks = 0
         self._command = STOP
-        self._tick = 0
         self._measurement: Measurement | None = None
         self._limited = False
 
@@ -173,13 +160,12 @@ class Brain:
         self._fault = None
         self._released = False
         self._supervision.clear(self._measurement)
-        self._clear_s = CLEAR_S
+        self._clearing.ask()
 
     def step(self, measurement: Measurement, dt_s: float) -> tuple[Command, Sample]:
         """One tick, `dt_s` after the last: what the drive is told, and the row for the record."""
         self._measurement = measurement
-        self._tick += 1
-        judged = self._as_heard(measurement, dt_s)
+        judged = self._listening.judged(measurement, dt_s)
         fault = self._look(measurement, judged, dt_s)
         if fault is not None:
             self._fail(fault)
@@ -192,7 +178,7 @@ class Brain:
     def busy(self) -> bool:
         """Whether something goes on that wants ticks: a motion, a clear, a reference on its way."""
         wanted_rad = self._supervision.reference.wanted_rad
-        return self._phase in ACTIVE or self._clear_s > 0.0 or wanted_rad is not None
+        return self._phase in ACTIVE or self._clearing.asked or wanted_rad is not None
 
     @property
     def state(self) -> BrainState:
@@ -288,7 +274,7 @@ class Brain:
 
     def _start_drive(self) -> None:
         self._released = False
-        self._clear_s = CLEAR_S
+        self._clearing.ask()
         self._loop.reset()
         self._supervision.begin()
 
@@ -312,59 +298,10 @@ class Brain:
         reference.searching = True
 
     def _task(self, request: Request) -> Task:
-        limit = self._limits.angle_rad
-        if not math.isfinite(request.target_rad):
-            raise BadInput(
-                f"the target is {request.target_rad}, not an angle; give degrees, as in --target 45"
-            )
-        if abs(request.target_rad) > limit:
-            raise BadInput(
-                f"the target {deg(request.target_rad):g}° is outside ±{deg(limit):g}° (drive.angle_limit_deg)"
-            )
-        config = self._sequence_config
-        settle_s = config.settle_s if request.settle_s is None else request.settle_s
-        if not 0.1 <= settle_s <= 600.0:
-            raise BadInput(f"the settling time {settle_s} s is outside 0.1 to 600 s")
-        speed = rad(config.speed_deg_s) if request.speed_rad_s is None else request.speed_rad_s
-        if not SLOWEST_RAD_S <= speed <= self._limits.velocity_rad_s:
-            raise BadInput(
-                f"the speed {deg(speed):g}°/s is outside {deg(SLOWEST_RAD_S):g} to"
-                f" {deg(self._limits.velocity_rad_s):g}°/s (drive.velocity_limit_deg_s)"
-            )
-        before = (
-            self._sequence if self._outcome and self._outcome.status in ("aligned", "not_aligned") else None
-        )
-        lag_left = request.lag_left_rad
-        extra_before_deg = 0.0
-        if lag_left is None and before is not None:
-            lag_left = before.task.target_rad - before.history[-1].hall_rad[-1]
-            lag_left *= math.copysign(1.0, before.task.target_rad)
-            extra_before_deg = before.strategy.extra_used_deg(before.task)
-        return Task(
-            target_rad=request.target_rad,
-            layout=self._layout,
-            torsional_rigidity_nm2=self._torsional_rigidity_nm2,
-            speed_rad_s=speed,
-            settle_s=settle_s,
-            angle_limit_rad=limit,
-            velocity_limit_rad_s=self._limits.velocity_rad_s,
-            acceleration_limit_rad_s2=self._limits.acceleration_rad_s2,
-            model=self._model,
-            trust=self._trust,
-            lag_left_rad=lag_left,
-            extra_before_deg=extra_before_deg,
-        )
-
-    def _as_heard(self, measurement: Measurement, dt_s: float) -> Measurement:
-        """`measurement` with the ages that may be held against its links; see `heard_age_s`."""
-        ages_s = (measurement.torque_age_s, measurement.hall_age_s, measurement.drive_age_s)
-        torque_s, hall_s, drive_s = self._heard_age_s = tuple(
-            heard_age_s(before_s, age_s, dt_s, self._listening_s)
-            for before_s, age_s in zip(self._heard_age_s, ages_s, strict=True)
-        )
-        if self._heard_age_s == ages_s:
-            return measurement
-        return replace(measurement, torque_age_s=torque_s, hall_age_s=hall_s, drive_age_s=drive_s)
+        last, ended = self._sequence, self._outcome
+        to_its_end = ended is not None and ended.status in ("aligned", "not_aligned")
+        before = Before(last.task, last.strategy, last.history) if last and to_its_end else None
+        return self._tasks.task(request, before)
 
     def _look(self, seen: Measurement, measurement: Measurement, dt_s: float) -> Fault | None:
         """What forbids motion now, `measurement` being what was `seen` with the ages held against its links.
@@ -372,22 +309,17 @@ class Brain:
         While a clear goes out, the drive's own faults are not news.
         """
         fault = find_fault(measurement, self._limits) or tick_fault(dt_s)
-        self._late_ticks = self._late_ticks + 1 if dt_s > self._listening_s else 0
-        if fault is None and self._late_ticks > 1:
-            fault = slow_host_fault(seen, dt_s, self._limits)
+        fault = fault or self._listening.fault(seen, dt_s, self._limits)
         if fault is not None and fault.link == "drive":
             self._supervision.lost_sight()
-        awake = measurement.drive_state in (DriveState.READY, DriveState.RUNNING)
-        if self._clear_s > 0.0:
-            drive_says = measurement.drive_state is DriveState.FAULT or bool(measurement.drive_faults)
-            self._clear_s = 0.0 if awake and not drive_says else self._clear_s - dt_s
-            if fault is not None and fault.link == "drive" and drive_says:
-                return None
+        being_cleared = self._clearing.step(measurement, dt_s)
+        if fault is not None and fault.link == "drive" and being_cleared:
+            return None
         if fault is not None:
             return fault
         running = self._phase in ACTIVE and self._phase is not Phase.HOLDING
         fault = self._supervision.step(seen, self._command, dt_s, active=running)
-        if fault is None and self._clear_s <= 0.0 and self._phase in ACTIVE and not awake:
+        if fault is None and not self._clearing.asked and self._phase in ACTIVE and not awake(measurement):
             return Fault(
                 FaultName.DRIVE_RESTARTED,
                 "drive",
@@ -411,11 +343,9 @@ class Brain:
         if self._released:
             # silence in mid-motion is a fault to the drive: it is told to stop first
             return STOP if measurement.drive_state is DriveState.RUNNING else RELEASE
-        awake = measurement.drive_state in (DriveState.READY, DriveState.RUNNING)
-        passing = self._fault is not None and not self._fault.latching
-        clearing = self._clear_s > 0.0 or (passing and measurement.drive_state is DriveState.FAULT)
-        if clearing and not awake:
-            return Command(clear=self._tick % CLEAR_EVERY == 0)
+        clear = self._clearing.command(measurement, self._fault)
+        if clear is not None:
+            return clear
         if self._phase not in ACTIVE:
             return STOP
         wish = self._held(measurement, dt_s) if self._sequence is None else self._moved(measurement, dt_s)
