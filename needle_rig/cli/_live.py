@@ -7,13 +7,13 @@ import time
 from collections.abc import Sequence
 from itertools import pairwise
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.text import Text
 
-Document = dict[str, Any]
+    from needle_rig.service.documents import Document, Whole
 
 _REFRESH_S = 0.08
 _MOVING = ("rest", "moving", "settling", "measuring")
@@ -48,14 +48,14 @@ class PhaseLines:
             print(phase_line(document), file=sys.stderr, flush=True)  # noqa: T201 - the display itself
 
 
-def phase_line(document: Document) -> str:
+def phase_line(document: Whole) -> str:
     """A phase in one line: how far, which motion, what it waits for and how long."""
-    if document["phase"] not in _MOVING:
+    sensors = document["sensors"]
+    if document["phase"] not in _MOVING or sensors is None:
         return f"{document['progress']:4.0%}  {document['phase']}"
     line = (
         f"{document['progress']:4.0%}  {document['motion']:<10} {document['phase']:<10} {_waiting(document)}"
     )
-    sensors = document["sensors"]
     return f"{line}  (base {_number(sensors['base_deg'], 1)}°, {_number(sensors['torque_nmm'], 3)} N·mm)"
 
 
@@ -67,7 +67,6 @@ class LiveDisplay:
 
         self._console = console
         self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._state: Document | None = None
         self._drawn_s = 0.0
 
     def __enter__(self) -> Self:
@@ -90,7 +89,7 @@ class LiveDisplay:
         self._live.update(screen(document, self._console.width, self._console.height), refresh=True)
 
 
-def screen(state: Document, width: int, height: int) -> RenderableType:
+def screen(state: Whole, width: int, height: int) -> RenderableType:
     """The whole display for one state, for a terminal of this size in characters."""
     from rich.console import Group
     from rich.text import Text
@@ -113,7 +112,7 @@ def screen(state: Document, width: int, height: int) -> RenderableType:
     return Group(*parts)
 
 
-def _title(state: Document) -> Text:
+def _title(state: Whole) -> Text:
     from rich.text import Text
 
     rig = state["rig"]
@@ -122,7 +121,7 @@ def _title(state: Document) -> Text:
     return Text.assemble((aim, "bold"), (f"  {rig['name']}{needle}", "dim"))
 
 
-def _phase(state: Document) -> Text:
+def _phase(state: Whole) -> Text:
     from rich.text import Text
 
     colour = _COLOURS.get(state["phase"], "white")
@@ -130,14 +129,14 @@ def _phase(state: Document) -> Text:
     return Text.assemble(("● ", colour), (f"{name:<24}", f"bold {colour}"), _waiting(state))
 
 
-def _waiting(state: Document) -> str:
+def _waiting(state: Whole) -> str:
     if not state["waiting_for"]:
         return ""
     left = state["remaining_s"]
     return f"waits for {state['waiting_for']}" + ("" if left is None else f", {left:.1f} s")
 
 
-def _progress(state: Document, width: int) -> RenderableType:
+def _progress(state: Whole, width: int) -> RenderableType:
     from rich.progress_bar import ProgressBar
     from rich.table import Table
 
@@ -149,7 +148,7 @@ def _progress(state: Document, width: int) -> RenderableType:
     return grid
 
 
-def _readings(state: Document) -> RenderableType:
+def _readings(state: Whole) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
@@ -172,15 +171,17 @@ def _number(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def _shaft(state: Document, width: int, height: int) -> list[RenderableType]:
+def _shaft(state: Whole, width: int, height: int) -> list[RenderableType]:
     """The angle along the shaft as measured: base on the left, tip on the right, tissue below."""
     from rich.text import Text
 
     sensors, rig = state["sensors"], state["rig"]
-    if sensors is None or None in (sensors["base_deg"], *sensors["hall_deg"]):
+    if sensors is None:
         return []
     places = [0.0, *rig["hall_positions_mm"]]
-    angles = [sensors["base_deg"], *sensors["hall_deg"]]
+    angles = [angle for angle in (sensors["base_deg"], *sensors["hall_deg"]) if angle is not None]
+    if len(angles) < len(places):
+        return []
     target = state["target_deg"] or 0.0
     low, high = _scale([*angles, target])
     columns = max(20, width - 8)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
     from needle_rig.cli._live import View
     from needle_rig.service.client import DaemonClient
+    from needle_rig.service.documents import Document, Message, Started, Whole
 
-Document = dict[str, Any]
+End = TypeVar("End")
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -55,11 +56,11 @@ def end_as_by_ctrl_c() -> None:
 
 def follow(
     client: DaemonClient,
-    start: Callable[[], Document],
+    start: Callable[[], Started],
     shown: View,
-    over: Callable[[Document, Document], bool],
-) -> Document:
-    """Start a motion, show it until `over` says so of what the start told and a document, and return this.
+    over: Callable[[Started, Document], End | None],
+) -> End:
+    """Start a motion, show it until `over` finds its end by what the start told and a document: that end.
 
     Ctrl-C, SIGTERM or a closed terminal stops the drive at any instant: before the start was answered it
     raises Aborted, after that the motion ends in order. A second one gives up. Raises RigFault when the
@@ -71,13 +72,13 @@ def follow(
         answered()
         for document in documents:
             shown.show(document)
-            if over(told, document):
-                return document
+            if (end := over(told, document)) is not None:
+                return end
     recorded = f"; what was recorded until then is in {told['run']}" if "run" in told else ""
     raise RigFault(f"the daemon ended during the motion, and the drive stops by itself then{recorded}")
 
 
-def move(socket: Path | None, command: str, order: Document) -> Document:
+def move(socket: Path | None, command: str, order: Message) -> Whole:
     """Let the running daemon carry out a motion that is no run, and show it; raises RigFault or Aborted."""
     from needle_rig.service.client import the_daemon
 
@@ -86,13 +87,13 @@ def move(socket: Path | None, command: str, order: Document) -> Document:
     with client.lease(holder(command)):
         state = follow(client, lambda: client.command(command, order), view(), _moved)
     if state["phase"] == "fault":
-        raise RigFault(state["fault"])
+        raise RigFault(state["fault"] or "a fault")
     if state["phase"] == "aborted":
         raise Aborted("Stopped: the drive is stopped.")
     return state
 
 
-def told_base(state: Document) -> str:
+def told_base(state: Whole) -> str:
     """Where the base stands, for a person."""
     from needle_rig.cli._output import number
 
@@ -105,10 +106,13 @@ socket_option = click.option(
 )
 
 
-def _moved(told: Document, document: Document) -> bool:
+def _moved(told: Started, document: Document) -> Whole | None:
+    if document["type"] == "ended":
+        return None
     if document["type"] == "moved":
-        return bool(document["moved"] == told["motion"])
-    return document["type"] == "state" and document["motions"] >= told["motion"] and not document["moving"]
+        return document if document["moved"] == told["motion"] else None
+    over = document["type"] == "state" and document["motions"] >= told["motion"] and not document["moving"]
+    return document if over else None
 
 
 @contextmanager

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-Document = dict[str, Any]
+    from needle_rig.service.documents import Settled, Told
 
 EXIT_CODES = {"aligned": 0, "not_aligned": 0, "fault": 3, "aborted": 4}
 
 
-def settled_table(settled: list[Document]) -> Table:
+def settled_table(settled: list[Settled]) -> Table:
     """A row for each settled motion; angles in degrees, torque in N·mm."""
     from rich import box
     from rich.table import Table
@@ -43,7 +43,7 @@ def number(value: float | None, digits: int) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def tell_result(console: Console, ended: Document, figure: str | None) -> None:
+def tell_result(console: Console, ended: Told, figure: str | None) -> None:
     """Table, the paper's three conditions, the verdict and the files of a run that ended."""
     from rich.markup import escape
 

@@ -20,10 +20,10 @@ from needle_rig.errors import BadInput, NeedleRigError
 
 if TYPE_CHECKING:
     from needle_rig.service.client import DaemonClient
+    from needle_rig.service.documents import Document, Message, Started, Told
 
-Document = dict[str, Any]
 
-_RELAX: Document = {"target_deg": 0.0, "strategy": "decay"}
+_RELAX: Message = {"target_deg": 0.0, "strategy": "decay"}
 """Brings a needle that is not ours to start anew back to rest between trials."""
 
 
@@ -117,7 +117,7 @@ def command(
 
 def _orders(
     target: float | None, protocol: str | None, strategy: str, options: tuple[str, ...], *more: float | None
-) -> list[Document]:
+) -> list[Message]:
     """The requests to the daemon, one a trial."""
     if (target is None) == (protocol is None):
         raise BadInput("give either --target, as in --target 45, or --protocol")
@@ -133,8 +133,8 @@ def _orders(
         if trial.kind == "compensate" and trial.target_deg is not None:
             orders.append(_order(trial.target_deg, strategy, options, extra, *pace))
         else:
-            orders.append(_order(trial.steps_deg[-1], "protocol", (), None, *pace))
-            orders[-1]["options"] = {"steps_deg": list(trial.steps_deg)}
+            steps = {"options": {"steps_deg": list(trial.steps_deg)}}
+            orders.append({**_order(trial.steps_deg[-1], "protocol", (), None, *pace), **steps})
     return orders
 
 
@@ -145,12 +145,12 @@ def _order(
     extra: float | None,
     settle: float | None,
     speed: float | None,
-) -> Document:
+) -> Message:
     """The request to the daemon, with what can be judged without a rig judged."""
     for name, value in (("--target", target), ("--extra", extra), ("--settle", settle), ("--speed", speed)):
         if value is not None and not math.isfinite(value):
             raise BadInput(f"{name} {value}: is not a number to turn by; give one, as in --target 45")
-    chosen: Document = dict(_option(text) for text in options)
+    chosen: dict[str, Any] = dict(_option(text) for text in options)
     if extra is not None:
         chosen["extra_deg"] = extra
     return {
@@ -207,15 +207,18 @@ def _get_ready() -> None:
     import websockets.sync.client  # noqa: F401
 
 
-def _run(client: DaemonClient, order: Document, quiet: bool) -> Document:
+def _run(client: DaemonClient, order: Message, quiet: bool) -> Told:
     """Start the run, show it until it has ended, and return how."""
     return follow(client, lambda: client.compensate(order), view(quiet), _ended)
 
 
-def _ended(told: Document, document: Document) -> bool:
-    if document["type"] == "state" and document["run"] != told["run"] and document["last"]:
-        document.update(document["last"])  # it ended while the connection was made again
-    return "result" in document and bool(document["result"]["run"] == told["run"])
+def _ended(told: Started, document: Document) -> Told | None:
+    ended: Told | None = None
+    if document["type"] == "ended":
+        ended = document
+    elif document["type"] == "state" and document["run"] != told["run"]:
+        ended = document["last"]  # it ended while the connection was made again
+    return ended if ended is not None and ended["result"]["run"] == told["run"] else None
 
 
 def _load_figure() -> None:
@@ -239,7 +242,7 @@ def _draw(run: str) -> str | None:
         return None
 
 
-def _tell(ended: Document, figure: str | None, as_json: bool, require_aligned: bool) -> int:
+def _tell(ended: Told, figure: str | None, as_json: bool, require_aligned: bool) -> int:
     """Tell how it ended; the exit code."""
     from needle_rig.cli._output import EXIT_CODES, tell_result
 

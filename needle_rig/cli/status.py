@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from needle_rig.cli._motion import socket_option
+
+if TYPE_CHECKING:
+    from needle_rig.service.documents import Sensors, State
 
 
 @click.command()
@@ -23,7 +26,7 @@ def command(socket: Path | None, as_json: bool) -> None:
     click.echo(json.dumps(state) if as_json else _text(state, str(client.path)))
 
 
-def _text(state: dict[str, Any], path: str) -> str:
+def _text(state: State, path: str) -> str:
     from needle_rig.cli._live import phase_line
     from needle_rig.cli._output import number
 
@@ -32,7 +35,7 @@ def _text(state: dict[str, Any], path: str) -> str:
     lines = [f"rig:     {rig['name']}{needle}, on {path}", f"phase:   {phase_line(state).strip()}"]
     if sensors:
         halls = " ".join(f"{number(angle, 1)}°" for angle in sensors["hall_deg"])
-        ages = ", ".join(f"{name} {number(age, 1)} ms" for name, age in sensors["age_ms"].items())
+        ages = ", ".join(f"{name} {number(age, 1)} ms" for name, age in _ages(sensors))
         faults = f" ({', '.join(sensors['drive_faults'])})" if sensors["drive_faults"] else ""
         lines += [
             f"base:    {number(sensors['base_deg'], 2)}°",
@@ -63,7 +66,12 @@ def _text(state: dict[str, Any], path: str) -> str:
     return "\n".join(lines)
 
 
-def _supply(sensors: dict[str, Any]) -> str:
+def _ages(sensors: Sensors) -> tuple[tuple[str, float | None], ...]:
+    ages_ms = sensors["age_ms"]
+    return ("torque", ages_ms["torque"]), ("hall", ages_ms["hall"]), ("drive", ages_ms["drive"])
+
+
+def _supply(sensors: Sensors) -> str:
     said = []
     if not sensors["referenced"]:
         said.append("its zero is not known: needle-rig home")

@@ -14,6 +14,7 @@ from typing import Any
 import structlog
 
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.service.documents import Message
 from needle_rig.service.lease import Claim, Taken
 from needle_rig.service.lines import Lines
 
@@ -30,8 +31,7 @@ _ANSWER_TIMEOUT_S = 12.0
 """A start on a slow disk is given up before."""
 _END_TIMEOUT_S = 4.0
 
-Document = dict[str, Any]
-Do = Callable[[str, Document, Claim], Awaitable[Document]]
+Do = Callable[[str, Message, Claim], Awaitable[Message]]
 
 
 class ApiLink:
@@ -60,12 +60,12 @@ class ApiLink:
         if self._lines is not None:
             self._lines.send("serve", {})
 
-    def event(self, document: Document) -> None:
+    def event(self, document: Message) -> None:
         """Tell all who listen."""
         if self._lines is not None and self._listeners:
             self._lines.send("event", document)
 
-    def state(self, now_s: float, describe: Callable[[], Document]) -> None:
+    def state(self, now_s: float, describe: Callable[[], Message]) -> None:
         """Tell what `describe` gives, when somebody listens, it is time and the process keeps up."""
         lines = self._lines
         if lines is None or not self._listeners or now_s < self._next_state_s or lines.waiting_bytes:
@@ -152,7 +152,7 @@ class ApiLink:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
-    async def _answer(self, asked: Document) -> None:
+    async def _answer(self, asked: dict[str, Any]) -> None:
         lines = self._lines
         try:
             claim = Claim(asked["begun_s"], asked["lease"])

@@ -14,13 +14,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
+from needle_rig.service.documents import Document, Message, Started, State
 from needle_rig.service.endpoint import private_socket, sockets_for_client
-
-Document = dict[str, Any]
 
 _DAEMON = (sys.executable, "-m", "needle_rig", "daemon")
 _PREFIX = "needle-rig-daemon-"
@@ -51,9 +50,9 @@ class DaemonClient:
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
 
-    def state(self) -> Document:
+    def state(self) -> State:
         """What the daemon says of itself."""
-        return self._ask("GET", "/state", again_s=_AGAIN_S)
+        return cast(State, self._ask("GET", "/state", again_s=_AGAIN_S))
 
     @contextmanager
     def lease(self, holder: str) -> Iterator[None]:
@@ -67,13 +66,13 @@ class DaemonClient:
                 self._ask("DELETE", "/lease")
             self._lease = None
 
-    def compensate(self, order: Document) -> Document:
+    def compensate(self, order: Message) -> Started:
         """Start a run; raises BadInput or RigFault when it cannot start, Aborted when a stop came before."""
-        return self._ask("POST", "/compensate", order)
+        return cast(Started, self._ask("POST", "/compensate", order))
 
-    def command(self, name: str, order: Document | None = None) -> Document:
+    def command(self, name: str, order: Message | None = None) -> Started:
         """Give another order, such as `jog`; raises as `compensate`."""
-        return self._ask("POST", f"/{name}", order or {})
+        return cast(Started, self._ask("POST", f"/{name}", order or {}))
 
     def stop(self, reason: str) -> None:
         """Stop the drive in the next tick."""
@@ -114,8 +113,8 @@ class DaemonClient:
             connections[-1].close()
 
     def _ask(
-        self, method: str, path: str, content: Document | None = None, *, again_s: float = 0.0
-    ) -> Document:
+        self, method: str, path: str, content: Message | None = None, *, again_s: float = 0.0
+    ) -> dict[str, Any]:
         """The daemon's answer; for `again_s` it is asked again when the connection breaks."""
         import httpx
 
@@ -137,7 +136,7 @@ class DaemonClient:
                         f"{self.path}: the daemon does not answer ({error}); look at its log"
                     ) from None
                 time.sleep(_AGAIN_EVERY_S)
-        answer: Document = response.json()
+        answer: dict[str, Any] = response.json()
         if "error" in answer:
             raise failure(answer)
         return answer
@@ -150,7 +149,7 @@ def _nobody_there(error: BaseException | None) -> bool:
     return error is not None
 
 
-def failure(told: Document) -> NeedleRigError:
+def failure(told: Message) -> NeedleRigError:
     """The error that a daemon told, with its exit code."""
     kinds = {kind.exit_code: kind for kind in (BadInput, RigFault, Aborted)}
     return kinds.get(told.get("exit_code", RigFault.exit_code), RigFault)(told["error"])
@@ -220,7 +219,7 @@ def _wait_until_ready(
         ready, _, _ = select.select([process.stdout], [], [], _START_TIMEOUT_S)
     line = process.stdout.readline() if ready else b""
     if line:
-        told: Document = json.loads(line)
+        told: dict[str, Any] = json.loads(line)
         if "error" in told:
             raise failure(told)
         return

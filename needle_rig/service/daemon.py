@@ -8,7 +8,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import structlog
 
@@ -18,7 +18,8 @@ from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
-from needle_rig.service.api_link import ApiLink, Document
+from needle_rig.service.api_link import ApiLink
+from needle_rig.service.documents import Ended, Message, Moved, Started, State, Ticks, Told, Whole
 from needle_rig.service.lease import LEASE_S, Claim, Lease
 from needle_rig.service.loop import ControlLoop
 from needle_rig.service.orders import Holder, Home, Jog, Model, Order, Reason, read_order
@@ -77,7 +78,7 @@ class Daemon:
         self._moving = False
         self._finishing: asyncio.Task[None] | None = None
         self._failure: str | None = None
-        self._last: Document | None = None
+        self._last: Told | None = None
         self._next_status_s = 0.0
         self._time_s = 0.0
 
@@ -137,12 +138,12 @@ class Daemon:
         elif self._main is not None:
             self._main.cancel()
 
-    async def _do(self, name: str, content: Document, claim: Claim) -> Document:
+    async def _do(self, name: str, content: Message, claim: Claim) -> Message:
         """Carry out one order of the API; raises what forbids it."""
         order = read_order(name, content)
         match name, order:
             case "state", _:
-                return {**self.describe(), "ticks": self.describe_timing()}
+                return {**self._state("state"), "ticks": self.describe_timing()}
             case "stop", Reason():
                 self.stop(order.reason)
                 return {"stopping": True}
@@ -169,7 +170,7 @@ class Daemon:
         finally:
             self._starting = False
 
-    async def _compensate(self, order: Order, claim: Claim) -> Document:
+    async def _compensate(self, order: Order, claim: Claim) -> Started:
         """Start a run; the answer names its file."""
         request = _request(order)
         self._brain.check(request)
@@ -189,7 +190,7 @@ class Daemon:
         log.info("run", target_deg=order.target_deg, strategy=order.strategy, file=str(path))
         return {"run": str(path)}
 
-    def _command(self, name: str, order: Model) -> Document:
+    def _command(self, name: str, order: Model) -> Started:
         """A motion that is no run, or a change of state; the answer numbers motions."""
         brain = self._brain
         match order:
@@ -221,10 +222,9 @@ class Daemon:
         if self._loop is not None:
             self._loop.busy = True
 
-    def describe(self) -> Document:
-        """The whole state, as streamed."""
+    def describe(self) -> Whole:
+        """All that is to be said now."""
         return {
-            "type": "state",
             "rig": self._rig_document,
             "run": None if self._run is None else str(self._run),
             "last": self._last,
@@ -236,7 +236,10 @@ class Daemon:
             **report.state_document(self._brain.state),
         }
 
-    def describe_timing(self) -> Document:
+    def _state(self, kind: Literal["state", "phase"]) -> State:
+        return {"type": kind, **self.describe()}  # type: ignore[typeddict-item]  # ticks may be absent
+
+    def describe_timing(self) -> Ticks:
         """How well the ticks keep their time; lateness over the newest 4096."""
         if self._loop is None:
             return {}
@@ -250,7 +253,7 @@ class Daemon:
             "lost_rows": self._recorder.lost_rows,
         }
 
-    def _about(self, order: Order) -> Document:
+    def _about(self, order: Order) -> Message:
         simulation = self._parts.config.simulation
         return {
             "strategy": order.strategy,
@@ -280,9 +283,10 @@ class Daemon:
                 self._finish_soon()
             if self._moving and not self._brain.busy:
                 self._moving = False
-                self._api.event({**self.describe(), "type": "moved", "moved": self._motions})
+                moved: Moved = {"type": "moved", "moved": self._motions, **self.describe()}
+                self._api.event(moved)
         now_s = time.monotonic()
-        self._api.state(now_s, self.describe)
+        self._api.state(now_s, lambda: self._state("state"))
         if now_s >= self._next_status_s:
             self._next_status_s = now_s + _STATUS_EVERY_S
             self._notify.send(STATUS=f"{sample.phase} {sample.motion}".strip())
@@ -296,7 +300,7 @@ class Daemon:
         if sample.phase is Phase.FAULT:
             self._recorder.event(sample.time_s, "fault", state.fault or "")
             log.error("fault", reason=state.fault)
-        self._api.event({**self.describe(), "type": "phase"})
+        self._api.event(self._state("phase"))
 
     def _on_recorder_failure(self, sentence: str) -> None:
         log.error("recorder", reason=sentence)
@@ -314,7 +318,8 @@ class Daemon:
             self._run, self._finishing = None, None
             self._closed.set()
         assert self._last is not None
-        self._api.event({"type": "ended", **self._last})
+        ended: Ended = {"type": "ended", **self._last}
+        self._api.event(ended)
 
     async def _close_run(self, state: BrainState) -> None:
         """Close the run's file, then keep how it ended."""

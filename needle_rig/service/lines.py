@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable
-from typing import Any
+
+from needle_rig.service.documents import Message
 
 LINE_LIMIT_BYTES = 4 * 2**20
 """Far above the longest state; a longer line means that the other end has gone mad."""
-
-Document = dict[str, Any]
 
 
 class Lines(asyncio.Protocol):
@@ -26,7 +25,7 @@ class Lines(asyncio.Protocol):
         """What the other end has not taken yet."""
         return 0 if self._transport is None else self._transport.get_write_buffer_size()
 
-    def send(self, word: str, document: Document) -> None:
+    def send(self, word: str, document: Message) -> None:
         """Send a line, unless the other end has gone; never waits."""
         if self._transport is not None:
             text = json.dumps(document, allow_nan=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -107,7 +108,7 @@ MODELS: dict[str, type[Model]] = {
 """What each order carries."""
 
 
-def read_order(name: str, content: bytes | dict[str, Any]) -> Model:
+def read_order(name: str, content: bytes | Mapping[str, Any]) -> Model:
     """The order from its JSON text (an empty one stands for `{}`) or its document; raises BadInput."""
     model = MODELS[name]
     try:

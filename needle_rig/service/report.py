@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
 from needle_rig.records import DriveFault, Measurement
+from needle_rig.service import documents
 from needle_rig.units import deg, nmm
-
-Document = dict[str, Any]
 
 
 def number(value: float | None, digits: int = 4) -> float | None:
@@ -30,7 +28,7 @@ def _degrees(angles_rad: tuple[float, ...]) -> list[float | None]:
     return [_deg(angle) for angle in angles_rad]
 
 
-def rig_document(config: RigConfig) -> Document:
+def rig_document(config: RigConfig) -> documents.Rig:
     """What does not change: the rig's name, its parameters when simulated, and its layout."""
     return {
         "name": config.name,
@@ -43,7 +41,7 @@ def rig_document(config: RigConfig) -> Document:
     }
 
 
-def state_document(state: BrainState) -> Document:
+def state_document(state: BrainState) -> documents.Standing:
     """Where the brain stands and what the sensors say."""
     return {
         "time_s": number(state.time_s),
@@ -53,7 +51,7 @@ def state_document(state: BrainState) -> Document:
         "motions_expected": state.motions_expected,
         "waiting_for": state.waiting_for,
         "remaining_s": number(state.remaining_s, 2),
-        "progress": number(state.progress),
+        "progress": round(state.progress, 4),
         "target_deg": _deg(state.target_rad),
         "strategy": state.strategy,
         "waypoint_deg": _deg(state.waypoint_rad),
@@ -68,7 +66,7 @@ def state_document(state: BrainState) -> Document:
     }
 
 
-def _sensors(measurement: Measurement) -> Document:
+def _sensors(measurement: Measurement) -> documents.Sensors:
     return {
         "base_deg": _deg(measurement.base_angle_rad),
         "torque_nmm": _nmm(measurement.torque_nm),
@@ -88,7 +86,7 @@ def _sensors(measurement: Measurement) -> Document:
     }
 
 
-def settled_document(motion: SettledMotion) -> Document:
+def settled_document(motion: SettledMotion) -> documents.Settled:
     """One settled motion with what the model behind the torque predicts."""
     return {
         "phase": motion.name,
@@ -105,7 +103,7 @@ def settled_document(motion: SettledMotion) -> Document:
 
 def result_document(
     outcome: Outcome, settled: tuple[SettledMotion, ...], parameters: str | None, run: str
-) -> Document:
+) -> documents.Result:
     """The result of a run: the object that `needle-rig compensate --json` prints."""
     return {
         "status": outcome.status,
@@ -135,7 +133,7 @@ def result_document(
     }
 
 
-def condition_document(condition: Condition) -> Document:
+def condition_document(condition: Condition) -> documents.Condition:
     """One of the paper's conditions, in degrees or N·mm."""
     angle = condition.unit == "rad"
     convert = deg if angle else nmm
