@@ -6,8 +6,14 @@ stand where a page says `<!-- generated: NAME -->`.
 
 from __future__ import annotations
 
+import ast
+import importlib
+import inspect
 import posixpath
 import re
+import sys
+import textwrap
+import typing
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,16 +23,17 @@ from mkdocs.structure.files import File, Files
 from pydantic import BaseModel
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))  # the code beside these pages, not one that is installed elsewhere
 OUTSIDE = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
     "firmware/README.md": "firmware/README.md",
     "firmware/SAFETY.md": "firmware/SAFETY.md",
 }
-"""Pages of the site that stand elsewhere in the repository, where GitHub and readers of the code expect them."""
+"""Pages of the site that stand where readers of the repository look for them."""
 LINK = re.compile(r"(\]\()([^)#\s]+\.md)([^)]*\))")
 MARK = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
-OTHER_HOST = re.compile(r"https://(?:unpkg\.com|api\.github\.com|gitlab\.com)[^\"'`]*")
+OTHER_HOST = re.compile(r"https://(?:unpkg\.com|api\.github\.com|\$\{\w+\}/api)[^\"'`]*")
 """What the theme's script would load for diagrams and repository facts, which no page has."""
 
 
@@ -42,7 +49,9 @@ def on_config(config: Any) -> Any:
     config.mdx_configs["pymdownx.superfences"] = fences
     for section, named in ((s, v) for entry in config.nav for s, v in entry.items()):
         if section in ("Evidence", "Decisions"):
-            named.extend(_rest(section.lower(), {next(iter(e.values())) if isinstance(e, dict) else e for e in named}))
+            named.extend(
+                _rest(section.lower(), {next(iter(e.values())) if isinstance(e, dict) else e for e in named})
+            )
     return config
 
 
@@ -72,7 +81,11 @@ def on_page_markdown(markdown: str, page: Any, **more: Any) -> str:
             return found[0]
         target = posixpath.normpath(posixpath.join(posixpath.dirname(source), found[2]))
         to = OUTSIDE.get(target, target.removeprefix("docs/") if target.startswith("docs/") else None)
-        return found[0] if to is None else found[1] + posixpath.relpath(to, posixpath.dirname(here) or ".") + found[3]
+        return (
+            found[0]
+            if to is None
+            else found[1] + posixpath.relpath(to, posixpath.dirname(here) or ".") + found[3]
+        )
 
     return MARK.sub(lambda found: TABLES[found[1]](), LINK.sub(linked, markdown))
 
@@ -119,8 +132,6 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def _kind(field: Any) -> str:
-    import typing
-
     inner = _model_in(field.annotation)
     if inner is not None:
         several = typing.get_origin(field.annotation) is tuple
@@ -148,10 +159,6 @@ def _default(field: Any) -> str:
 
 def _field_texts(model: type[BaseModel]) -> dict[str, str]:
     """The sentence under each field, as it stands in the source."""
-    import ast
-    import inspect
-    import textwrap
-
     body = ast.parse(textwrap.dedent(inspect.getsource(model))).body[0]
     found: dict[str, str] = {}
     last = ""
@@ -172,7 +179,15 @@ def _routes() -> str:
     for route in ROUTES:
         fields = MODELS[route.order].model_fields
         content = ", ".join(f"`{name}`" + ("" if f.is_required() else "?") for name, f in fields.items())
-        rows.append([f"`{route.method} {route.path}`", route.summary, content, str(route.status), "yes" if route.leased else ""])
+        rows.append(
+            [
+                f"`{route.method} {route.path}`",
+                route.summary,
+                content,
+                str(route.status),
+                "yes" if route.leased else "",
+            ]
+        )
     return _table(["path", "", "content (? may be left out)", "answer", "lease"], rows)
 
 
@@ -185,8 +200,17 @@ def _orders() -> str:
         for name, shown in model.model_json_schema()["properties"].items():
             branches = shown.get("anyOf", [shown])
             kinds = [_schema_words(b) for b in branches if b.get("type") != "null"]
-            rows.append([f"`{name}`", " or ".join(dict.fromkeys(kinds)), f"`{shown['default']}`" if "default" in shown else "needed"])
-        parts.append(f"**{model.__name__}**: {(model.__doc__ or '').strip()}\n\n" + _table(["value", "kind", "default"], rows))
+            rows.append(
+                [
+                    f"`{name}`",
+                    " or ".join(dict.fromkeys(kinds)),
+                    f"`{shown['default']}`" if "default" in shown else "needed",
+                ]
+            )
+        parts.append(
+            f"**{model.__name__}**: {(model.__doc__ or '').strip()}\n\n"
+            + _table(["value", "kind", "default"], rows)
+        )
     return "\n\n".join(parts)
 
 
@@ -194,9 +218,13 @@ def _schema_words(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return " or ".join(f"`{value}`" for value in schema["enum"])
     words = [str(schema.get("type", "value")).replace("integer", "whole number").replace("string", "text")]
-    words += [f"{word} {schema[key]:g}" for key, word in (("minimum", "from"), ("maximum", "to")) if key in schema]
+    words += [
+        f"{word} {schema[key]:g}" for key, word in (("minimum", "from"), ("maximum", "to")) if key in schema
+    ]
     words += [f"up to {schema[key]} letters" for key in ("maxLength",) if key in schema]
-    words += [f"matching `{schema['pattern']}`"] if "pattern" in schema and len(schema["pattern"]) < 24 else []
+    words += (
+        [f"matching `{schema['pattern']}`"] if "pattern" in schema and len(schema["pattern"]) < 24 else []
+    )
     return " ".join(words)
 
 
@@ -214,26 +242,58 @@ def _parameter_sets() -> str:
 
 
 def _effects() -> str:
-    import dataclasses
-
     from needle_rig.physics.library import find_effects
 
     parts = []
     for name, effect in sorted(find_effects().items()):
-        text = __import__(effect.__module__, fromlist=["_"]).__doc__ or ""
+        text = importlib.import_module(effect.__module__).__doc__ or ""
         paragraphs = [" ".join(part.split()) for part in text.strip().split("\n\n")]
         rows = [
-            [f"`{field}`", info.unit, *(f"{v:g}" for v in (info.off, info.typical, info.smallest)),
-             f"{info.literature[0]:g} … {info.literature[1]:g}", {"one": "", "sensor": "a sensor", "section": "a section"}[info.per]]
+            [
+                f"`{field}`",
+                info.unit,
+                *(f"{v:g}" for v in (info.off, info.typical, info.smallest)),
+                f"{info.literature[0]:g} … {info.literature[1]:g}",
+                {"one": "", "sensor": "a sensor", "section": "a section"}[info.per],
+            ]
             for field, info in effect.parameters().items()
         ]
         hooks = [hook for hook in ("shape", "torque", "drive", "observe") if effect.has(hook)]
         head = ["parameter", "unit", "off", "typical", "smallest that matters", "plausible", "one for"]
-        parts += [f"## {name}", *paragraphs, _table(head, rows), f"Hooks: {', '.join(f'`{h}`' for h in hooks)}."]
+        parts += [
+            f"## {name}",
+            *paragraphs,
+            _table(head, rows),
+            f"Hooks: {', '.join(f'`{h}`' for h in hooks)}.",
+        ]
     return "\n\n".join(parts)
 
 
+def _commands() -> str:
+    import click
+
+    from needle_rig.cli.main import group
+
+    def told(command: click.Command, path: str, depth: int) -> Iterator[str]:
+        context = click.Context(command, info_name=path)
+        yield f"{'#' * depth} {path.removeprefix('needle-rig ')}"
+        yield f"```\n{command.get_usage(context).removeprefix('Usage: ')}\n```"
+        for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+            as_it_is = paragraph.startswith("\b")
+            yield "```\n" + paragraph[2:] + "\n```" if as_it_is else paragraph.replace("<", "&lt;")
+        rows = [record for p in command.params if (record := p.get_help_record(context))]
+        yield _table(["option", ""], [[f"`{option}`", text.replace("<", "&lt;")] for option, text in rows])
+        if isinstance(command, click.Group):
+            for name in command.list_commands(context):
+                inner = command.get_command(context, name)
+                if inner is not None:
+                    yield from told(inner, f"{path} {name}", depth + (depth > 2 or path != "needle-rig"))
+
+    return "\n\n".join(told(group, "needle-rig", 2))
+
+
 TABLES: dict[str, Callable[[], str]] = {
+    "commands": _commands,
     "config": _config,
     "routes": _routes,
     "orders": _orders,
