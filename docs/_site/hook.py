@@ -7,6 +7,7 @@ stand where a page says `<!-- generated: NAME -->`.
 from __future__ import annotations
 
 import ast
+import html
 import importlib
 import inspect
 import posixpath
@@ -38,9 +39,8 @@ OTHER_HOST = re.compile(r"https://(?:unpkg\.com|api\.github\.com|\$\{\w+\}/api)[
 
 
 def math(source: str, language: str, css_class: str, options: Any, md: Any, **more: Any) -> str:
-    """One ```math block as MathML; each line of it is a formula of its own."""
-    formulas = [line.strip() for line in source.strip().split("\n\n")]
-    return "".join(f'<div class="math">{convert(f, display="block")}</div>' for f in formulas)
+    """One ```math block as MathML."""
+    return f'<div class="math">{convert(source.strip(), display="block")}</div>'
 
 
 def on_config(config: Any) -> Any:
@@ -99,7 +99,11 @@ def on_post_build(config: Any) -> None:
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(cell.replace("|", "&#124;") for cell in line) + " |" for line in lines)
+
+
+def _code(text: str) -> str:
+    return f"<code>{html.escape(text)}</code>"
 
 
 def _config() -> str:
@@ -204,7 +208,11 @@ def _orders() -> str:
                 [
                     f"`{name}`",
                     " or ".join(dict.fromkeys(kinds)),
-                    f"`{shown['default']}`" if "default" in shown else "needed",
+                    "needed"
+                    if "default" not in shown
+                    else "–"
+                    if shown["default"] is None
+                    else f"`{shown['default']}`",
                 ]
             )
         parts.append(
@@ -241,6 +249,10 @@ def _parameter_sets() -> str:
     return "\n\n".join(parts)
 
 
+def _number(value: float) -> str:
+    return f"{value:g}".replace("inf", "∞").replace("-", "−")
+
+
 def _effects() -> str:
     from needle_rig.physics.library import find_effects
 
@@ -252,8 +264,8 @@ def _effects() -> str:
             [
                 f"`{field}`",
                 info.unit,
-                *(f"{v:g}" for v in (info.off, info.typical, info.smallest)),
-                f"{info.literature[0]:g} … {info.literature[1]:g}",
+                *(_number(v) for v in (info.off, info.typical, info.smallest)),
+                f"{_number(info.literature[0])} … {_number(info.literature[1])}",
                 {"one": "", "sensor": "a sensor", "section": "a section"}[info.per],
             ]
             for field, info in effect.parameters().items()
@@ -281,8 +293,10 @@ def _commands() -> str:
         for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
             as_it_is = paragraph.startswith("\b")
             yield "```\n" + paragraph[2:] + "\n```" if as_it_is else paragraph.replace("<", "&lt;")
-        rows = [record for p in command.params if (record := p.get_help_record(context))]
-        yield _table(["option", ""], [[f"`{option}`", text.replace("<", "&lt;")] for option, text in rows])
+        options = [p for p in command.params if isinstance(p, click.Option)]
+        rows = [record for option in options if (record := option.get_help_record(context))]
+        if rows:
+            yield _table(["option", ""], [[_code(name), html.escape(said)] for name, said in rows])
         if isinstance(command, click.Group):
             for name in command.list_commands(context):
                 inner = command.get_command(context, name)
