@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -208,3 +209,15 @@ def test_every_picture_is_there(page: Path) -> None:
 def test_an_example_is_the_file_that_the_tests_run(page: str, example: str) -> None:
     source = (ROOT / example).read_text(encoding="utf-8")
     assert f"```python\n{source}```" in (ROOT / "docs/how-to" / f"{page}.md").read_text(encoding="utf-8")
+
+
+def test_the_rooms_are_those_of_the_contracts() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    rooms = {tuple(c["containers"]): c["layers"] for c in contracts if c["type"] == "layers"}
+    page = (ROOT / "docs/explanation/architecture.md").read_text(encoding="utf-8")
+    blocks = [re.split(r"\n", block.strip()) for block in re.findall(r"```\n(.*?)```", page, re.DOTALL)]
+    assert rooms[("needle_rig",)] in blocks
+    said = [[re.split(r" {2,}", line)[0] for line in block] for block in blocks]
+    assert rooms[("needle_rig.workbench",)] in said
