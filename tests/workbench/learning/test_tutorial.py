@@ -1,4 +1,4 @@
-"""The README's walk round the circle, command by command, gives what the README shows."""
+"""The tutorial's walk round the circle, command by command, gives what the tutorial shows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from needle_rig.cli.main import run
 
-README = Path(__file__).parents[3] / "README.md"
+PAGE = Path(__file__).parents[3] / "docs/tutorial/circle.md"
 MARK = "<!-- these commands and their output are run by tests/workbench/learning/test_tutorial.py -->"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
@@ -18,7 +18,7 @@ DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 def walk() -> list[tuple[str, list[str]]]:
     """Each command of the tutorial with the lines that it prints; "…" stands for lines left out."""
-    part = README.read_text(encoding="utf-8").split(MARK)[1].split("\n### ")[0]
+    part = PAGE.read_text(encoding="utf-8").split(MARK)[1].split("\n## ")[0]
     steps: list[tuple[str, list[str]]] = []
     for block in re.findall(r"```console\n(.*?)```", part, re.DOTALL):
         for line in block.splitlines():
@@ -46,7 +46,7 @@ def same(shown: str, printed: str) -> bool:
     return all(abs(float(a) - float(b)) <= max(0.03 * abs(float(a)), 1.01 * last_place(a)) for a, b in pairs)
 
 
-def test_the_tutorial_prints_what_the_readme_shows(
+def test_every_command_prints_what_the_page_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
