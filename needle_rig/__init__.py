@@ -1,3 +1,34 @@
-"""needle-rig: takes the torsion windup out of steerable needles, and holds its model against measurements."""
+"""needle-rig: takes the torsion windup out of steerable needles, and holds its model against measurements.
 
-__version__ = "0.1.0"
+`import needle_rig` gives what a notebook needs; see `needle_rig.notebook`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from needle_rig.version import VERSION
+
+if TYPE_CHECKING:
+    from needle_rig.notebook import (
+        adopt,
+        compare,
+        diagnose,
+        plan,
+        read_dataset,
+        read_model,
+        read_run,
+        simulate,
+    )
+
+__version__ = VERSION
+__all__ = ["adopt", "compare", "diagnose", "plan", "read_dataset", "read_model", "read_run", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    # the daemon's start must not wait for the workbench
+    if name in __all__:
+        from needle_rig import notebook
+
+        return getattr(notebook, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

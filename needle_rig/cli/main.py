@@ -11,8 +11,8 @@ from pathlib import Path
 
 import click
 
-from needle_rig import __version__
 from needle_rig.errors import NeedleRigError
+from needle_rig.version import VERSION
 
 CRASHED = 70
 """Exit code of a defect in this program (EX_SOFTWARE), so that it is never mistaken for an answer."""
@@ -43,7 +43,7 @@ class Commands(click.Group):
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="needle-rig")
+@click.version_option(VERSION, prog_name="needle-rig")
 def group() -> None:
     """Turns the torsion windup out of steerable needles, and holds the needle's model against measurements.
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from needle_rig.units import deg, mm
+from needle_rig.figures.plan import base_path
+from needle_rig.units import mm
 from needle_rig.workbench.contest.demo import Story
-from needle_rig.workbench.contest.strategies_table import SPEED_DEG_S
-from needle_rig.workbench.virtual.settled_run import SettledRun
 
 
 def demo_figure(story: Story) -> Figure:
@@ -29,7 +28,7 @@ def demo_figure(story: Story) -> Figure:
             label = name if k == 0 else None
             middle.plot(mm(run.position_m), np.degrees(run.shaft_rad), color=colour, alpha=0.6, label=label)
         if runs:
-            time_s, base_deg = _base_path(runs[0])
+            time_s, base_deg = base_path(runs[0])
             right.plot(time_s, base_deg, color=colour, label=f"{name}, {runs[0].rotations} rotations")
     middle.axhline(story.target_deg, color="black", linewidth=1.0, linestyle="--")
     middle.set(xlabel="place along the needle, mm", ylabel="degrees", title="the shaft at the end")
@@ -38,13 +37,3 @@ def demo_figure(story: Story) -> Figure:
     right.set(xlabel="time, s", ylabel="degrees", title="the base on its way")
     right.legend()
     return picture
-
-
-def _base_path(run: SettledRun) -> tuple[list[float], list[float]]:
-    """Corners of the base's path: time in seconds, degrees."""
-    times, angles = [0.0], [deg(run.history[0].base_angle_rad)]
-    for motion in run.history[1:]:
-        travel = abs(deg(motion.base_angle_rad) - angles[-1]) / SPEED_DEG_S
-        times += [motion.moved_s, motion.moved_s + travel, motion.time_s]
-        angles += [angles[-1], deg(motion.base_angle_rad), deg(motion.base_angle_rad)]
-    return times, angles

@@ -49,6 +49,19 @@ def draw_run(run: RunFile, png_path: str | os.PathLike[str]) -> Path:
 
     Raises BadInput when the run has no tick to draw, NeedleRigError when the file cannot be written.
     """
+    figure, target = run_figure(run), Path(png_path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(target, format="png")
+    except OSError as error:
+        raise NeedleRigError(
+            f"{show_path(target)}: the picture cannot be written: {error.strerror}"
+        ) from None
+    return target
+
+
+def run_figure(run: RunFile) -> Figure:
+    """Angles and torque over time, and the shaft after each motion; BadInput when there is no tick."""
     ticks = run.table("ticks")
     if len(ticks) < 2:
         raise BadInput(f"{show_path(run.path)}: holds no tick, so there is nothing to draw")
@@ -67,15 +80,7 @@ def draw_run(run: RunFile, png_path: str | os.PathLike[str]) -> Path:
     _mark_end(angles, run, begin_s)
     _draw_shaft(shaft, run, motions, settled, config)
     figure.suptitle(_title(run), fontsize=12, fontweight="bold", x=0.01, ha="left")
-    target = Path(png_path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(target, format="png")
-    except OSError as error:
-        raise NeedleRigError(
-            f"{show_path(target)}: the picture cannot be written: {error.strerror}"
-        ) from None
-    return target
+    return figure
 
 
 def find_motions(ticks: npt.NDArray[Any]) -> tuple[Motion, ...]:

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from mcap.writer import Writer
 
-from needle_rig import __version__
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
 from needle_rig.recording.reader import RunFile
 from needle_rig.recording.tables import at_edge
+from needle_rig.version import VERSION
 
 
 def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
@@ -36,7 +36,7 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
     begin_s, begin_ns = run.span_s[0], _started_ns(run)
     with file:
         writer = Writer(file)
-        writer.start(profile="", library=f"needle-rig {__version__}")
+        writer.start(profile="", library=f"needle-rig {VERSION}")
         writer.add_metadata("run", {name: _text(value) for name, value in run.attributes.items()})
         messages: list[tuple[int, int, int, bytes]] = []
         for name in run.tables:

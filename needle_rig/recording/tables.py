@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig import __version__
 from needle_rig.config.loader import rig_config_text
 from needle_rig.config.schema import RigConfig
 from needle_rig.records import Sample
 from needle_rig.units import deg, nmm
+from needle_rig.version import VERSION
 
 Array = npt.NDArray[Any]
 
@@ -129,7 +129,7 @@ def run_attributes(
 
 
 def _versions() -> Mapping[str, str]:
-    found = {"needle-rig": __version__, "python": platform.python_version(), "linux": platform.release()}
+    found = {"needle-rig": VERSION, "python": platform.python_version(), "linux": platform.release()}
     for package in ("numpy", "scipy", "numba", "h5py", "python-can", "pyserial", "simple-pid", "cantools"):
         try:
             found[package] = version(package)

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from needle_rig import __version__
 from needle_rig.service.orders import MODELS, Nothing
+from needle_rig.version import VERSION
 
 Document = dict[str, Any]
 
@@ -65,7 +65,7 @@ def openapi_document() -> Document:
     }
     return {
         "openapi": "3.1.0",
-        "info": {"title": "needle-rig daemon", "version": __version__},
+        "info": {"title": "needle-rig daemon", "version": VERSION},
         "paths": paths,
         "components": {"schemas": {**schemas["$defs"], "Error": error}},
     }

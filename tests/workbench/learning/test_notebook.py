@@ -1,0 +1,104 @@
+"""`import needle_rig` for notebooks: the notebook of the docs runs, and its results show themselves."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import needle_rig as nr
+from needle_rig.errors import BadInput
+from needle_rig.notebook import Shown
+
+ROOT = Path(__file__).parents[3]
+NOTEBOOK = ROOT / "docs/tutorial/circle.ipynb"
+
+
+def shown(value: Any) -> str:
+    """What a notebook shows of a cell's last value."""
+    if isinstance(value, Shown):
+        assert value._repr_html_().count("<table>") == 1
+        return repr(value)
+    if hasattr(value, "savefig"):
+        return f"figure with {len(value.axes)} axes"
+    return repr(value)
+
+
+@pytest.fixture(scope="module")
+def circle() -> tuple[dict[str, Any], list[str]]:
+    """The names that the notebook's cells leave behind, and what each shows."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    names: dict[str, Any] = {}
+    said = []
+    for cell in cells:
+        if cell["cell_type"] != "code":
+            continue
+        tree = ast.parse("".join(cell["source"]))
+        last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+        exec(compile(tree, str(NOTEBOOK), "exec"), names)
+        if isinstance(last, ast.Expr):
+            value = eval(compile(ast.Expression(last.value), str(NOTEBOOK), "eval"), names)
+            said.append(shown(value))
+    return names, said
+
+
+def test_the_notebook_tells_the_whole_circle(circle: tuple[dict[str, Any], list[str]]) -> None:
+    names, said = circle
+    text = "\n".join(said)
+    assert names["null"].held_out_error > 30.0
+    assert (names["answer"].verdict, names["answer"].effects) == ("effect", ("tissue_elasticity",))
+    assert "error on commands left out 0.9" in text
+    planned, plain = (float(line.split("lags ")[1].split("°")[0]) for line in said if "the tip lags" in line)
+    assert planned < 1.0 < 5.0 < plain
+    assert text.count("figure with") == 4
+
+
+def test_tables_are_structured_arrays_in_the_units_of_files(
+    circle: tuple[dict[str, Any], list[str]],
+) -> None:
+    names, _ = circle
+    values = names["answer"].values()
+    assert values["low"][0] < 0.35 < values["high"][0]
+    assert values["unit"][0] == "N·mm/rad per 100 mm"
+    assert names["null"].table().dtype.names == ("channel", "rmse", "noise", "unit", "in_noise_units")
+    assert names["model"].table()["held_out"][-1] == pytest.approx(0.975, abs=0.02)
+    motions = names["planned"].table()
+    assert motions["base_deg"][-1] == pytest.approx(45.0, abs=0.1)
+    assert names["answer"].table()["effect"][0] == "tissue_elasticity"
+
+
+def test_a_run_shows_itself_and_is_a_dataset(run_path: Path) -> None:
+    run = nr.read_run(run_path)
+    assert "reed2008" in repr(run)
+    assert len(run.plot().axes) == 3
+    assert len(run.table()) > 100
+    assert len(run.dataset().trials) == 1
+
+
+def test_a_model_is_saved_and_read_again(circle: tuple[dict[str, Any], list[str]], tmp_path: Path) -> None:
+    names, _ = circle
+    names["model"].save(tmp_path / "fitted.yaml")
+    again = nr.read_model(tmp_path / "fitted.yaml")
+    assert again.values.keys() == names["model"].values.keys()
+    assert np.array_equal(again.table()["held_out"], names["model"].table()["held_out"])
+
+
+def test_what_is_not_there_is_one_sentence() -> None:
+    with pytest.raises(BadInput, match="no such effect; there are"):
+        nr.simulate({"phlogiston": 1.0})
+    with pytest.raises(BadInput):
+        nr.read_dataset("nowhere")
+    with pytest.raises(AttributeError, match="no attribute 'phlogiston'"):
+        _ = nr.phlogiston
+
+
+def test_importing_the_package_imports_no_workbench() -> None:
+    loaded = "any('workbench' in name or name == 'numpy' for name in sys.modules)"
+    code = f"import sys, needle_rig; sys.exit({loaded})"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
