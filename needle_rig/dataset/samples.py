@@ -24,7 +24,11 @@ AT_REST_DEG_S = 3.0
 
 
 class LeftOut(Exception):
-    """The sentence that says why a trial cannot be used though its file can be read."""
+    """Why the trial at `place`, a file and its line, cannot be used though its file can be read."""
+
+    def __init__(self, place: str, reason: str) -> None:
+        super().__init__(f"{place}: left out: {reason}")
+        self.place, self.reason = place, reason
 
 
 def checked_trial(
@@ -54,8 +58,8 @@ def checked_trial(
         values, phase, line = values[keep], phase[keep], line[keep]
     if len(values) < FEWEST_SAMPLES:
         raise LeftOut(
-            f"{shown}:{int(line[-1])}: left out: {len(values)} samples, fewer than {FEWEST_SAMPLES}; "
-            "record the trial again"
+            f"{shown}:{int(line[-1])}",
+            f"{len(values)} samples, fewer than {FEWEST_SAMPLES}; record the trial again",
         )
     names = ["base_angle", "base_torque", *sensors]
     for k, name in enumerate(names, start=1):
@@ -97,7 +101,7 @@ def _without_blind_end(
     time_s, base = values[:, 0], values[:, 1]
     known = np.flatnonzero(np.isfinite(base))
     if not len(known):
-        raise LeftOut(f"{shown}:2: left out: the base angle is never known")
+        raise LeftOut(f"{shown}:2", "the base angle is never known")
     if known[0] > 0:
         notes.append(
             f"{shown}:{int(line[0])}: the base angle is missing in the first {known[0]} rows; left out"
@@ -117,9 +121,7 @@ def _without_blind_end(
         )
         values, phase, line = values[: last + 1], phase[: last + 1], line[: last + 1]
         if len(values) < FEWEST_SAMPLES:
-            raise LeftOut(
-                f"{shown}:{int(line[-1])}: left out: {len(values)} samples before the encoder's gap"
-            )
+            raise LeftOut(f"{shown}:{int(line[-1])}", f"{len(values)} samples before the encoder's gap")
     return values, phase, line
 
 
@@ -176,13 +178,14 @@ def _check_rest(time_s: Array, base_rad: Array, line: int, shown: str) -> None:
     )
     if abs(rate) > AT_REST_DEG_S:
         raise LeftOut(
-            f"{shown}:{line}: left out: the base already turns at {rate:.0f}°/s; a trial must start at rest, "
-            "with the shaft relaxed at 0°"
+            f"{shown}:{line}",
+            f"the base already turns at {rate:.0f}°/s; a trial must start at rest, with the shaft relaxed at"
+            " 0°",
         )
     if abs(start) > AT_REST_DEG:
         raise LeftOut(
-            f"{shown}:{line}: left out: the base starts at {start:.1f}°; a trial must start with the shaft "
-            "relaxed at 0°"
+            f"{shown}:{line}",
+            f"the base starts at {start:.1f}°; a trial must start with the shaft relaxed at 0°",
         )
 
 
