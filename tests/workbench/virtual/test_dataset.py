@@ -13,7 +13,8 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import FRICTION
 from needle_rig.simulation.base_drive import Motion, base_path
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, save_protocol, staircase
-from needle_rig.workbench.virtual.dataset import NO_NOISE, Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 
 PRACTICE = Path(__file__).parents[2] / "data" / "practice"
 SHORT = Protocol("short", (compensation(45), compensation(45), staircase([30, 0])))
