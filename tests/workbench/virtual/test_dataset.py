@@ -58,6 +58,19 @@ def test_the_sequence_follows_the_measured_torque() -> None:
     assert np.degrees(trial.hall_rad[-1]) == pytest.approx([44.4, 44.3, 44.9, 45], abs=0.05)
 
 
+@pytest.mark.parametrize("effect", ["chuck_backlash", "stribeck", "tissue_viscoelasticity", "clock_offset"])
+def test_waypoints_follow_what_the_dataset_s_own_samples_show(effect: str) -> None:
+    """The needle that the sequence was decided on, motion by motion, is the one that the dataset shows."""
+    model = load_parameters("rig_rigid").with_effects(find_effects()[effect].at_strength(1.0))
+    trial = simulate_dataset(model, Protocol("one", (compensation(60),)), 1, NO_NOISE).trials[0]
+    rotate, overshoot = (np.flatnonzero(trial.phase == name) for name in ("rotate", "overshoot"))
+    time_s = trial.trial.time_s
+    torque_nm = trial.torque_nm[rotate][time_s[rotate] > time_s[rotate[-1]] - 0.48].mean()
+    lag_rad = torque_nm / model.torsional_rigidity_nm2 * effective_length_m(EXPERIMENT_LAYOUT)
+    arrived_rad = trial.trial.base_angle_rad[overshoot[-1]]
+    assert arrived_rad == pytest.approx(math.radians(60.0) + lag_rad, abs=math.radians(0.02))
+
+
 def test_noise_is_as_told() -> None:
     plan = Protocol("rest", (staircase([10], settle_s=100),))
     model = load_parameters("rig_rigid").replaced({FRICTION: 1.0})
