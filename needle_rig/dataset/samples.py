@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 import numpy.typing as npt
@@ -40,11 +40,13 @@ def checked_trial(
     command: TrialCommand,
     start_s: float,
     notes: list[str],
+    absent: Collection[str] = (),
 ) -> DatasetTrial:
     """A trial of `values` (samples, 3 + sensors): time, base angle, torque, Hall angles; SI, NaN if missing.
 
-    `line` says where each sample stands in the file called `shown`; what is handled is added to `notes`.
-    Times must not go back. Raises LeftOut when the trial has no use.
+    `line` says where each sample stands in the file called `shown`; what is handled is added to `notes`,
+    which say already of the channels in `absent` that they have no column. Times must not go back. Raises
+    LeftOut when the trial has no use.
     """
     if len(values) > 1.05 * MAX_SAMPLES:
         every = -(-len(values) // MAX_SAMPLES)
@@ -69,7 +71,7 @@ def checked_trial(
                 notes.append(f"{shown}:{int(line[place])}: {name} wraps by a whole turn; unwrapped")
     values, phase, line = _without_blind_end(values, phase, line, shown, notes)
     time_s = values[:, 0]
-    _note_gaps(values, line, names, shown, notes)
+    _note_gaps(values, line, names, shown, notes, absent)
     _mask_stuck(values, line, names, shown, notes)
     base_known = np.isfinite(values[:, 1])
     filled = np.interp(time_s, time_s[base_known], values[base_known, 1])
@@ -126,11 +128,16 @@ def _without_blind_end(
 
 
 def _note_gaps(
-    values: Array, line: npt.NDArray[np.int64], names: list[str], shown: str, notes: list[str]
+    values: Array,
+    line: npt.NDArray[np.int64],
+    names: list[str],
+    shown: str,
+    notes: list[str],
+    absent: Collection[str],
 ) -> None:
     for k, name in enumerate(names, start=1):
         missing = np.flatnonzero(~np.isfinite(values[:, k]))
-        if missing.size == len(values) and not any(f"{name}_" in note for note in notes):
+        if missing.size == len(values) and name not in absent:
             notes.append(f"{shown}: {name} is missing in every sample; nothing is compared in this channel")
         if 0 < missing.size < len(values):
             how = "filled along a straight line" if name == "base_angle" else "not compared"
