@@ -21,7 +21,8 @@ from needle_rig.simulation.protocol import Protocol, compensation, load_protocol
 from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.estimation.parameters import against_mean, coordinates, make_effects
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
 
 STRENGTHS = (0.5, 1.0, 3.0, 5.0, 10.0)
 IMPOSTORS = ("clock skew 10 ms", "2 % outliers", "dropped samples", "half the solver step")

@@ -78,7 +78,8 @@ def command(
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.physics.library import find_effects
     from needle_rig.simulation.protocol import load_protocol
-    from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
+    from needle_rig.workbench.virtual.dataset import simulate_dataset
+    from needle_rig.workbench.virtual.noise import Noise
 
     if os.path.lexists(out / "dataset.yaml"):
         raise BadInput(f"{out}: holds a dataset already; name another folder with --out or remove it first")

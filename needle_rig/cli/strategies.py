@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.workbench.contest.strategies_table import Foretold, Table
-    from needle_rig.workbench.virtual.dataset import Noise
+    from needle_rig.workbench.virtual.noise import Noise
 
 PAIR = ("planned", "reed2008")
 EACH = "  {:<36}{:<24}{:>11}{:>13}{:>7}  {}"
@@ -81,7 +81,7 @@ def command(
     from needle_rig.model import SavedModel, load_model, load_parameters, parameter_sets
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.workbench.contest.strategies_table import all_strategies
-    from needle_rig.workbench.virtual.dataset import Noise
+    from needle_rig.workbench.virtual.noise import Noise
 
     library = find_library(directories)
     bare = load_parameters(parameters, effects=directories)

@@ -8,8 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from needle_rig.control.lag import lag_rad
-from needle_rig.control.reports import SettledMotion
+from needle_rig.control.reports import SettledMotion, settled_motion
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.records import Measurement, Phase
@@ -167,14 +166,12 @@ class Sequence:
     @property
     def speed_rad_s(self) -> float:
         """Speed of the present motion."""
-        given = self.waypoint.speed_rad_s if self.waypoint else None
-        return self.task.speed_rad_s if given is None else given
+        return self.task.pace(self.waypoint)[0]
 
     @property
     def settle_s(self) -> float:
         """Time that the present motion settles."""
-        given = self.waypoint.settle_s if self.waypoint else None
-        return self.task.settle_s if given is None else given
+        return self.task.pace(self.waypoint)[1]
 
     def step(self, phase: Phase, measurement: Measurement, dt_s: float) -> Event | None:
         """Advance by one tick; the event that it brings, or None. The caller applies it with `after`."""
@@ -296,17 +293,15 @@ class Sequence:
 
     def _settled(self, measurement: Measurement) -> SettledMotion:
         base, torque, *halls = (value / self._weight_s for value in self._sums)
-        return SettledMotion(
+        return settled_motion(
+            self.task,
+            self.waypoint,
             index=len(self.history),
-            name=self.waypoint.name if self.waypoint else Phase.REST.value,
             moved_s=self._moved_s if self.waypoint else measurement.time_s - self._weight_s,
             time_s=measurement.time_s,
-            waypoint_rad=self.waypoint.angle_rad if self.waypoint else base,
             base_angle_rad=base,
             torque_nm=torque,
             hall_rad=tuple(halls),
-            predicted_lag_rad=lag_rad(torque, self.task.layout, self.task.torsional_rigidity_nm2),
-            tip_lag_rad=base - halls[-1] if halls else math.nan,
         )
 
     def _average(self, measurement: Measurement, dt_s: float) -> None:

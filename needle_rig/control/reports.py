@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal
 
-from needle_rig.control.strategy import Strategy
+from needle_rig.control.lag import lag_rad
+from needle_rig.control.strategy import Reason, Strategy, Task, Waypoint
 from needle_rig.records import Measurement, Phase
 
 Status = Literal["aligned", "not_aligned", "aborted", "fault"]
@@ -51,6 +53,35 @@ class SettledMotion:
     hall_rad: tuple[float, ...]
     predicted_lag_rad: float
     tip_lag_rad: float
+    reason: Reason = Reason.STRATEGY
+    """Why it was made."""
+
+
+def settled_motion(
+    task: Task,
+    waypoint: Waypoint | None,
+    *,
+    index: int,
+    moved_s: float,
+    time_s: float,
+    base_angle_rad: float,
+    torque_nm: float,
+    hall_rad: tuple[float, ...],
+) -> SettledMotion:
+    """The record of the motion to `waypoint`, or of the rest before the first, with the lags by its means."""
+    return SettledMotion(
+        index=index,
+        name=waypoint.name if waypoint else Phase.REST.value,
+        moved_s=moved_s,
+        time_s=time_s,
+        waypoint_rad=waypoint.angle_rad if waypoint else base_angle_rad,
+        base_angle_rad=base_angle_rad,
+        torque_nm=torque_nm,
+        hall_rad=hall_rad,
+        predicted_lag_rad=lag_rad(torque_nm, task.layout, task.torsional_rigidity_nm2),
+        tip_lag_rad=base_angle_rad - hall_rad[-1] if hall_rad else math.nan,
+        reason=waypoint.reason if waypoint else Reason.STRATEGY,
+    )
 
 
 @dataclass(frozen=True)

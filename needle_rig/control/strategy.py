@@ -8,6 +8,7 @@ so a run can be replayed from its record.
 from __future__ import annotations
 
 import dataclasses
+import enum
 import functools
 import importlib
 import math
@@ -34,6 +35,17 @@ class Dither:
     frequency_hz: float
 
 
+class Reason(enum.StrEnum):
+    """Why a motion is made."""
+
+    STRATEGY = "strategy"
+    """It is the strategy's own way."""
+    MODEL_DOUBTED = "model_doubted"
+    """What was measured is too far from what any likely needle of the model gives."""
+    EFFORT_SPENT = "effort_spent"
+    """The model takes more solves than a plan may spend."""
+
+
 @dataclass(frozen=True)
 class Waypoint:
     """One motion: where the base goes, how fast, and what the motion is called.
@@ -46,6 +58,7 @@ class Waypoint:
     speed_rad_s: float | None = None
     settle_s: float | None = None
     dither: Dither | None = None
+    reason: Reason = Reason.STRATEGY
     note: str = ""
     """What the strategy expects of this motion, for a person."""
 
@@ -80,6 +93,12 @@ class Task:
     """Tip lag left by the run before."""
     extra_before_deg: float = 0.0
     """Extra turn that the run before used."""
+
+    def pace(self, waypoint: Waypoint | None) -> tuple[float, float]:
+        """Speed (rad/s) and settling time (s) of a motion: its own where it says so, else the task's."""
+        speed = None if waypoint is None else waypoint.speed_rad_s
+        settle = None if waypoint is None else waypoint.settle_s
+        return self.speed_rad_s if speed is None else speed, self.settle_s if settle is None else settle
 
 
 class Strategy:

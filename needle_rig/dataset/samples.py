@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,11 @@ AT_REST_DEG_S = 3.0
 
 
 class LeftOut(Exception):
-    """The sentence that says why a trial cannot be used though its file can be read."""
+    """Why the trial at `place`, a file and its line, cannot be used though its file can be read."""
+
+    def __init__(self, place: str, reason: str) -> None:
+        super().__init__(f"{place}: left out: {reason}")
+        self.place, self.reason = place, reason
 
 
 def checked_trial(
@@ -36,11 +40,13 @@ def checked_trial(
     command: TrialCommand,
     start_s: float,
     notes: list[str],
+    absent: Collection[str] = (),
 ) -> DatasetTrial:
     """A trial of `values` (samples, 3 + sensors): time, base angle, torque, Hall angles; SI, NaN if missing.
 
-    `line` says where each sample stands in the file called `shown`; what is handled is added to `notes`.
-    Times must not go back. Raises LeftOut when the trial has no use.
+    `line` says where each sample stands in the file called `shown`; what is handled is added to `notes`,
+    which say already of the channels in `absent` that they have no column. Times must not go back. Raises
+    LeftOut when the trial has no use.
     """
     if len(values) > 1.05 * MAX_SAMPLES:
         every = -(-len(values) // MAX_SAMPLES)
@@ -54,8 +60,8 @@ def checked_trial(
         values, phase, line = values[keep], phase[keep], line[keep]
     if len(values) < FEWEST_SAMPLES:
         raise LeftOut(
-            f"{shown}:{int(line[-1])}: left out: {len(values)} samples, fewer than {FEWEST_SAMPLES}; "
-            "record the trial again"
+            f"{shown}:{int(line[-1])}",
+            f"{len(values)} samples, fewer than {FEWEST_SAMPLES}; record the trial again",
         )
     names = ["base_angle", "base_torque", *sensors]
     for k, name in enumerate(names, start=1):
@@ -65,7 +71,7 @@ def checked_trial(
                 notes.append(f"{shown}:{int(line[place])}: {name} wraps by a whole turn; unwrapped")
     values, phase, line = _without_blind_end(values, phase, line, shown, notes)
     time_s = values[:, 0]
-    _note_gaps(values, line, names, shown, notes)
+    _note_gaps(values, line, names, shown, notes, absent)
     _mask_stuck(values, line, names, shown, notes)
     base_known = np.isfinite(values[:, 1])
     filled = np.interp(time_s, time_s[base_known], values[base_known, 1])
@@ -97,7 +103,7 @@ def _without_blind_end(
     time_s, base = values[:, 0], values[:, 1]
     known = np.flatnonzero(np.isfinite(base))
     if not len(known):
-        raise LeftOut(f"{shown}:2: left out: the base angle is never known")
+        raise LeftOut(f"{shown}:2", "the base angle is never known")
     if known[0] > 0:
         notes.append(
             f"{shown}:{int(line[0])}: the base angle is missing in the first {known[0]} rows; left out"
@@ -117,18 +123,21 @@ def _without_blind_end(
         )
         values, phase, line = values[: last + 1], phase[: last + 1], line[: last + 1]
         if len(values) < FEWEST_SAMPLES:
-            raise LeftOut(
-                f"{shown}:{int(line[-1])}: left out: {len(values)} samples before the encoder's gap"
-            )
+            raise LeftOut(f"{shown}:{int(line[-1])}", f"{len(values)} samples before the encoder's gap")
     return values, phase, line
 
 
 def _note_gaps(
-    values: Array, line: npt.NDArray[np.int64], names: list[str], shown: str, notes: list[str]
+    values: Array,
+    line: npt.NDArray[np.int64],
+    names: list[str],
+    shown: str,
+    notes: list[str],
+    absent: Collection[str],
 ) -> None:
     for k, name in enumerate(names, start=1):
         missing = np.flatnonzero(~np.isfinite(values[:, k]))
-        if missing.size == len(values) and not any(f"{name}_" in note for note in notes):
+        if missing.size == len(values) and name not in absent:
             notes.append(f"{shown}: {name} is missing in every sample; nothing is compared in this channel")
         if 0 < missing.size < len(values):
             how = "filled along a straight line" if name == "base_angle" else "not compared"
@@ -176,13 +185,14 @@ def _check_rest(time_s: Array, base_rad: Array, line: int, shown: str) -> None:
     )
     if abs(rate) > AT_REST_DEG_S:
         raise LeftOut(
-            f"{shown}:{line}: left out: the base already turns at {rate:.0f}°/s; a trial must start at rest, "
-            "with the shaft relaxed at 0°"
+            f"{shown}:{line}",
+            f"the base already turns at {rate:.0f}°/s; a trial must start at rest, with the shaft relaxed at"
+            " 0°",
         )
     if abs(start) > AT_REST_DEG:
         raise LeftOut(
-            f"{shown}:{line}: left out: the base starts at {start:.1f}°; a trial must start with the shaft "
-            "relaxed at 0°"
+            f"{shown}:{line}",
+            f"the base starts at {start:.1f}°; a trial must start with the shaft relaxed at 0°",
         )
 
 

@@ -43,7 +43,8 @@ def read_trial(
         )
     _name_unused(table, found, sensors, shown, notes)
     values = np.column_stack([time_s, base, torque, *hall])
-    return checked_trial(values, table.text, table.line, sensors, shown, command, start_s, notes)
+    absent = {name for name in ("base_torque", *sensors) if name not in found}
+    return checked_trial(values, table.text, table.line, sensors, shown, command, start_s, notes, absent)
 
 
 def _columns(table: Table, shown: str) -> dict[str, tuple[int, str, str]]:

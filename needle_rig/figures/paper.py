@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from needle_rig.figures.page import Picture, paragraph, png, row, shown, table, write_page
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
 from needle_rig.physics.rod import Layout
+from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import deg, mm, nmm
 from needle_rig.workbench.paper.reproduce import STANDARD_ERROR_DEG, Reproduction, Row
-from needle_rig.workbench.virtual.states import SettledState
 
 # Okabe and Ito's palette: told apart by people with colour-blindness and in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
@@ -25,9 +25,9 @@ TISSUE = "#EFEDE6"
 
 @dataclass(frozen=True)
 class Line:
-    """One settled state in a figure."""
+    """A settled needle in a figure."""
 
-    state: SettledState
+    needle: SettledNeedle
     label: str
     colour: str
     style: str = "-"
@@ -74,8 +74,10 @@ def plots(runs: Reproduction) -> tuple[Plot, ...]:
             "Figure 4: the sequence in the simulation's layout (figure_3)",
             MODEL_LAYOUT,
             tuple(
-                Line(state, f"{k}. {label}", COLOURS[k - 1], style)
-                for k, (state, (label, style)) in enumerate(zip(runs.sequence, motions, strict=True), start=1)
+                Line(needle, f"{k}. {label}", COLOURS[k - 1], style)
+                for k, (needle, (label, style)) in enumerate(
+                    zip(runs.sequence, motions, strict=True), start=1
+                )
             ),
         ),
         Plot(
@@ -117,15 +119,15 @@ def draw(picture: Plot) -> Figure:
             axes.spines[side].set_visible(False)
         axes.tick_params(labelsize=9)
     for number, line in enumerate(picture.lines):
-        state = line.state
-        place = mm(state.position_m)
+        needle = line.needle
+        place = mm(needle.position_m)
         style: dict[str, Any] = {
             "color": line.colour,
             "linestyle": line.style,
             "linewidth": 3.2 - 0.45 * number,
         }
-        above.plot(place, deg(state.angle_rad), label=line.label, **style)
-        below.stairs(nmm(state.internal_torque_nm), place, baseline=None, **style)
+        above.plot(place, deg(needle.angle_rad), label=line.label, **style)
+        below.stairs(nmm(needle.internal_torque_nm), place, baseline=None, **style)
     above.axhline(picture.target_deg, color="#555555", linewidth=0.8, linestyle=":")
     below.axhline(0.0, color="#555555", linewidth=0.8, linestyle=":")
     for number, (position, angle_deg, label) in enumerate(picture.measured):

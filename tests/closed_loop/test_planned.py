@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from needle_rig.control.planning import effort as effort_module
-from needle_rig.control.planning.belief import World, first_belief, worlds
+from needle_rig.control.planning.belief import first_belief, needles
 from needle_rig.control.planning.effort import CALL_SOLVES, Effort, Spent
 from needle_rig.control.planning.search import Aim, carry_out, cheapest, likeliest_plans, rate
 from needle_rig.control.strategies.planned import PLAN_SOLVES, Planned
-from needle_rig.control.strategy import Strategy, Task, Trust, Waypoint, make_strategy
+from needle_rig.control.strategy import Reason, Strategy, Task, Trust, Waypoint, make_strategy
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
 from needle_rig.physics.effect import Trial
@@ -22,10 +22,11 @@ from needle_rig.physics.effects.bending_torque import BendingTorque
 from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 from needle_rig.physics.effects.stribeck import Stribeck
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.solver import Solution, relaxed
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.virtual.dataset import NO_NOISE, Noise
+from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun, run_settled
 
 RIGIDITY_NM2 = 62.56e-6
@@ -111,9 +112,9 @@ def test_a_rigid_uniform_needle_ends_on_the_two_front_optimum() -> None:
     belief = first_belief(model, {}, 1e-6)
     history = _run_history(model, task)
     aim = Aim(task, history[-1].base_angle_rad, rad(120.0), 0.5, 0.9, rad(0.15))
-    needles = worlds(belief, task, history, 1, PLENTY)
-    closed_form = rate(aim, needles, [task.target_rad + s * lag for s in (1.0, back, 0.0)], PLENTY)
-    ours = likeliest_plans(aim, needles[0], 3, PLENTY)[2]
+    likely = needles(belief, task, history, 1, PLENTY)
+    closed_form = rate(aim, likely, [task.target_rad + s * lag for s in (1.0, back, 0.0)], PLENTY)
+    ours = likeliest_plans(aim, likely[0], 3, PLENTY)[2]
     assert len(ours.angles_rad) == 3
     assert nmm(closed_form.ends.torque_nm[0]) == pytest.approx(0.0, abs=2e-3)
     # the planner weighs the worst angle, so it may beat the condition of zero torque, but not lose to it
@@ -185,12 +186,12 @@ def test_a_motion_more_is_taken_when_it_is_worth_its_price() -> None:
     plant = load_parameters("rig_elastic")
     task = _task(plant)
     history = _run_history(plant, task)
-    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)
+    likely = needles(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)
     lengths = []
     for price_deg in (0.01, 0.15, 60.0):
         aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(price_deg))
-        plan = cheapest(likeliest_plans(aim, needles[0], 4, PLENTY))
-        again = carry_out(aim, needles, plan.angles_rad, PLENTY)
+        plan = cheapest(likeliest_plans(aim, likely[0], 4, PLENTY))
+        again = carry_out(aim, likely, plan.angles_rad, PLENTY)
         assert again.worst_rad == pytest.approx(plan.ends.worst_rad)
         lengths.append(len(plan.angles_rad))
     assert lengths[0] >= lengths[1] == 2
@@ -201,13 +202,13 @@ def test_what_was_the_best_way_to_go_on_stays_so() -> None:
     plant = load_parameters("rig_rigid").with_effects(ChuckBacklash(4.0))
     task = _task(plant)
     history = _run_history(plant, task)
-    needle = worlds(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)[0]
+    needle = needles(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)[0]
     aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(0.15))
     plan = cheapest(likeliest_plans(aim, needle, 5, PLENTY))
     assert len(plan.angles_rad) >= 4
     travel_s = plan.angles_rad[0] / task.speed_rad_s
     path = Trial(np.array([0.0, travel_s, travel_s + 1.0]), np.array([0.0, *[plan.angles_rad[0]] * 2]))
-    there = World(needle.model, needle.model.truth(path, needle.state).state)
+    there = needle.moved(path)
     rest = dataclasses.replace(aim, base_rad=plan.angles_rad[0])
     going_on = cheapest(likeliest_plans(rest, there, 5, PLENTY))
     assert deg(going_on.ends.worst_rad[0]) == pytest.approx(deg(plan.ends.worst_rad[0]), abs=0.3)
@@ -218,14 +219,14 @@ def test_a_search_ends_when_its_effort_is_spent() -> None:
     plant = load_parameters("rig_rigid").with_effects(BendingTorque(0.05, 0.02))
     task = _task(plant)
     history = _run_history(plant, task)
-    needles = worlds(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)
+    likely = needles(first_belief(plant, {}, 1e-6), task, history, 1, PLENTY)
     aim = Aim(task, 0.0, rad(120.0), 0.5, 0.9, rad(0.15))
     costs = []
     with pytest.raises(Spent):
-        likeliest_plans(aim, needles[0], 5, Effort(1.0))
+        likeliest_plans(aim, likely[0], 5, Effort(1.0))
     for solves in (5e2, 2e4, 2e5):
         effort = Effort(solves)
-        plan = cheapest(likeliest_plans(aim, needles[0], 5, effort))
+        plan = cheapest(likeliest_plans(aim, likely[0], 5, effort))
         assert effort.left > -1e3
         costs.append(plan.cost_rad)
     assert costs[0] >= costs[1] >= costs[2]
@@ -234,9 +235,26 @@ def test_a_search_ends_when_its_effort_is_spent() -> None:
 
 def test_a_doubt_is_kept_to_the_end() -> None:
     plant, wrong = load_parameters("rig_elastic"), load_parameters("rig_rigid")
-    names = [motion.name for motion in _run(plant, Planned(), _task(wrong)).history[1:]]
-    first = names.index("overshoot")
-    assert names[first:] == ["overshoot", "back", "forward", "final"]
+    history = _run(plant, Planned(), _task(wrong)).history
+    taken = [motion.name for motion in history if motion.reason is Reason.MODEL_DOUBTED]
+    assert taken == ["overshoot", "back", "forward", "final"]
+    assert [motion.name for motion in history[-4:]] == taken
+    assert all(motion.reason is Reason.STRATEGY for motion in history[:-4])
+
+
+def test_what_a_motion_is_called_is_no_doubt() -> None:
+    plant = load_parameters("rig_elastic")
+    history = _run(plant, Planned(), _task(plant)).history[:3]
+    renamed = tuple(dataclasses.replace(motion, name="overshoot") for motion in history)
+    there = Planned().next(_task(plant), history)
+    assert there is not None
+    assert there.reason is Reason.STRATEGY
+    assert Planned().next(_task(plant), renamed) == there
+    doubted = (*history[:2], dataclasses.replace(history[2], reason=Reason.MODEL_DOUBTED))
+    back = Planned().next(_task(plant), doubted)
+    assert back is not None
+    assert (back.name, back.reason) == ("back", Reason.MODEL_DOUBTED)
+    assert back.angle_rad == pytest.approx(rad(45.0) - 0.75 * history[1].predicted_lag_rad)
 
 
 def _solves_of_each_plan(monkeypatch: pytest.MonkeyPatch, plant: NeedleModel) -> tuple[SettledRun, list[int]]:
@@ -279,6 +297,7 @@ def test_a_needle_that_snaps_too_often_is_left_to_reed2008(monkeypatch: pytest.M
     assert max(spent) <= PLAN_SOLVES + 1e3
     assert any("snaps too often to be planned with" in note for note in run.notes)
     assert [motion.name for motion in run.history[-4:]] == ["overshoot", "back", "forward", "final"]
+    assert {motion.reason for motion in run.history[-4:]} == {Reason.EFFORT_SPENT}
 
 
 def test_a_sequence_that_takes_too_many_solves_counts_as_bad(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,7 +310,7 @@ def test_a_sequence_that_takes_too_many_solves_counts_as_bad(monkeypatch: pytest
     aim = Aim(task, 0.0, rad(120.0), 3.0, 0.9, rad(0.15))
     turns = [rad(a) for a in (90.0, 0.0, 90.0, 45.0)]
     effort = Effort(10.0 * most)
-    plan = rate(aim, [World(model, state)], turns, effort)
+    plan = rate(aim, [SettledNeedle(model, state)], turns, effort)
     assert not plan.followed
     assert effort.left == 9.0 * most - CALL_SOLVES
     time_s = np.array([0.0, 2.0])
@@ -299,4 +318,4 @@ def test_a_sequence_that_takes_too_many_solves_counts_as_bad(monkeypatch: pytest
         model.truth(Trial(time_s, np.array([0.0, rad(90.0)])), state, most_solves=100.0)
     # what the whole cannot afford is not a fault of the sequence
     with pytest.raises(Spent):
-        rate(aim, [World(model, state)], turns, Effort(0.5 * most))
+        rate(aim, [SettledNeedle(model, state)], turns, Effort(0.5 * most))

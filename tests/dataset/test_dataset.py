@@ -272,6 +272,19 @@ def test_missing_hall_column_is_masked_and_said(folder: Path) -> None:
     assert "01.csv:1: column hall_2_deg is missing" in "\n".join(dataset.notes)
 
 
+def test_an_empty_column_is_said_whatever_another_note_names(folder: Path) -> None:
+    table = rows(folder)
+    column = table[0].index("hall_2_deg")
+    for row in table[1:]:
+        row[column] = ""
+        row.append("1")
+    table[0].append("hall_2_raw_deg")
+    save(folder, table)
+    said = notes_of(folder)
+    assert "no sensor of the dataset has this name: hall_2_raw" in said
+    assert "hall_2 is missing in every sample; nothing is compared in this channel" in said
+
+
 def test_wrapped_angles(folder: Path) -> None:
     expected = read_dataset(folder).trials[0].hall_rad
     table = rows(folder)

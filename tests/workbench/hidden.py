@@ -9,7 +9,8 @@ from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
-from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
 
 PROTOCOL = Protocol(
     "short",

@@ -12,19 +12,19 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from needle_rig.control.planning.effort import Effort, Spent
+from needle_rig.control.planning.replay import READ, replayed
 from needle_rig.control.strategy import History, Task
 from needle_rig.errors import SolverError
+from needle_rig.numerics import forward_jacobian
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import RodState, Solution, relaxed
+from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import nm, rad
 
 Array = npt.NDArray[np.float64]
@@ -34,9 +34,8 @@ ELEMENT_LENGTH_M = 5e-3
 TOLERANCE_RAD = rad(0.1)
 """Of one time step, where the needle depends on rates or angles."""
 STEP = 0.3
+"""Of the slopes, in standard deviations."""
 ITERATIONS = 4
-READ_BEFORE_END_S = 0.25
-"""Torques are means over the last half second: its middle stands for them."""
 RELAXED_NM, WOUND_NM = nm(0.002), nm(0.0005)
 LONGEST_WIND_RAD = rad(540.0)
 MOST_WINDS = 8
@@ -48,24 +47,6 @@ class Errors:
 
     torque_nm: float = nm(0.0015)
     hall_rad: float = rad(0.7)
-
-
-@dataclass(frozen=True)
-class World:
-    """One needle that may be the true one, and where its shaft is now."""
-
-    model: NeedleModel
-    state: RodState
-
-    @cached_property
-    def rod(self) -> Rod:
-        """The model's rod."""
-        return self.model.rod(Trial(np.empty(0), np.empty(0)))
-
-    @cached_property
-    def tissue(self) -> slice:
-        """Nodes from the first tissue to the tip."""
-        return slice(self.rod.entry, None)
 
 
 @dataclass(frozen=True)
@@ -151,24 +132,22 @@ def corrected(
     if len(history) == 1 and not use_hall:
         # every needle is wound until it shows the torque at rest
         return belief
-    told = _Told(task, history, errors, effort, use_hall)
-    size = len(belief.names)
+    residuals = _Residuals(belief, task, history, errors, effort, use_hall)
     z, best = belief.mean.copy(), belief
     value = math.inf
     with suppress(Spent, SolverError):
-        here = told.residuals(belief.model_at(z))
-        slopes = [(told.residuals(belief.model_at(z + STEP * unit)) - here) / STEP for unit in np.eye(size)]
-        jacobian = np.column_stack(slopes)
+        here = residuals(z)
+        jacobian = forward_jacobian(residuals, z, here, STEP)
         for _ in range(ITERATIONS):
             now = float(here @ here + z @ z)
             if now >= value - 1e-3:
                 break
             value = now
-            curvature = jacobian.T @ jacobian + np.eye(size)
+            curvature = jacobian.T @ jacobian + np.eye(len(z))
             covariance = np.linalg.inv(curvature).astype(np.float64)
             best = dataclasses.replace(belief, mean=z, covariance=covariance)
             step = np.clip(z - np.linalg.solve(curvature, jacobian.T @ here + z), -6.0, 6.0) - z
-            there = told.residuals(belief.model_at(z + step))
+            there = residuals(z + step)
             # Broyden: the slopes that explain what this step showed; others would cost a trial for each
             missed = there - here - jacobian @ step
             jacobian = jacobian + np.outer(missed, step) / max(float(step @ step), 1e-12)
@@ -192,21 +171,19 @@ def after_next(
         time_s=last.time_s + held,
         base_angle_rad=turned_rad,
     )
-    told = _Told(task, (*history, turned), errors, effort, use_hall=False, last_only=True)
-    here = told.residuals(belief.model_at(belief.mean))
-    steps = STEP * np.eye(len(belief.names))
-    slope = (np.array([told.residuals(belief.model_at(belief.mean + s)) for s in steps]) - here) / STEP
-    curvature = np.linalg.inv(belief.covariance) + slope @ slope.T
+    residuals = _Residuals(belief, task, (*history, turned), errors, effort, use_hall=False, last_only=True)
+    jacobian = forward_jacobian(residuals, belief.mean, residuals(belief.mean), STEP)
+    curvature = np.linalg.inv(belief.covariance) + jacobian.T @ jacobian
     return dataclasses.replace(belief, covariance=np.linalg.inv(curvature).astype(np.float64))
 
 
-def worlds(belief: Belief, task: Task, history: History, count: int, effort: Effort) -> list[World]:
+def needles(belief: Belief, task: Task, history: History, count: int, effort: Effort) -> list[SettledNeedle]:
     """Needles that agree with the belief, each with its shaft where `history` brought it.
 
     Raises Spent, SolverError.
     """
     models = [belief.model_at(z) for z in belief.samples(count)]
-    return [World(model, follow(model, task, history, effort)[-1].state) for model in models]
+    return [_followed(model, task, history, effort)[-1] for model in models]
 
 
 def misfit(belief: Belief, task: Task, history: History, errors: Errors, effort: Effort) -> tuple[float, str]:
@@ -214,50 +191,38 @@ def misfit(belief: Belief, task: Task, history: History, errors: Errors, effort:
 
     Raises Spent, SolverError.
     """
-    told = _Told(task, history, errors, effort, use_hall=True, last_only=True)
-    off = told.residuals(belief.model_at(belief.mean))
+    residuals = _Residuals(belief, task, history, errors, effort, use_hall=True, last_only=True)
+    off = residuals(belief.mean)
     worst = int(np.argmax(np.abs(off)))
-    return float(abs(off[worst])), told.sentence(worst, off[worst])
+    return float(abs(off[worst])), residuals.sentence(worst, off[worst])
 
 
-def follow(model: NeedleModel, task: Task, history: History, effort: Effort) -> list[Solution]:
-    """What `model` does in each settled motion; the first entry is the rest. The last sample is the end.
-
-    Raises Spent, SolverError.
-    """
-    start = history[0]
-    found = [_at_rest(model, task, start.base_angle_rad, start.torque_nm, effort)]
-    for before, motion in pairwise(history):
-        turn = abs(motion.base_angle_rad - before.base_angle_rad)
-        held = motion.time_s - motion.moved_s
-        arrive = min(max(turn / task.speed_rad_s, 1e-3), 0.9 * held)
-        read = max(held - READ_BEFORE_END_S, 0.5 * (arrive + held))
-        path = Trial(
-            motion.moved_s + np.array([0.0, arrive, read, held]),
-            np.array([before.base_angle_rad, *(motion.base_angle_rad,) * 3]),
-        )
-        found.append(effort.truth(model, path, found[-1].state))
-    return found
+def _followed(model: NeedleModel, task: Task, history: History, effort: Effort) -> list[SettledNeedle]:
+    """The needle of `model` at rest, and after each settled motion. Raises Spent, SolverError."""
+    rest = history[0]
+    start = _at_rest(model, task, rest.base_angle_rad, rest.torque_nm, effort)
+    return replayed(start, task, history, effort.truth)
 
 
-def _at_rest(model: NeedleModel, task: Task, base_rad: float, torque_nm: float, effort: Effort) -> Solution:
+def _at_rest(
+    model: NeedleModel, task: Task, base_rad: float, torque_nm: float, effort: Effort
+) -> SettledNeedle:
     """A shaft at rest, base at `base_rad`: relaxed, or wound by one turn until it shows `torque_nm`."""
-    rod = model.rod(Trial(np.empty(0), np.empty(0)))
 
-    def wound(turn: float) -> tuple[Solution, float]:
+    def wound(turn: float) -> tuple[SettledNeedle, float]:
         times = np.array([0.0, max(abs(turn) / task.speed_rad_s, 1e-3)])
         path = Trial(
             np.append(times, times[-1] + task.settle_s), np.array([base_rad - turn, base_rad, base_rad])
         )
-        solution = effort.truth(model, path, relaxed(rod, base_rad - turn))
-        return solution, float(model.observed(path, solution).torque_nm[-1])
+        needle = SettledNeedle.relaxed(model, base_rad - turn).moved(path, effort.truth)
+        return needle, needle.reading(slice(-1, None))[1]
 
     here, shown = wound(0.0)
     missing = torque_nm - shown
     if abs(missing) < RELAXED_NM:
         return here
     sign, missing = math.copysign(1.0, missing), abs(missing)
-    turn = _rigid_wind_rad(rod, missing)
+    turn = _rigid_wind_rad(here.rod, missing)
     before_rad, before_nm = 0.0, 0.0
     low, high = 0.0, LONGEST_WIND_RAD
     for _ in range(MOST_WINDS):
@@ -285,11 +250,12 @@ def _rigid_wind_rad(rod: Rod, torque_nm: float) -> float:
     return turn + torque_nm * rod.base_compliance_rad_per_nm
 
 
-class _Told:
-    """What the settled motions measured, against what a model gives, in standard deviations."""
+class _Residuals:
+    """What the needle at z gives minus what was measured, in standard deviations: torques, Hall angles."""
 
     def __init__(
         self,
+        belief: Belief,
         task: Task,
         history: History,
         errors: Errors,
@@ -297,7 +263,7 @@ class _Told:
         use_hall: bool,
         last_only: bool = False,
     ) -> None:
-        self._task, self._history, self._effort = task, history, effort
+        self._belief, self._task, self._history, self._effort = belief, task, history, effort
         self._from = len(history) - 1 if last_only else 0
         self._hall = use_hall
         sensors = len(history[0].hall_rad) if use_hall else 0
@@ -307,24 +273,21 @@ class _Told:
         ]
         torques = [m.torque_nm for m in motions]
         halls = [angle for m in motions for angle in (m.hall_rad if use_hall else ())]
-        self.measured = np.array([*torques, *halls])
+        self._measured = np.array([*torques, *halls])
         self._sizes = np.array([errors.torque_nm] * len(torques) + [errors.hall_rad] * len(halls))
 
-    def residuals(self, model: NeedleModel) -> Array:
-        """Model minus measured over the standard deviation, torques first, then Hall angles."""
+    def __call__(self, z: Array) -> Array:
+        """At `z` (parameters,), shape (values,). Raises Spent, SolverError."""
         torques, halls = [], []
-        followed = follow(model, self._task, self._history, self._effort)
-        for motion, solution in zip(self._history, followed, strict=True):
-            if motion.index < self._from:
-                continue
-            base = np.full(len(solution.time_s), motion.base_angle_rad)
-            reading = model.observed(Trial(solution.time_s, base), solution)
-            place = -2 if len(solution.time_s) == 4 else -1
-            torques.append(float(reading.torque_nm[place]))
+        followed = _followed(self._belief.model_at(z), self._task, self._history, self._effort)
+        for number, needle in enumerate(followed[self._from :], start=self._from):
+            # the rest is read where it ends
+            _, torque_nm, hall_rad = needle.reading(READ if number else slice(-1, None))
+            torques.append(torque_nm)
             if self._hall:
-                halls.extend(reading.hall_rad[place].tolist())
-        found: Array = (np.array([*torques, *halls]) - self.measured) / self._sizes
-        return found
+                halls.extend(hall_rad.tolist())
+        off: Array = (np.array([*torques, *halls]) - self._measured) / self._sizes
+        return off
 
     def sentence(self, place: int, off: float) -> str:
         """What is off at one place, for a person."""

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from needle_rig.control.strategy import History, Task, Waypoint
+from dataclasses import replace
 
-SHARES = (("overshoot", 1.0), ("back", -0.75), ("forward", 0.25), ("final", 0.0))
+from needle_rig.control.strategies.reed2008 import reed_motion
+from needle_rig.control.strategy import History, Reason, Task, Waypoint
 
 
 def doubted_at(history: History) -> int | None:
-    """The settled motion after which the paper's sequence took over, told by its motions' names, or None."""
-    taken = next((motion.index for motion in history if motion.name == SHARES[0][0]), None)
-    return None if taken is None else taken - 1
+    """The settled motion after which the paper's corrections took over, or None.
+
+    A plain first turn is no correction: what follows it may be planned.
+    """
+    return next((m.index - 1 for m in history[2:] if m.reason is not Reason.STRATEGY), None)
 
 
-def reed_remaining(task: Task, history: History, doubted: int, why: str) -> Waypoint | None:
-    """Reed 2008's motions after the first, after settled motion `doubted`; θ_lag by the largest torque."""
-    done = len(history) - 1 - doubted
-    if done >= len(SHARES):
+def reed_remaining(
+    task: Task, history: History, doubted: int, reason: Reason, note: str = ""
+) -> Waypoint | None:
+    """The next of Reed 2008's motions, of which those up to settled motion `doubted` count as the first.
+
+    θ_lag is that of the largest torque. `note` is said with the first of them.
+    """
+    first = max(doubted, 1)
+    lag = max((m.predicted_lag_rad for m in history[1 : first + 1]), key=abs, default=0.0)
+    waypoint = reed_motion(task, len(history) - first, lag)
+    if waypoint is None:
         return None
-    lag = max((m.predicted_lag_rad for m in history[1 : doubted + 1]), key=abs)
-    name, share = SHARES[done]
-    return Waypoint(task.target_rad + share * lag, name, note=why if done == 0 else "")
+    return replace(waypoint, reason=reason, note=note)

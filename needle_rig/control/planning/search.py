@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.control.lag import effective_length_m, tissue_length_m
-from needle_rig.control.planning.belief import World
 from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.strategy import Task
 from needle_rig.errors import SolverError
+from needle_rig.numerics import forward_jacobian
 from needle_rig.physics.effect import Trial
+from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import rad
 
 Array = npt.NDArray[np.float64]
@@ -30,11 +31,11 @@ FINAL_BOUND_RAD = rad(10.0)
 FIRST_SCAN, NEXT_SCAN = 31, 17
 SQUARES_EVALUATIONS = 6
 POLISH_EVALUATIONS, ROBUST_EVALUATIONS = 10, 12
-"""A motion, in one world and in all."""
+"""A motion, in one needle and in all."""
 SCAN_SHARE = 0.3
 """Of the effort left: the rest is for descents from what a scan found."""
-STEP_RAD, SHIFT_RAD = rad(1.0), 100.0
-"""Of the slopes; the shift makes relative steps absolute."""
+STEP_RAD = rad(1.0)
+"""Of the slopes."""
 CUT_RAD = 100.0
 """What every angle is said to be off where a sequence could not be followed."""
 
@@ -62,12 +63,12 @@ class Aim:
 
 @dataclass(frozen=True)
 class Ends:
-    """What a sequence leaves in each world, shapes (worlds,): angles from the target, torque at the base."""
+    """What a sequence leaves in each needle, (needles,): angles from the target, torque at the base."""
 
     worst_rad: Array
     torque_nm: Array
     off_rad: Array
-    """Of every node from the first tissue to the tip in the first world, shape (nodes,)."""
+    """Of every node from the first tissue to the tip in the first needle, shape (nodes,)."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,14 @@ class Plan:
 
     @property
     def followed(self) -> bool:
-        """Whether every world could be followed to its end."""
+        """Whether every needle could be followed to its end."""
         return float(self.ends.worst_rad.max()) < CUT_RAD
 
 
-def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float], effort: Effort) -> Ends:
-    """What turning the base through `angles_rad` leaves in each world. Raises Spent."""
+def carry_out(
+    aim: Aim, needles: Sequence[SettledNeedle], angles_rad: Sequence[float], effort: Effort
+) -> Ends:
+    """What turning the base through `angles_rad` leaves in each needle. Raises Spent."""
     times, path = [0.0], [aim.base_rad]
     last = len(angles_rad) - 1
     for place, angle in enumerate(angles_rad):
@@ -94,17 +97,17 @@ def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float], ef
         times += [times[-1] + travel, times[-1] + travel + settle]
         path += [angle, angle]
     time_s, base_rad = np.array(times), np.array(path)
-    worst, torque = np.empty(len(worlds)), np.empty(len(worlds))
-    for k, world in enumerate(worlds):
+    worst, torque = np.empty(len(needles)), np.empty(len(needles))
+    for k, needle in enumerate(needles):
         if angles_rad:
             try:
-                solution = effort.truth(world.model, Trial(time_s, base_rad), world.state)
+                solution = effort.truth(needle.model, Trial(time_s, base_rad), needle.state)
                 shaft, torque[k] = solution.state.angle_rad, solution.torque_nm[-1]
             except SolverError:
-                shaft, torque[k] = np.full_like(world.state.angle_rad, aim.task.target_rad + CUT_RAD), 0.0
+                shaft, torque[k] = np.full_like(needle.state.angle_rad, aim.task.target_rad + CUT_RAD), 0.0
         else:
-            shaft, torque[k] = world.state.angle_rad, _held_torque(world)
-        off = shaft[world.tissue] - aim.task.target_rad
+            shaft, torque[k] = needle.state.angle_rad, _held_torque(needle)
+        off = shaft[needle.tissue] - aim.task.target_rad
         worst[k] = np.abs(off).max()
         if k == 0:
             first = off
@@ -112,7 +115,7 @@ def carry_out(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float], ef
 
 
 def cost(aim: Aim, angles_rad: Sequence[float], ends: Ends) -> float:
-    """The quantile over the worlds of worst error and torque left, and the price of the rotations, radians.
+    """The quantile over the needles of worst error and torque left, and the price of the rotations, radians.
 
     A price, and not a tolerance: what was the best way to go on stays so after its first motion.
     """
@@ -129,10 +132,12 @@ def _lag(aim: Aim, torque_nm: Array) -> Array:
     return torque_nm * effective_length_m(aim.task.layout) / aim.task.torsional_rigidity_nm2
 
 
-def rate(aim: Aim, worlds: Sequence[World], angles_rad: Sequence[float] | Array, effort: Effort) -> Plan:
+def rate(
+    aim: Aim, needles: Sequence[SettledNeedle], angles_rad: Sequence[float] | Array, effort: Effort
+) -> Plan:
     """The plan `angles_rad` with what it leaves. Raises Spent."""
     angles = tuple(float(a) for a in angles_rad)
-    ends = carry_out(aim, worlds, angles, effort)
+    ends = carry_out(aim, needles, angles, effort)
     return Plan(angles, cost(aim, angles, ends), ends)
 
 
@@ -141,14 +146,14 @@ def cheapest(plans: Sequence[Plan]) -> Plan:
     return min(plans, key=lambda plan: plan.cost_rad)
 
 
-def likeliest_plans(aim: Aim, world: World, most: int, effort: Effort) -> list[Plan]:
-    """The best sequence of 1, 2, … motions in one world, until one more motion is not worth its price.
+def likeliest_plans(aim: Aim, needle: SettledNeedle, most: int, effort: Effort) -> list[Plan]:
+    """The best sequence of 1, 2, … motions in one needle, until one more motion is not worth its price.
 
     Each is a descent in all angles, from the sequence before with one more turn before its first or its last
     motion, and for two reversals from those of a rigid needle as well. Raises Spent when not one was tried.
     """
     target = aim.task.target_rad
-    found = [_descend(aim, world, (target,), effort)]
+    found = [_descend(aim, needle, (target,), effort)]
     while len(found) < most:
         *turns, last = found[-1].angles_rad
         # one more reversal comes to the end from the other side, where play is to be taken up the other way
@@ -158,12 +163,12 @@ def likeliest_plans(aim: Aim, world: World, most: int, effort: Effort) -> list[P
             scans.append([(x, *turns, last) for x in _denser_at(aim.base_rad, *aim.reach, NEXT_SCAN)])
         tried: list[Plan] = []
         try:
-            tried += [_scan(aim, world, scan, effort.part(SCAN_SHARE)) for scan in scans]
+            tried += [_scan(aim, needle, scan, effort.part(SCAN_SHARE)) for scan in scans]
             starts: list[tuple[float, ...]] = [plan.angles_rad for plan in tried]
             if len(turns) == 1:
-                starts += _two_fronts(aim, world)
+                starts += _two_fronts(aim, needle)
             for start in starts:
-                tried.append(_descend(aim, world, start, effort))
+                tried.append(_descend(aim, needle, start, effort))
         except Spent:
             return [*found, cheapest(tried)] if tried else found
         found.append(cheapest(tried))
@@ -172,28 +177,26 @@ def likeliest_plans(aim: Aim, world: World, most: int, effort: Effort) -> list[P
     return found
 
 
-def _scan(aim: Aim, world: World, scan: Sequence[tuple[float, ...]], effort: Effort) -> Plan:
-    """The best of `scan` in one world. Raises Spent when not one was tried."""
-    rated: list[Plan] = []
+def _scan(aim: Aim, needle: SettledNeedle, scan: Sequence[tuple[float, ...]], effort: Effort) -> Plan:
+    """The best of `scan` in one needle. Raises Spent when not one was tried."""
+    rated = _Rated(aim, [needle], effort)
     # golden steps: a scan cut short has looked everywhere, if less closely
     golden = (math.sqrt(5.0) - 1.0) / 2.0
     order = np.argsort(np.argsort((golden * np.arange(len(scan))) % 1.0))
     with suppress(Spent):
         for place in order:
-            rated.append(rate(aim, [world], scan[place], effort))
-    if not rated:
-        raise Spent
-    return cheapest(rated)
+            rated(scan[place])
+    return rated.best()
 
 
-def _two_fronts(aim: Aim, world: World) -> list[tuple[float, float, float]]:
+def _two_fronts(aim: Aim, needle: SettledNeedle) -> list[tuple[float, float, float]]:
     """The three angles that straighten a rigid, uniform needle, from either side; the lag is this needle's.
 
     From the wound state, fronts at 3/4 and 1/4 of the tissue leave no net torque; with a free length l_in the
     base comes back by 1.5 (l_in + 0.375 L)/(l_in + 0.5 L) of the lag.
     """
     whole, tissue = effective_length_m(aim.task.layout), tissue_length_m(aim.task.layout)
-    rod = world.rod
+    rod = needle.rod
     carried_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1]
     lag = float((carried_nm[1:] / rod.stiffness_nm_per_rad).sum())
     lag += float(carried_nm[0]) * rod.base_compliance_rad_per_nm
@@ -202,43 +205,42 @@ def _two_fronts(aim: Aim, world: World) -> list[tuple[float, float, float]]:
     return [(target + s * lag, target + s * back * lag, target) for s in (1.0, -1.0)]
 
 
-def _descend(aim: Aim, world: World, start_rad: Sequence[float], effort: Effort) -> Plan:
-    """The best plan near `start_rad` in one world: least squares of all nodes first, for speed.
+def _descend(aim: Aim, needle: SettledNeedle, start_rad: Sequence[float], effort: Effort) -> Plan:
+    """The best plan near `start_rad` in one needle: least squares of all nodes first, for speed.
 
     Raises Spent when not one was tried.
     """
     from scipy.optimize import Bounds, least_squares
 
-    seen: list[Plan] = []
+    start, bounds = _bounded(aim, start_rad)
+    rated = _Rated(aim, [needle], effort)
 
-    def off(shifted: Array) -> Array:
-        plan = rate(aim, [world], shifted - SHIFT_RAD, effort)
-        seen.append(plan)
+    def off(angles: Array) -> Array:
+        plan = rated(angles)
         ends = plan.ends
         base = plan.angles_rad[-1] - aim.task.target_rad
         torque = TORQUE_WEIGHT * _lag(aim, ends.torque_nm)
         return np.concatenate([ends.off_rad / math.sqrt(len(ends.off_rad)), torque, [BASE_WEIGHT * base]])
 
-    start, bounds = _bounded(aim, start_rad)
-    try:
+    def slopes(angles: Array) -> Array:
+        return forward_jacobian(off, angles, off(angles), STEP_RAD, *bounds.T)
+
+    with suppress(Spent):
         least_squares(
             off,
-            start + SHIFT_RAD,
-            bounds=Bounds(*(bounds + SHIFT_RAD).T),
-            diff_step=[STEP_RAD / SHIFT_RAD],
+            start,
+            slopes,
+            bounds=Bounds(*bounds.T),
             max_nfev=SQUARES_EVALUATIONS,
-            xtol=1e-3 / SHIFT_RAD,
+            xtol=1e-3,
             ftol=1e-2,
         )
-        return refine(aim, [world], cheapest(seen).angles_rad, POLISH_EVALUATIONS, effort)
-    except Spent:
-        if not seen:
-            raise
-        return cheapest(seen)
+        return refine(aim, [needle], rated.best().angles_rad, POLISH_EVALUATIONS, effort)
+    return rated.best()
 
 
 def refine(
-    aim: Aim, worlds: Sequence[World], start_rad: Sequence[float], evaluations: int, effort: Effort
+    aim: Aim, needles: Sequence[SettledNeedle], start_rad: Sequence[float], evaluations: int, effort: Effort
 ) -> Plan:
     """The best plan near `start_rad`, by Nelder and Mead's simplex, in `evaluations` a motion.
 
@@ -248,17 +250,14 @@ def refine(
 
     start, bounds = _bounded(aim, start_rad)
     sizes = np.array([rad(4.0)] * (len(start) - 1) + [rad(1.0)])
-    seen: dict[tuple[float, ...], Plan] = {}
+    rated = _Rated(aim, needles, effort)
 
-    def value(angles: Array) -> float:
-        key = tuple(angles.tolist())
-        if key not in seen:
-            seen[key] = rate(aim, worlds, key, effort)
-        return seen[key].cost_rad
+    def cost_rad(angles: Array) -> float:
+        return rated(angles).cost_rad
 
     with suppress(Spent):
         minimize(
-            value,
+            cost_rad,
             start,
             method="Nelder-Mead",
             bounds=Bounds(*bounds.T),
@@ -269,9 +268,28 @@ def refine(
                 "fatol": rad(0.01),
             },
         )
-    if not seen:
-        raise Spent
-    return cheapest(list(seen.values()))
+    return rated.best()
+
+
+class _Rated:
+    """Plans rated so far, each of them once."""
+
+    def __init__(self, aim: Aim, needles: Sequence[SettledNeedle], effort: Effort) -> None:
+        self._aim, self._needles, self._effort = aim, needles, effort
+        self._plans: dict[tuple[float, ...], Plan] = {}
+
+    def __call__(self, angles_rad: Sequence[float] | Array) -> Plan:
+        """The plan `angles_rad` (motions,) with what it leaves. Raises Spent."""
+        key = tuple(float(angle) for angle in angles_rad)
+        if key not in self._plans:
+            self._plans[key] = rate(self._aim, self._needles, key, self._effort)
+        return self._plans[key]
+
+    def best(self) -> Plan:
+        """The cheapest of them. Raises Spent when there is none."""
+        if not self._plans:
+            raise Spent
+        return cheapest(list(self._plans.values()))
 
 
 def _bounded(aim: Aim, angles_rad: Sequence[float]) -> tuple[Array, Array]:
@@ -300,7 +318,7 @@ def _simplex(start: Array, sizes: Array, bounds: Array) -> Array:
     return np.array(corners)
 
 
-def _held_torque(world: World) -> float:
+def _held_torque(needle: SettledNeedle) -> float:
     """Torque at the base of a needle that rests: the twist of its first element."""
-    angle = world.state.angle_rad
-    return float((angle[0] - angle[1]) * world.rod.stiffness_nm_per_rad[0])
+    angle = needle.state.angle_rad
+    return float((angle[0] - angle[1]) * needle.rod.stiffness_nm_per_rad[0])

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from needle_rig.control.lag import tissue_length_m
+from needle_rig.control.planning.replay import replayed
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.physics.solver import RodState, relaxed
+from needle_rig.physics.settled_needle import SettledNeedle
+from needle_rig.physics.solver import RodState
 from needle_rig.units import nm, rad
 
 Array = npt.NDArray[np.float64]
@@ -83,8 +84,10 @@ class Estimator(Strategy):
         noise = nm(self.torque_noise_nmm) ** 2
         for settled in range(2, len(history) + 1):
             points, weights = _sigma_points(mean, covariance)
-            told = [_follow(_model(task, history, point), history[:settled]) for point in points]
-            torques = np.array([torque for torque, _ in told])
+            until = history[:settled]
+            torques = np.array(
+                [_followed(_model(task, history, point), task, until).torque_nm for point in points]
+            )
             expected = weights @ torques
             off = torques - expected
             cross = (weights * off) @ (points - mean)
@@ -92,9 +95,9 @@ class Estimator(Strategy):
             mean = mean + gain * (history[settled - 1].torque_nm - expected)
             covariance = covariance - np.outer(gain, cross)
         points, weights = _sigma_points(mean, covariance)
-        shafts = np.array([_follow(_model(task, history, point), history)[1].angle_rad for point in points])
+        shafts = np.array([_followed(_model(task, history, p), task, history).angle_rad for p in points])
         model = _model(task, history, mean)
-        state = _follow(model, history)[1]
+        state = _followed(model, task, history).state
         variance = weights @ (shafts - weights @ shafts) ** 2
         return Estimate(model, state, state.angle_rad, np.sqrt(variance))
 
@@ -145,13 +148,6 @@ def _model(task: Task, history: History, point: Array) -> NeedleModel:
     return model.with_effects(TissueElasticity(held * stiffness)) if math.isfinite(held) else model
 
 
-def _follow(model: NeedleModel, history: History) -> tuple[float, RodState]:
-    """Torque at the last settled motion and the rod's state there, from a relaxed shaft at rest."""
-    start = history[0]
-    times, angles = [start.time_s], [start.base_angle_rad]
-    for before, motion in pairwise(history):
-        times += [motion.moved_s + 1e-3, 0.5 * (motion.moved_s + motion.time_s), motion.time_s]
-        angles += [before.base_angle_rad, motion.base_angle_rad, motion.base_angle_rad]
-    trial = Trial(np.array(times), np.array(angles))
-    solution = model.truth(trial, relaxed(model.rod(trial), start.base_angle_rad))
-    return float(solution.torque_nm[-1]), solution.state
+def _followed(model: NeedleModel, task: Task, history: History) -> SettledNeedle:
+    """The needle after the last settled motion, from a relaxed shaft at rest."""
+    return replayed(SettledNeedle.relaxed(model, history[0].base_angle_rad), task, history)[-1]

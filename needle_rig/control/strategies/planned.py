@@ -15,7 +15,7 @@ from needle_rig.control.planning.belief import (
     corrected,
     first_belief,
     misfit,
-    worlds,
+    needles,
 )
 from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.planning.fallback import doubted_at, reed_remaining
@@ -28,7 +28,7 @@ from needle_rig.control.planning.search import (
     rate,
     refine,
 )
-from needle_rig.control.strategy import History, Strategy, Task, Waypoint
+from needle_rig.control.strategy import History, Reason, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.units import deg, nmm, rad
@@ -37,6 +37,9 @@ SAMPLES = 8
 MOST_AHEAD = 5
 PLAN_SOLVES = 350_000.0
 """What one plan may spend, belief and all: half a second of a core that does nothing else."""
+TOO_MANY_SOLVES = (
+    f"the model snaps too often to be planned with in {PLAN_SOLVES:.0f} solves, going on as reed2008"
+)
 CORRECTION_SHARE, LIKELY_SHARE = 0.4, 0.55
 """What correcting the belief may take of it, and the search in the likeliest needle of what is then left."""
 FRICTION_SIGMA = 1.64
@@ -111,18 +114,18 @@ class Planned(Strategy):
         task = _in_this_rig(task)
         before = doubted_at(history)
         if before is not None:
-            return reed_remaining(task, history, before, "")
+            return reed_remaining(task, history, before, history[-1].reason)
         effort = Effort(PLAN_SOLVES)
         try:
             belief = self.belief(task, history, effort)
             doubt = self.doubt(task, history, belief, effort)
             if doubt:
-                return reed_remaining(task, history, len(history) - 1, doubt)
+                return reed_remaining(task, history, len(history) - 1, Reason.MODEL_DOUBTED, doubt)
             if len(history) > self.motions:
                 return None
             plan, note = self.plan(task, history, belief, effort)
         except (Spent, SolverError):
-            return _unplanned(task, history)
+            return reed_remaining(task, history, len(history) - 1, Reason.EFFORT_SPENT, TOO_MANY_SOLVES)
         if not plan.angles_rad:
             return None
         last = len(plan.angles_rad) == 1
@@ -158,7 +161,7 @@ class Planned(Strategy):
         Every plan is judged in all samples. Raises Spent when the effort does not suffice for that, and
         SolverError when a sample cannot be followed.
         """
-        samples = worlds(belief, task, history, SAMPLES, effort)
+        samples = needles(belief, task, history, SAMPLES, effort)
         aim = Aim(
             task,
             history[-1].base_angle_rad,
@@ -199,11 +202,11 @@ class Planned(Strategy):
         """
         easy = belief.mean.copy()
         easy[belief.names.index(FRICTION)] -= FRICTION_SIGMA
-        light = worlds(replace(belief, mean=easy), task, history, 1, effort)
+        light = needles(replace(belief, mean=easy), task, history, 1, effort)
         near = refine(aim, light, plan.angles_rad, ROBUST_EVALUATIONS, effort).angles_rad[0]
         near = min((near, plan.angles_rad[0]), key=lambda angle: abs(angle - aim.base_rad))
         surer = after_next(belief, task, history, near, Errors(), effort)
-        sure = worlds(surer, task, history, SAMPLES, effort)
+        sure = needles(surer, task, history, SAMPLES, effort)
         known = refine(aim, sure, plan.angles_rad, ROBUST_EVALUATIONS, effort)
         if plan.cost_rad <= known.cost_rad + aim.rotation_price_rad:
             return plan
@@ -212,14 +215,6 @@ class Planned(Strategy):
     def _settle_s(self, task: Task) -> float:
         assert task.model is not None
         return task.settle_s if _takes_time(task.model) else min(QUICK_SETTLE_S, task.settle_s)
-
-
-def _unplanned(task: Task, history: History) -> Waypoint | None:
-    """How to go on when the model took more solves than a plan may spend."""
-    why = f"the model snaps too often to be planned with in {PLAN_SOLVES:.0f} solves, going on as reed2008"
-    if len(history) == 1:
-        return Waypoint(task.target_rad, "rotate", note=why)
-    return reed_remaining(task, history, len(history) - 1, why)
 
 
 def _in_this_rig(task: Task) -> Task:

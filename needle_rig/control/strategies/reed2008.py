@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 
+SEQUENCE = (("rotate", 0.0), ("overshoot", 1.0), ("back", -0.75), ("forward", 0.25), ("final", 0.0))
+"""Names of the motions, and how far beyond the target each goes, in lags."""
+
 
 @dataclass(frozen=True)
 class Reed2008(Strategy):
@@ -16,15 +19,17 @@ class Reed2008(Strategy):
 
     def next(self, task: Task, history: History) -> Waypoint | None:
         """The five motions in turn."""
-        if len(history) == 1:
-            return Waypoint(task.target_rad, "rotate")
-        if len(history) > 5:
-            return None
-        name, share = (("overshoot", 1.0), ("back", -0.75), ("forward", 0.25), ("final", 0.0))[
-            len(history) - 2
-        ]
-        return Waypoint(task.target_rad + share * history[1].predicted_lag_rad, name)
+        done = len(history) - 1
+        return reed_motion(task, done, history[1].predicted_lag_rad if done else 0.0)
 
     def expected_motions(self, task: Task) -> int:
         """Five."""
-        return 5
+        return len(SEQUENCE)
+
+
+def reed_motion(task: Task, done: int, lag_rad: float) -> Waypoint | None:
+    """The motion after `done` of the sequence, where the lag is `lag_rad`; None after the last."""
+    if done >= len(SEQUENCE):
+        return None
+    name, share = SEQUENCE[done]
+    return Waypoint(task.target_rad + share * lag_rad, name)

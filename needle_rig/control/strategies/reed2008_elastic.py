@@ -35,7 +35,7 @@ class Reed2008Elastic(Strategy):
     def next(self, task: Task, history: History) -> Waypoint | None:
         """The five motions in turn."""
         waypoint = Reed2008().next(task, history)
-        if waypoint is None or waypoint.name != "overshoot":
+        if waypoint is None or len(history) != 2:
             return waypoint
         extra = rad(self.extra_used_deg(task)) * math.copysign(1.0, task.target_rad)
         return replace(waypoint, angle_rad=waypoint.angle_rad + extra)

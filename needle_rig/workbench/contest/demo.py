@@ -17,7 +17,8 @@ from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.contest.strategies_table import Bout, foretold
 from needle_rig.workbench.learning.learn import Lesson, learn
 from needle_rig.workbench.parallel import Work
-from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun
 
 FRESH_SEED = 500

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from needle_rig.control.strategy import Strategy, Task, Trust, find_strategies, make_strategy
+from needle_rig.control.strategy import Reason, Strategy, Task, Trust, find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.parallel import Here, Work
-from needle_rig.workbench.virtual.dataset import Noise
+from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun, run_settled
 
 WOUND_DEG = 60.0
@@ -107,7 +107,7 @@ def one_result(bout: Bout, name: str, target_deg: float, start: str, seed: int) 
         "total_rotation_deg": deg(run.total_rotation_rad),
         "time_s": run.time_s,
     }
-    gave_way = any("going on as reed2008" in note for note in run.notes)
+    gave_way = any(motion.reason is not Reason.STRATEGY for motion in run.history)
     return Result(name, target_deg, start, values, gave_way=gave_way)
 
 

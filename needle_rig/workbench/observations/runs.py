@@ -74,8 +74,8 @@ def _trial(run: RunFile, start_s: float) -> DatasetTrial:
     phase = np.char.decode(ticks["motion"], "utf-8")
     try:
         return checked_trial(values, phase, rows, sensors, shown, command, start_s, notes)
-    except LeftOut as reason:
-        raise BadInput(str(reason).replace("left out: ", "")) from None
+    except LeftOut as left_out:
+        raise BadInput(f"{left_out.place}: {left_out.reason}") from None
 
 
 def _started(run: RunFile) -> float:

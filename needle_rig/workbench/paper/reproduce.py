@@ -16,19 +16,24 @@ from typing import Any
 import numpy as np
 
 from needle_rig.control.lag import effective_length_m, lag_rad, tissue_length_m
-from needle_rig.control.strategy import make_strategy
+from needle_rig.control.strategy import Strategy, Task, make_strategy
 from needle_rig.model import MODEL_LAYOUT, load_parameter_set, load_parameters
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
-from needle_rig.units import deg, mm, nmm
+from needle_rig.physics.settled_needle import SettledNeedle
+from needle_rig.units import deg, mm, nmm, rad
 from needle_rig.workbench.paper.identify import held_tip_torque_nm, settling_time_s, with_effect
-from needle_rig.workbench.virtual.states import SettledState, sequence_states
+from needle_rig.workbench.virtual.noise import NO_NOISE
+from needle_rig.workbench.virtual.settled_run import run_settled
 
 STANDARD_ERROR_DEG = 2.2
 TRIAL_SD_DEG = 5.0
 EXPECTED_RANGE_OF_FOUR = 2.059
 """Expected range of four normal values over their standard deviation (Tippett 1925)."""
 TARGET_DEG = 45.0
-States = tuple[SettledState, ...]
+SPEED_DEG_S, SETTLE_S = 45.0, 3.0
+TURNED_RAD = 1e-7
+"""A node that moves less has stuck: the solver softens the grip of rigid tissue by a tenth of it."""
+Needles = tuple[SettledNeedle, ...]
 
 
 @dataclass(frozen=True)
@@ -67,47 +72,47 @@ class Reproduction:
         strategy: str,
         options: Mapping[str, Any] | None = None,
         target_deg: float = TARGET_DEG,
-    ) -> States:
-        """Settled states of one alignment."""
-        return sequence_states(self.model(name), make_strategy(strategy, options or {}), target_deg)
+    ) -> Needles:
+        """The needle after each motion of one alignment."""
+        return aligned(self.model(name), make_strategy(strategy, options or {}), target_deg)
 
     @cached_property
-    def relaxed(self) -> States:
+    def relaxed(self) -> Needles:
         """Figure 3: turned to 45°, then to zero torque."""
         return self.run("figure_3", "relax")
 
     @cached_property
-    def base_at_tip(self) -> States:
+    def base_at_tip(self) -> Needles:
         """Figure 3: turned to 45°, then to the tip's angle."""
         return self.run("figure_3", "base_equals_tip")
 
     @cached_property
-    def sequence(self) -> States:
+    def sequence(self) -> Needles:
         """Figure 4: the sequence in the simulation's layout."""
         return self.run("figure_3", "reed2008")
 
     @cached_property
-    def rigid(self) -> States:
+    def rigid(self) -> Needles:
         """Figure 6 by the null model."""
         return self.run("rig_rigid", "reed2008")
 
     @cached_property
-    def elastic(self) -> States:
+    def elastic(self) -> Needles:
         """Figure 6."""
         return self.run("rig_elastic", "reed2008")
 
     @cached_property
-    def elastic_extra(self) -> States:
+    def elastic_extra(self) -> Needles:
         """Figure 7: 12° more in the first correction."""
         return self.run("rig_elastic", "reed2008_elastic", {"extra_deg": 12.0})
 
     @cached_property
-    def stiff(self) -> States:
+    def stiff(self) -> Needles:
         """Figure 6 by the other reading of the paper."""
         return self.run("stiff_needle", "reed2008")
 
     @cached_property
-    def stiff_extra(self) -> States:
+    def stiff_extra(self) -> Needles:
         """Figure 7 by the other reading of the paper."""
         return self.run("stiff_needle", "reed2008_elastic", {"extra_deg": 12.0})
 
@@ -121,6 +126,12 @@ class Reproduction:
             *_equations(self),
             *_stated(self),
         )
+
+
+def aligned(model: NeedleModel, strategy: Strategy, target_deg: float) -> Needles:
+    """The needle after each motion of an alignment, without noise. Raises BadInput, SolverError."""
+    task = Task(rad(target_deg), model.layout, model.torsional_rigidity_nm2, rad(SPEED_DEG_S), SETTLE_S)
+    return run_settled(model, strategy, task, np.random.default_rng(0), NO_NOISE).needles[1:]
 
 
 def reproduce() -> tuple[Row, ...]:
@@ -215,12 +226,12 @@ def _figure_4(runs: Reproduction) -> tuple[Row, ...]:
     )
 
 
-def _slipped_share(states: States, motion: int, model: NeedleModel) -> float:
+def _slipped_share(needles: Needles, motion: int, model: NeedleModel) -> float:
     """Share of the tissue in which the needle turned during one motion."""
-    moved = np.abs(states[motion].angle_rad - states[motion - 1].angle_rad) > 1e-9
+    moved = np.abs(needles[motion].angle_rad - needles[motion - 1].angle_rad) > TURNED_RAD
     inside = np.zeros(len(moved), dtype=np.bool_)
     for start, stop in model.layout.tissue_sections_m:
-        inside |= (states[motion].position_m > start) & (states[motion].position_m < stop)
+        inside |= (needles[motion].position_m > start) & (needles[motion].position_m < stop)
     return float(np.count_nonzero(moved & inside) / np.count_nonzero(inside))
 
 
@@ -231,8 +242,8 @@ _NULL = (
 
 
 def _figure_6(runs: Reproduction) -> tuple[Row, ...]:
-    def less(states: States) -> float:
-        return 100.0 * (1.0 - states[-1].tip_lag_rad / states[0].tip_lag_rad)
+    def less(needles: Needles) -> float:
+        return 100.0 * (1.0 - needles[-1].tip_lag_rad / needles[0].tip_lag_rad)
 
     percent = 100.0 * STANDARD_ERROR_DEG / 26.0
     return (
@@ -311,7 +322,7 @@ def _equations(runs: Reproduction) -> tuple[Row, ...]:
     at_tip = with_effect(
         dataclasses.replace(model, friction_n=0.0), f"tip_friction={nmm(state.torque_nm):.6g}"
     )
-    lumped = sequence_states(at_tip, make_strategy("none", {}), TARGET_DEG)[0]
+    lumped = aligned(at_tip, make_strategy("none", {}), TARGET_DEG)[0]
     more = 100.0 * (lumped.tip_lag_rad / state.tip_lag_rad - 1.0)
     by_5 = deg(state.torque_nm * inside / (2 * rigidity))
     by_6 = deg(state.torque_nm * outside / rigidity)
@@ -352,8 +363,8 @@ def _stated(runs: Reproduction) -> tuple[Row, ...]:
     static, damping = stated.karnopp.static_nmm_per_100mm, stated.karnopp.damping_nmms_per_rad_per_100mm
     literal = runs.model("figure_3").replaced({FRICTION: static})
     none = make_strategy("none", {})
-    turned = sequence_states(literal, none, TARGET_DEG)[0]
-    wound = sequence_states(literal, none, 200.0)[0]
+    turned = aligned(literal, none, TARGET_DEG)[0]
+    wound = aligned(literal, none, 200.0)[0]
     settling_s = settling_time_s(runs.model("figure_3"), damping)
     return (
         _angle(

@@ -16,7 +16,7 @@ from needle_rig.control.strategy import History, make_strategy
 from needle_rig.dataset.settled import Seen
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.published.fit import SettledFit, SettledProblem
-from needle_rig.workbench.virtual.dataset import NO_NOISE
+from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
 

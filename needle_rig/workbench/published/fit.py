@@ -25,7 +25,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
-from needle_rig.workbench.virtual.dataset import NO_NOISE
+from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
 
 Array = npt.NDArray[np.float64]

@@ -21,7 +21,8 @@ from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Point, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.noise import whitener
-from needle_rig.workbench.virtual.dataset import NO_NOISE, planned_motions
+from needle_rig.workbench.virtual.dataset import planned_motions
+from needle_rig.workbench.virtual.noise import NO_NOISE
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]

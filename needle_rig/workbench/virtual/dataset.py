@@ -4,56 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig.control.lag import lag_rad
-from needle_rig.control.reports import SettledMotion
-from needle_rig.control.strategy import Strategy, Task, make_strategy
+from needle_rig.control.strategy import Task, Waypoint, make_strategy
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, denoised_base
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.simulation.base_drive import Motion, base_path, phases
 from needle_rig.simulation.protocol import Protocol
 from needle_rig.units import nm, rad
+from needle_rig.workbench.virtual.noise import Noise
+from needle_rig.workbench.virtual.settled_run import WINDOW_S, Turn, carried_out
 
 Array = npt.NDArray[np.float64]
 
 REST_S = 0.5
-WINDOW_S = 0.5
-"""Length over which the torque is averaged at the end of a hold."""
 SAMPLES_LIMIT = 1_000_000
 """Of one trial: five hours at 50 a second, which take 1 GB and some seconds."""
 DIAMETER_M = 0.39e-3
 DENSITY_KG_M3 = 6450.0
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Imperfections of the simulated rig; the defaults are those of the practice datasets.
-
-    Sensor noise is white, standard deviations. Friction differs from trial to trial, and the needle's
-    torsional rigidity from what the dataset says of it, by the given fractions (standard deviations).
-    """
-
-    hall_deg: float = 0.25
-    torque_nmm: float = 0.0008
-    encoder_deg: float = 0.02
-    friction_scatter: float = 0.02
-    rigidity_error: float = 0.0
-
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise BadInput(f"noise: {field.name} is {value:g}; give a number from 0 on")
-
-
-NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def simulate_dataset(
@@ -103,79 +77,62 @@ def planned_motions(
     random: np.random.Generator,
     stated_rigidity_nm2: float,
     rate_hz: float = 50.0,
-    strategy: Strategy | None = None,
 ) -> tuple[Motion, ...]:
-    """The motions of one trial; a compensation asks its strategy (reed2008) after each, as the brain does."""
-    speed, settle = (
-        rad(command.speed_deg_s or 45.0),
-        command.settle_s if command.settle_s is not None else 3.0,
-    )
+    """The motions of one trial; a compensation asks reed2008 after each, as the brain does.
+
+    Raises BadInput, SolverError.
+    """
+    speed = rad(command.speed_deg_s or 45.0)
+    settle = command.settle_s if command.settle_s is not None else 3.0
+    drive = LaggedDrive(place, rate_hz)
     if command.kind == "staircase" or command.steps_deg:
-        motions: tuple[Motion, ...] = ()
         for k, step_deg in enumerate(command.steps_deg, start=1):
-            motions = (*motions, _next(motions, f"step_{k}", rad(step_deg), speed, settle))
-        return motions
+            drive.add(Waypoint(rad(step_deg), f"step_{k}"), speed, settle)
+        return drive.motions
     if command.target_deg is None:
         raise BadInput(f"a trial of kind {command.kind} has neither target_deg nor steps_deg; give one")
-    strategy = strategy or make_strategy("reed2008", {})
     task = Task(rad(command.target_deg), model.layout, stated_rigidity_nm2, speed, settle)
-    history: tuple[SettledMotion, ...] = (_settled((), model, place, task, noise, random, rate_hz),)
-    motions = ()
-    while (waypoint := strategy.next(task, history)) is not None:
-        motions = (
-            *motions,
-            _next(
-                motions,
-                waypoint.name,
-                waypoint.angle_rad,
-                waypoint.speed_rad_s or speed,
-                settle if waypoint.settle_s is None else waypoint.settle_s,
-            ),
+    needle = SettledNeedle.relaxed(model, place=place)
+    carried_out(make_strategy("reed2008", {}), task, drive, needle, random, noise)
+    return drive.motions
+
+
+class LaggedDrive:
+    """A drive with the lags of `simulation.base_drive`, sampled evenly; `place` is the trial's in its series.
+
+    The sensors are read at the end of settling.
+    """
+
+    def __init__(self, place: Trial, rate_hz: float) -> None:
+        self.motions: tuple[Motion, ...] = ()
+        self._place, self._rate_hz = place, rate_hz
+        self._last = 0
+
+    def add(self, waypoint: Waypoint, speed_rad_s: float, settle_s: float) -> None:
+        """Let one more motion follow."""
+        start_s, from_rad = REST_S, 0.0
+        if self.motions:
+            start_s, from_rad = self.motions[-1].end_s, self.motions[-1].to_rad
+        motion = Motion(waypoint.name, start_s, from_rad, waypoint.angle_rad, speed_rad_s, settle_s)
+        self.motions = (*self.motions, motion)
+
+    def rest(self) -> Turn:
+        """Half a second in which the base stands at 0."""
+        return self._read(0.0, REST_S)
+
+    def turn(self, waypoint: Waypoint, speed_rad_s: float, settle_s: float) -> Turn:
+        """Turn and settle. Raises BadInput when the trial gets too long."""
+        self.add(waypoint, speed_rad_s, settle_s)
+        return self._read(self.motions[-1].start_s, self.motions[-1].end_s)
+
+    def _read(self, moved_s: float, end_s: float) -> Turn:
+        whole = driven(self.motions, end_s, self._place, self._rate_hz)
+        since, self._last = self._last, len(whole.time_s) - 1
+        path = dataclasses.replace(
+            whole, time_s=whole.time_s[since:], base_angle_rad=whole.base_angle_rad[since:]
         )
-        history = (*history, _settled(motions, model, place, task, noise, random, rate_hz))
-    return motions
-
-
-def _next(
-    before: tuple[Motion, ...], name: str, to_rad: float, speed_rad_s: float, settle_s: float
-) -> Motion:
-    if not before:
-        return Motion(name, REST_S, 0.0, to_rad, speed_rad_s, settle_s)
-    return Motion(name, before[-1].end_s, before[-1].to_rad, to_rad, speed_rad_s, settle_s)
-
-
-def _settled(
-    motions: tuple[Motion, ...],
-    model: NeedleModel,
-    place: Trial,
-    task: Task,
-    noise: Noise,
-    random: np.random.Generator,
-    rate_hz: float,
-) -> SettledMotion:
-    """What the sensors show, on average, at the end of the last motion."""
-    end_s = motions[-1].end_s if motions else REST_S
-    trial = driven(motions, end_s, place, rate_hz)
-    reading = model.predict(trial)
-    window = trial.time_s > end_s - WINDOW_S
-    count = max(1, int(window.sum()))
-    torque = float(reading.torque_nm[window].mean())
-    torque += nm(noise.torque_nmm) * float(random.standard_normal()) / math.sqrt(count)
-    hall = reading.hall_rad[window].mean(axis=0)
-    hall = hall + rad(noise.hall_deg) * random.standard_normal(hall.shape) / math.sqrt(count)
-    base = float(trial.base_angle_rad[window].mean())
-    return SettledMotion(
-        index=len(motions),
-        name=motions[-1].name if motions else "rest",
-        moved_s=motions[-1].start_s if motions else 0.0,
-        time_s=end_s,
-        waypoint_rad=motions[-1].to_rad if motions else 0.0,
-        base_angle_rad=base,
-        torque_nm=torque,
-        hall_rad=tuple(hall.tolist()),
-        predicted_lag_rad=lag_rad(torque, model.layout, task.torsional_rigidity_nm2),
-        tip_lag_rad=base - float(hall[-1]) if len(hall) else math.nan,
-    )
+        first = int(np.searchsorted(path.time_s, end_s - WINDOW_S, side="right"))
+        return Turn(path, slice(first, None), float(len(path.time_s) - first), moved_s, end_s)
 
 
 def driven(motions: tuple[Motion, ...], end_s: float, place: Trial, rate_hz: float) -> Trial:

@@ -15,7 +15,8 @@ from needle_rig.control.compensation import (
     after,
     think_at_once,
 )
-from needle_rig.control.strategy import Dither, Strategy, Task, Waypoint
+from needle_rig.control.reports import settled_motion
+from needle_rig.control.strategy import Dither, Reason, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.records import Measurement, Phase
@@ -249,6 +250,20 @@ def test_a_base_that_never_arrives_is_told_too():
     while bench.sequence.overdue() is None:
         bench.step()
     assert bench.phase is Phase.MOVING
+
+
+def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torque_stands_for():
+    waypoint = Waypoint(rad(30.0), "back", reason=Reason.MODEL_DOUBTED)
+    means = {"base_angle_rad": 0.5, "torque_nm": 1e-4, "hall_rad": (0.4, 0.3)}
+    motion = settled_motion(TASK, waypoint, index=2, moved_s=1.0, time_s=4.0, **means)
+    assert (motion.index, motion.name, motion.reason) == (2, "back", Reason.MODEL_DOUBTED)
+    assert motion.waypoint_rad == rad(30.0)
+    assert motion.tip_lag_rad == pytest.approx(0.2)
+    # Reed 2008, (9): 285 mm of the experiment's layout stand for the whole shaft
+    assert motion.predicted_lag_rad == pytest.approx(1e-4 / 62.56e-6 * 0.285)
+    rest = settled_motion(TASK, None, index=0, moved_s=0.0, time_s=0.5, **means | {"hall_rad": ()})
+    assert (rest.name, rest.reason, rest.waypoint_rad) == ("rest", Reason.STRATEGY, 0.5)
+    assert math.isnan(rest.tip_lag_rad)
 
 
 def test_a_waypoint_has_its_own_speed_and_settling_time():

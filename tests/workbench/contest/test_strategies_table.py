@@ -22,7 +22,7 @@ from needle_rig.workbench.contest.strategies_table import (
     foretold,
     one_result,
 )
-from needle_rig.workbench.virtual.dataset import NO_NOISE
+from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
 ROW = {"tip_lag_deg", "worst_deg", "torque_nmm", "rotations", "total_rotation_deg", "time_s"}
@@ -86,6 +86,13 @@ def test_every_strategy_runs_and_meets_the_same_needles() -> None:
 def test_rigid_uniform_tissue_is_aligned_by_the_papers_sequence() -> None:
     found = one_result(_bout("rig_rigid"), "reed2008", 45.0, "relaxed", 3)
     assert found.values["tip_lag_deg"] < 0.5
+
+
+def test_runs_in_which_planned_gave_way_are_counted() -> None:
+    wrong = compare_strategies(_bout(model="rig_rigid"), ["planned"], [45.0], 2, starts=("relaxed",))
+    assert wrong.overall()[0]["gave_way_to_reed2008"] == 2
+    true = compare_strategies(_bout(model="rig_elastic"), ["planned"], [45.0], 1, starts=("relaxed",))
+    assert "gave_way_to_reed2008" not in true.overall()[0]
 
 
 def test_planned_without_a_model_is_a_refusal_in_the_table() -> None:

@@ -17,7 +17,8 @@ from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import positions_of
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import may_be_ours
-from needle_rig.workbench.virtual.dataset import Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
 
 

@@ -19,7 +19,7 @@ from needle_rig.workbench.estimation.parameters import coordinates, make_effects
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.selection.evidence import chance, held_gain
 from needle_rig.workbench.selection.search import try_effect
-from needle_rig.workbench.virtual.dataset import Noise
+from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few
 
 EVERY = find_effects()

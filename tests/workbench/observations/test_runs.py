@@ -73,6 +73,16 @@ def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path, run_path):
     assert any("hall_4 wraps" in note for note in dataset.notes)
 
 
+def test_a_run_that_has_no_use_is_refused_with_its_place_and_the_reason(tmp_path, run_path):
+    def lose_the_base(ticks):
+        ticks["base_angle_rad"] = np.nan
+
+    changed = rewritten(tmp_path, run_path, lose_the_base)
+    with pytest.raises(BadInput) as refusal:
+        read_measurements([changed])
+    assert str(refusal.value) == f"{changed}:2: the base angle is never known"
+
+
 @pytest.mark.parametrize("kept", [0.02, 0.3, 0.6, 0.97])
 def test_a_run_file_that_lost_its_end_is_refused(tmp_path, run_path, kept):
     cut = tmp_path / "cut.h5"

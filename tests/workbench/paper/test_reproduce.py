@@ -6,7 +6,7 @@ import pytest
 
 from needle_rig.cli.main import run
 from needle_rig.control.strategy import make_strategy
-from needle_rig.workbench.paper.reproduce import Reproduction, Row, as_document
+from needle_rig.workbench.paper.reproduce import Reproduction, Row, aligned, as_document
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +62,8 @@ def test_equations_agree_with_the_solver(rows: dict[tuple[str, str], Row]) -> No
 
 def test_the_numbers_follow_the_model(runs: Reproduction) -> None:
     """Ours are computed: with half the friction the lag of the first motion is half."""
-    from needle_rig.workbench.virtual.states import sequence_states
-
     model = runs.model("rig_rigid").replaced({"friction_nmm_per_100mm": 0.0498})
-    first = sequence_states(model, make_strategy("none", {}), 45.0)[0]
+    first = aligned(model, make_strategy("none", {}), 45.0)[0]
     assert np.degrees(first.tip_lag_rad) == pytest.approx(13.0, abs=0.05)
     assert first.internal_torque_nm[0] == pytest.approx(first.torque_nm, rel=1e-6)
     assert first.internal_torque_nm[-1] == pytest.approx(0.0, abs=1e-9)

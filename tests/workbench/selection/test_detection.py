@@ -5,7 +5,7 @@ import math
 import pytest
 
 from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.virtual.dataset import Noise
+from needle_rig.workbench.virtual.noise import Noise
 from scripts.detection import at_strength, detection_limit, smallest_strength
 from tests.workbench.hidden import dataset, few
 

@@ -9,7 +9,7 @@ from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
 from needle_rig.workbench.selection.search import try_effect
-from needle_rig.workbench.virtual.dataset import Noise
+from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few
 
 

@@ -13,7 +13,8 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import FRICTION
 from needle_rig.simulation.base_drive import Motion, base_path
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, save_protocol, staircase
-from needle_rig.workbench.virtual.dataset import NO_NOISE, Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 
 PRACTICE = Path(__file__).parents[2] / "data" / "practice"
 SHORT = Protocol("short", (compensation(45), compensation(45), staircase([30, 0])))
@@ -55,6 +56,19 @@ def test_the_sequence_follows_the_measured_torque() -> None:
     for phase, share in (("overshoot", 1.0), ("back", -0.75), ("forward", 0.25), ("final", 0.0)):
         assert base[end[phase]] == pytest.approx(45 + share * lag, abs=0.01)
     assert np.degrees(trial.hall_rad[-1]) == pytest.approx([44.4, 44.3, 44.9, 45], abs=0.05)
+
+
+@pytest.mark.parametrize("effect", ["chuck_backlash", "stribeck", "tissue_viscoelasticity", "clock_offset"])
+def test_waypoints_follow_what_the_dataset_s_own_samples_show(effect: str) -> None:
+    """The needle that the sequence was decided on, motion by motion, is the one that the dataset shows."""
+    model = load_parameters("rig_rigid").with_effects(find_effects()[effect].at_strength(1.0))
+    trial = simulate_dataset(model, Protocol("one", (compensation(60),)), 1, NO_NOISE).trials[0]
+    rotate, overshoot = (np.flatnonzero(trial.phase == name) for name in ("rotate", "overshoot"))
+    time_s = trial.trial.time_s
+    torque_nm = trial.torque_nm[rotate][time_s[rotate] > time_s[rotate[-1]] - 0.48].mean()
+    lag_rad = torque_nm / model.torsional_rigidity_nm2 * effective_length_m(EXPERIMENT_LAYOUT)
+    arrived_rad = trial.trial.base_angle_rad[overshoot[-1]]
+    assert arrived_rad == pytest.approx(math.radians(60.0) + lag_rad, abs=math.radians(0.02))
 
 
 def test_noise_is_as_told() -> None:

@@ -1,0 +1,35 @@
+"""Numerical methods that several rooms use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def forward_jacobian(
+    f: Callable[[Array], Array],
+    x: Array,
+    f_x: Array,
+    step: float,
+    low: Array | float = -np.inf,
+    high: Array | float = np.inf,
+) -> Array:
+    """∂f/∂x at `x` (parameters,) by forward differences of one absolute `step`, shape (values, parameters).
+
+    `f_x` is f(x), shape (values,). A step past `high` is taken backwards instead, and where the bounds, which
+    are one for each parameter or one for all, leave room for neither, it ends at the farther one.
+    """
+    columns = []
+    lowest, highest = np.broadcast_to(low, x.shape), np.broadcast_to(high, x.shape)
+    for j, (above, below) in enumerate(zip(highest - x, x - lowest, strict=True)):
+        moved = x.copy()
+        if max(above, below) < step:
+            moved[j] = highest[j] if above >= below else lowest[j]
+        else:
+            moved[j] += step if above >= step else -step
+        columns.append((f(moved) - f_x) / (moved[j] - x[j]))
+    return np.stack(columns, axis=-1)
