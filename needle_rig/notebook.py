@@ -38,7 +38,8 @@ from needle_rig.workbench.observations.sources import read_measurements
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.selection.diagnose import Diagnosis as _Diagnosed
 from needle_rig.workbench.selection.diagnose import diagnose as _diagnose
-from needle_rig.workbench.virtual.dataset import NO_NOISE, Noise, simulate_dataset
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun
 
 if TYPE_CHECKING:
