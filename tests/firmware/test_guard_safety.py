@@ -180,6 +180,9 @@ def test_a_reference_moves_nothing_and_is_no_motion(nodes: HostNodes) -> None:
     guard.tick(100)
     assert refer(guard, 45_000)
     guard.angle_mdeg = 45_000
+    guard.tick(50)
+    assert refer(guard, 46_000), "the shaft stood still all the time"
+    guard.angle_mdeg = 46_000
     guard.tick(300)
     assert guard.state is DriveState.READY
     assert refer(guard, -3_000), "the shaft stood still meanwhile"
@@ -201,7 +204,7 @@ def test_no_reference_before_a_command_while_running_or_to_an_old_one(nodes: Hos
 def test_no_reference_for_a_shaft_that_moves(nodes: HostNodes) -> None:
     guard = Guard(nodes)
     guard.tick(200)
-    for step_mdeg, taken in ((9, True), (11, False), (-11, False)):
+    for step_mdeg, taken in ((9, True), (10, True), (-10, True), (11, False), (-11, False)):
         guard.angle_mdeg += step_mdeg
         guard.tick()
         assert refer(guard, round(guard.angle_mdeg)) == taken
@@ -209,3 +212,69 @@ def test_no_reference_for_a_shaft_that_moves(nodes: HostNodes) -> None:
         assert refer(guard, round(guard.angle_mdeg)) == taken
         guard.tick(3)
         assert refer(guard, round(guard.angle_mdeg))
+
+
+def fresh_window(guard: Guard) -> Guard:
+    """Pass time until a new window for damaged frames begins."""
+    for _ in range(50):
+        guard.tick()
+        if guard.c.window_start_us == guard.c.step_us:
+            return guard
+    raise AssertionError("no window began in 50 ms")
+
+
+def damage(guard: Guard, frames: int) -> None:
+    for _ in range(frames):
+        guard.lib.nr_guard_bad_frame(guard.c)
+
+
+def test_damaged_frames_of_one_window_are_counted_together(nodes: HostNodes) -> None:
+    guard = fresh_window(Guard(nodes).running(0))
+    damage(guard, 6)
+    guard.tick(20)
+    assert guard.faults == DriveFault.NONE
+    damage(guard, 5)
+    guard.tick()
+    assert guard.faults == DriveFault.FRAME
+
+
+@pytest.mark.parametrize("late_us", [-1000, -1, 0, 1, 1000])
+def test_damaged_frames_of_the_window_before_are_forgotten(nodes: HostNodes, late_us: int) -> None:
+    guard = fresh_window(Guard(nodes).running(0))
+    damage(guard, 6)
+    guard.jump(guard.limits.window_us + late_us)
+    guard.say()
+    guard.lib.nr_guard_torque(guard.c, guard.now_us, 0, True)
+    guard.step()
+    damage(guard, 5)
+    guard.tick()
+    assert guard.faults == (DriveFault.FRAME if late_us < 0 else DriveFault.NONE)
+
+
+def test_a_shaft_that_moves_while_it_is_held_is_idle_motion(nodes: HostNodes) -> None:
+    guard = Guard(nodes).running(0)
+    guard.tick(200)
+    for _ in range(100):
+        guard.angle_mdeg += 100
+        guard.tick()
+    assert (guard.state, guard.faults) == (DriveState.FAULT, DriveFault.IDLE_MOTION)
+
+
+def test_a_start_is_refused_at_once_while_a_sensor_is_silent(nodes: HostNodes) -> None:
+    guard = Guard(nodes).ready()
+    guard.torque_alive = False
+    guard.tick(100)
+    assert guard.state is DriveState.READY, "a shaft that nobody turns may wait for its sensors"
+    guard.enable, guard.velocity = True, 100_000
+    guard.say()
+    assert guard.step() == 0
+    assert (guard.state, guard.faults) == (DriveState.FAULT, DriveFault.TORQUE_AGE)
+
+
+def test_a_trip_in_the_step_in_which_the_host_stops_counts(nodes: HostNodes) -> None:
+    guard = Guard(nodes).running()
+    guard.enable = False
+    guard.say()
+    guard.lib.nr_guard_torque(guard.c, guard.now_us, guard.limits.torque_trip + 1, True)
+    guard.step()
+    assert (guard.state, guard.faults) == (DriveState.FAULT, DriveFault.TORQUE_TRIP)
