@@ -25,6 +25,6 @@ class Reed2008(Strategy):
         ]
         return Waypoint(task.target_rad + share * history[1].predicted_lag_rad, name)
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """Five."""
         return 5

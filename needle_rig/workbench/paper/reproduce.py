@@ -123,11 +123,6 @@ class Reproduction:
         )
 
 
-def reproduce() -> tuple[Row, ...]:
-    """All rows of the comparison."""
-    return Reproduction().rows()
-
-
 def as_document(rows: tuple[Row, ...]) -> dict[str, Any]:
     """The rows as `--json` prints them."""
     return {
