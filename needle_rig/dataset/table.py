@@ -28,7 +28,9 @@ LIMIT_BYTES = 1_000_000_000
 UTF16_LIMIT_BYTES = 300_000_000
 """Takes five times its size while it is converted."""
 HEADER_BYTES = 65536
+"""A line of names is shorter."""
 CHUNK_BYTES = 4_000_000
+"""Rows that are looked at together; as lines they take twice that."""
 
 _MISSING = re.compile(rb"|-|[+-]?n.{0,3}", re.IGNORECASE)
 """Nothing, a lone minus, or one of nan, na, n/a, null, none."""
@@ -52,7 +54,8 @@ def read_table(path: Path, folder: Path, shown: str, text_column: str, time_stem
     """The CSV file at `path`, which must lie in `folder`; `shown` stands for it in messages.
 
     `text_column` may be absent; every other column must be numbers, and the one whose name starts
-    with `time_stem` must not go back.
+    with `time_stem` must not go back. Of more than MAX_SAMPLES rows every n-th is used; of the others
+    only the number of fields and the time are looked at.
     Raises BadInput with file and line.
     """
     notes: list[str] = []
