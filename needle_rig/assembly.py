@@ -63,7 +63,7 @@ def _real_parts(config: RigConfig, model: NeedleModel | None, trust: Trust | Non
         config,
         Brain(config, model, thinker, trust),
         make_rig=lambda raw: _real_rig(config, raw),
-        make_clock=lambda rig: TimerClock(period_s),
+        make_clock=lambda _: TimerClock(period_s),
         make_steady=make_steady,
         close=thinker.close,
     )
@@ -84,7 +84,7 @@ def _virtual_parts(
             rigs.append(build_plant(config, raw))
         return rigs[-1]
 
-    def make_clock(rig: Rig) -> Clock:
+    def make_clock(_: Rig) -> Clock:
         return VirtualClock(period_s, rigs[-1].advance)
 
     return Parts(config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list)

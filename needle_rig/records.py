@@ -40,7 +40,7 @@ class DriveFault(enum.IntFlag):
 
 
 class Phase(enum.StrEnum):
-    """Where a run stands. Motions are named as in datasets; `settle_` phases wait after them."""
+    """Where a run stands. Motions are named as in datasets."""
 
     IDLE = "idle"
     REST = "rest"

@@ -15,29 +15,11 @@ from needle_rig.calibration.fits import Array
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import RigFault
-from needle_rig.records import STOP, Command, DriveState, Measurement
+from needle_rig.records import STOP, Command, DriveState
 from needle_rig.units import nmm, rad
 from needle_rig.wire.hall_frames import HallFrame
 
 TICK_S = 0.005
-
-
-class RawRig(Protocol):
-    """A rig that also gives the Hall node's newest frame."""
-
-    hall_frame: Any
-
-    def read(self) -> Measurement:
-        """Newest values."""
-
-    def write(self, command: Command) -> None:
-        """Send one command."""
-
-    async def open(self) -> None:
-        """Connect."""
-
-    async def close(self) -> None:
-        """Let go."""
 
 
 @dataclass(frozen=True)

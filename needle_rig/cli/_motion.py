@@ -123,7 +123,7 @@ def _stops(client: DaemonClient) -> Iterator[Callable[[], None]]:
         nonlocal begun
         begun = True
 
-    def stop(number: int, frame: FrameType | None) -> None:
+    def stop(number: int, _: FrameType | None) -> None:
         for each in before:
             signal.signal(each, signal.default_int_handler)
         client.stop("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,12 +31,6 @@ jobs_option = click.option(
     "--jobs", type=click.IntRange(min=1), help="Processes; default: one a core. Results do not depend on it."
 )
 cluster_option = click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786.")
-
-
-def one_thread_each() -> None:
-    """Keep linear algebra on small matrices from starting threads; before NumPy is imported."""
-    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
 
 
 def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
@@ -84,28 +77,20 @@ def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel |
     return load_model(path, effects=directories).model
 
 
-def progress() -> Callable[[int, int], None]:
-    """Tasks done and time left, on stderr: redrawn on a terminal, silent otherwise."""
-    begun = time.monotonic()
+def progress(results: Iterable[Any], total: int) -> Iterable[Any]:
+    """Hands on `results` with a bar and the time left on stderr: on a terminal, silent otherwise."""
+    from rich.console import Console
+    from rich.progress import track
 
-    def show(done: int, total: int) -> None:
-        nonlocal begun
-        if done == 1:
-            begun = time.monotonic()
-        if not sys.stderr.isatty() or total < 2:
-            return
-        left = (time.monotonic() - begun) / max(done - 1, 1) * (total - done)
-        said = f"\r  {done} of {total} effects, about {left:.0f} s left   "
-        click.echo(said if done < total else "\r" + " " * 50 + "\r", nl=False, err=True)
-
-    return show
+    silent = total < 2 or not sys.stderr.isatty()
+    return track(results, "", total, console=Console(stderr=True), transient=True, disable=silent)
 
 
 def worker(jobs: int | None, cluster: str | None) -> Work:
     """Where tasks run, with progress shown."""
     from needle_rig.workbench.parallel import workers
 
-    return workers(jobs, cluster, progress())
+    return workers(jobs, cluster, progress)
 
 
 def say(text: str) -> None:

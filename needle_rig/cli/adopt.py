@@ -14,7 +14,6 @@ from needle_rig.cli._workbench import (
     left_out_error,
     library,
     model_option,
-    one_thread_each,
     read_data,
     say,
 )
@@ -48,6 +47,8 @@ def command(
 
     An effect that does not lower the error on commands left out is refused (exit code 1).
     """
+    from needle_rig.workbench.parallel import one_thread_each
+
     one_thread_each()
     from needle_rig.model import load_model, save_model
     from needle_rig.workbench.learning.adopt import adopt, undo

@@ -16,7 +16,6 @@ from needle_rig.cli._workbench import (
     library,
     model_option,
     number,
-    one_thread_each,
     read_data,
     read_model,
     read_settled_values,
@@ -55,6 +54,8 @@ def command(
     (settled.yaml; reed2008 is shipped), which have no pictures. Without --model: rigid tissue with uniform
     friction.
     """
+    from needle_rig.workbench.parallel import one_thread_each
+
     one_thread_each()
     from needle_rig.workbench.learning.compare import compare
     from needle_rig.workbench.published.compare import compare_settled

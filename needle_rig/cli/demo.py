@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._workbench import effects_option, jobs_option, json_option, library, one_thread_each, say
+from needle_rig.cli._workbench import effects_option, jobs_option, json_option, library, say
 
 
 @click.command("demo")
@@ -44,6 +44,8 @@ def command(
     Runs with reed2008, diagnose, adopt, and planned with the new model on fresh needles of the same rig.
     Takes about a minute.
     """
+    from needle_rig.workbench.parallel import one_thread_each
+
     one_thread_each()
     from needle_rig.cli._workbench import worker
     from needle_rig.errors import BadInput

@@ -17,7 +17,6 @@ from needle_rig.cli._workbench import (
     left_out_error,
     library,
     model_option,
-    one_thread_each,
     read_data,
     read_model,
     read_settled_values,
@@ -59,6 +58,8 @@ def command(
     (settled.yaml; reed2008 is shipped), where one effect at a time is tried. Every verdict (effect, none,
     unknown) exits with 0.
     """
+    from needle_rig.workbench.parallel import one_thread_each
+
     one_thread_each()
     from needle_rig.workbench.published.diagnose import diagnose_settled
     from needle_rig.workbench.selection.diagnose import diagnose

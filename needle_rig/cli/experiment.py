@@ -13,7 +13,6 @@ from needle_rig.cli._workbench import (
     json_option,
     library,
     model_option,
-    one_thread_each,
     read_data,
     read_model,
     say,
@@ -47,6 +46,8 @@ def command(
     needle-rig experiment data/mine --between tissue_elasticity chuck_compliance
     needle-rig compensate --protocol tissue_elasticity-or-chuck_compliance.yaml
     """
+    from needle_rig.workbench.parallel import one_thread_each
+
     one_thread_each()
     from needle_rig.config.loader import load_rig_config
     from needle_rig.errors import BadInput

@@ -25,7 +25,7 @@ _SHOWN_LETTERS = 200
 class Commands(click.Group):
     """Commands found by file name; only the one that is called is imported."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 as click calls it
         """Names of the command files, with dashes for underscores."""
         return sorted(
             path.stem.replace("_", "-")

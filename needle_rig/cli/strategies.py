@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from needle_rig.cli._workbench import effects_option, jobs_option, json_option, one_thread_each, say, worker
+from needle_rig.cli._workbench import effects_option, jobs_option, json_option, say, worker
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ def command(
     the true shaft, from the first tissue to the tip. planned works with a model identified from
     eight runs on the same rig.
     """
+    from needle_rig.workbench.parallel import one_thread_each
+
     one_thread_each()
     from needle_rig.cli._workbench import library as find_library
     from needle_rig.model import SavedModel, load_model, load_parameters, parameter_sets

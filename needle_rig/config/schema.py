@@ -13,9 +13,6 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-Positive = Annotated[float, Field(gt=0)]
-
-
 class NeedleSection(Section):
     """The needle: its stated constants."""
 

@@ -221,7 +221,7 @@ class Brain:
     def _expected(self) -> int:
         if self._sequence is None:
             return 0
-        return max(self._sequence.strategy.expected_motions(self._sequence.task), len(self.settled))
+        return max(self._sequence.strategy.expected_motions(), len(self.settled))
 
     def _judged(self, request: Request) -> tuple[Task, Strategy]:
         """What `request` means; raises BadInput or RigFault when it cannot be run."""

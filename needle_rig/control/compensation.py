@@ -230,7 +230,7 @@ class Sequence:
             self._progress = 1.0
         elif self.history:
             done = len(self.history) - 1
-            expected = max(self.strategy.expected_motions(self.task), done + 1)
+            expected = max(self.strategy.expected_motions(), done + 1)
             length_s = self._travel_s + self.settle_s + self._window_s
             part = min(self._in_motion_s / length_s, 1.0)
             self._progress = max(self._progress, min((done + part) / expected, 0.99))
@@ -244,13 +244,13 @@ class Sequence:
         self._average(measurement, dt_s)
         return self._decide(measurement) if self._weight_s >= self._window_s else None
 
-    def _moving(self, measurement: Measurement, dt_s: float) -> Event | None:
+    def _moving(self, measurement: Measurement, _dt_s: float) -> Event | None:
         assert self.waypoint is not None
         if abs(self.waypoint.angle_rad - measurement.base_angle_rad) > self._still_rad:
             return None
         return None if self._dither_amplitude(self._in_motion_s) > self._still_rad else Event.ARRIVED
 
-    def _settling(self, measurement: Measurement, dt_s: float) -> Event | None:
+    def _settling(self, _measurement: Measurement, _dt_s: float) -> Event | None:
         still = self._recent_s >= self._window_s * 0.99 and self._spread_rad() <= self._still_rad
         return Event.SETTLED if still and self._in_phase_s >= self.settle_s else None
 

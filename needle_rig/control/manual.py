@@ -27,6 +27,6 @@ class Turn(Strategy):
             return None
         return Waypoint(task.target_rad, self.motion, settle_s=SETTLE_S)
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """One."""
         return 1

@@ -125,7 +125,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class BrainState:
-    """A snapshot for displays and the API. `remaining_s` and `expected_s` count down what is waited for."""
+    """A snapshot for displays and the API. `remaining_s` counts down what is waited for."""
 
     time_s: float
     phase: Phase

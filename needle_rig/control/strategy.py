@@ -119,11 +119,11 @@ class Strategy:
     def check(self, task: Task) -> None:
         """Raise BadInput when the task cannot be done with these options; asked before anything moves."""
 
-    def extra_used_deg(self, task: Task) -> float:
+    def extra_used_deg(self, task: Task) -> float:  # noqa: ARG002 some strategies look at it
         """Extra turn that this strategy adds to the first correction, for runs that learn from it."""
         return 0.0
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """How many motions the sequence will take, for progress; an estimate."""
         raise NotImplementedError
 

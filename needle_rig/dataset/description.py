@@ -14,7 +14,6 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
 
 FORMAT = "needle-rig-dataset/1"
-KNOWN_TRIAL_KEYS = ("file", "start_s", "kind", "target_deg", "speed_deg_s", "settle_s", "steps_deg")
 
 
 class _Part(BaseModel):

@@ -34,8 +34,6 @@ class CanLink:
         self._lock_fd: int | None = None
         self.lost = False
         """Whether the adapter went away."""
-        self.unsent = 0
-        """Frames that the bus did not take."""
 
     def open(self) -> None:
         """Claim the port and listen in the running loop. Raises RigFault in one sentence."""
@@ -63,7 +61,6 @@ class CanLink:
         try:
             self._bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False), timeout=0)
         except (can.CanError, OSError):
-            self.unsent += 1
             return False
         return True
 
@@ -149,7 +146,7 @@ class _Slcan(slcanBus):
         if sent != len(line):
             raise can.CanOperationError("the adapter's buffer is full")
 
-    def _read(self, timeout: float | None) -> str | None:
+    def _read(self, timeout: float | None) -> str | None:  # noqa: ARG002 as python-can calls it
         try:
             chunk = os.read(self.serialPortOrig.fileno(), 65536)
             if not chunk:

@@ -108,7 +108,7 @@ class HallSerial(asyncio.Protocol):
         for frame in self._stream.feed(data):
             self._take(frame, now_s)
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 see asyncio.Protocol
         """The port is closed, or gone; the angles grow old."""
         self.lost = True
         if self._closed is not None and not self._closed.done():

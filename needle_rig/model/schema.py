@@ -8,7 +8,6 @@ from pydantic import Discriminator, Field, Tag
 
 from needle_rig.config.schema import Section
 
-PARAMETERS_FORMAT = "needle-rig-parameters/1"
 MODEL_FORMAT = "needle-rig-model/1"
 
 Number = Annotated[float, Field(allow_inf_nan=True)]

@@ -532,7 +532,7 @@ def overloaded(rod, states, slot, work, i, after):  # type: ignore[no-untyped-de
 
 
 @_jit
-def admit(rod, scalars, flags, laws, states, slot, before, elapsed, time, work, counts):  # type: ignore[no-untyped-def]
+def admit(rod, flags, laws, states, slot, before, elapsed, time, work, counts):  # type: ignore[no-untyped-def]
     """Return a state that was extrapolated or interpolated to the admissible set; False: not found.
 
     There a dry node may be above its limit, which no solution of a step is. A step of no length lets such
@@ -1076,7 +1076,7 @@ def run(  # type: ignore[no-untyped-def]
                 set_for = -1.0
             if dry and halved:
                 set_limits(rod, scalars, states, end, end, 1.0 + LIMIT_TOLERANCE, work)
-                if not admit(rod, scalars, flags, laws, states, end, half, 0.5 * dt, stop, work, counts):
+                if not admit(rod, flags, laws, states, end, half, 0.5 * dt, stop, work, counts):
                     if dt <= shortest:
                         counts[FAILED_SAMPLE] = max(row, 0)
                         return 1
@@ -1087,9 +1087,7 @@ def run(  # type: ignore[no-untyped-def]
             for k in range(row + 1, target):
                 x = (times[k] - time) / dt
                 blend(states, now, half, end, x, 3 if dry else 1, shown)
-                if dry and not admit(
-                    rod, scalars, flags, laws, states, shown, now, x * dt, times[k], work, counts
-                ):
+                if dry and not admit(rod, flags, laws, states, shown, now, x * dt, times[k], work, counts):
                     counts[FAILED_SAMPLE] = k
                     return 1
                 store(rod, flags, laws, stiffness, states, shown, times[k], k, sensors, outputs)

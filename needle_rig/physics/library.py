@@ -74,7 +74,7 @@ def load_effect(path: Path) -> type[Effect]:
 
 
 @cache
-def _load(path: Path, stamp: int) -> type[Effect]:
+def _load(path: Path, stamp: int) -> type[Effect]:  # noqa: ARG001 the cache's key
     # Effects know their name from their module; the directory keeps equal names in two folders apart.
     module_name = f"needle_rig_user_effects.d{abs(hash(path.parent)):x}.{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)

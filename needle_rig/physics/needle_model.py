@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -54,7 +53,6 @@ BASE_PARAMETERS: dict[str, ParameterInfo] = {
 """What the rod without effects is made of, besides its layout."""
 
 _NO_PATH = np.empty(0)
-_ITEM = re.compile(r"(?P<field>.+)\[(?P<index>\d+)\]")
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ class FrictionOfTrial(Effect):
         off=1.0, lower=0.0, upper=10.0, typical=1.02, smallest=1.01, literature=(0.5, 2.0), unit="1"
     )
 
-    def shape(self, rod: Rod, trial: Trial) -> Rod:
+    def shape(self, rod: Rod, trial: Trial) -> Rod:  # noqa: ARG002 see Effect
         """Multiply both slip limits of all nodes."""
         return dataclasses.replace(
             rod, slip_plus_nm=rod.slip_plus_nm * self.factor, slip_minus_nm=rod.slip_minus_nm * self.factor

@@ -54,7 +54,7 @@ def remove_empty_runs(directory: str | os.PathLike[str]) -> None:
         journal = journal_path(run)
         with suppress(NeedleRigError, OSError):  # told where unfinished runs are closed
             if len(list(islice(Frames(journal), 2))) < 2:
-                Journal.reopen(journal, lambda table, payload: None).remove()
+                Journal.reopen(journal, lambda *_: None).remove()
 
 
 def is_run_file(named: str) -> bool:

@@ -187,10 +187,10 @@ def application(ask: Ask, stream: Stream, connections: Connections) -> Starlette
             raise
         return Acknowledgement(answer, desk)
 
-    async def state(request: Request) -> Response:
+    async def state(_: Request) -> Response:
         return JSONResponse((await desk.state()).content)
 
-    async def openapi(request: Request) -> Response:
+    async def openapi(_: Request) -> Response:
         return JSONResponse(openapi_document())
 
     async def send_all(socket: WebSocket) -> None:
@@ -255,7 +255,7 @@ async def _body(request: Request) -> bytes:
     return bytes(content)
 
 
-async def _refuse(request: Request, error: Exception) -> Response:
+async def _refuse(_: Request, error: Exception) -> Response:
     assert isinstance(error, BadInput | Aborted)
     status = {TooLong: 413, TooMany: 429, Aborted: 409}.get(type(error), 422)
     return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status)

@@ -145,7 +145,7 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self._connections = connections
 
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:  # noqa: ARG002 uvicorn's
         await super().startup([])
         self._connections.open(self._make)
 
@@ -190,7 +190,7 @@ class _Rarely(logging.Filter):
         return True
 
 
-def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def _complain(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     error = context.get("exception")
     reason = context["message"] if error is None else f"{context['message']}: {error!r}"
     logging.getLogger("api").warning("%s", reason)

@@ -187,7 +187,7 @@ def the_daemon(path: Path | None = None) -> DaemonClient:
 def private_daemon(
     options: Sequence[str],
     meanwhile: Callable[[], None] = lambda: None,
-    on_wait: Callable[[str], None] = lambda sentence: None,
+    on_wait: Callable[[str], None] = lambda _: None,
 ) -> Iterator[DaemonClient]:
     """A daemon of our own, started with these command-line options and ended with the block.
 

@@ -68,7 +68,7 @@ class TimerClock:
         if self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(self._expired)
 
-    async def tick(self, busy: bool) -> int:
+    async def tick(self, busy: bool) -> int:  # noqa: ARG002 see Clock
         """Wait for the timer; see `Clock.tick`. Real time never stands still."""
         if not self._expired:
             self._waiting = self._loop.create_future()

@@ -50,7 +50,7 @@ class Lines(asyncio.Protocol):
         if len(self._rest) > LINE_LIMIT_BYTES:
             self.close()
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 see asyncio.Protocol
         """See asyncio.Protocol."""
         self._transport = None
         self._on_end()

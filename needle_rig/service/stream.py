@@ -52,7 +52,7 @@ class Listener:
 class Stream:
     """Hands texts to every listener; `on_count` is told how many there are when that changes."""
 
-    def __init__(self, on_count: Callable[[int], None] = lambda count: None) -> None:
+    def __init__(self, on_count: Callable[[int], None] = lambda _: None) -> None:
         self._listeners: set[Listener] = set()
         self._on_count = on_count
         self._all_left = asyncio.Event()

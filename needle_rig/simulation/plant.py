@@ -74,7 +74,6 @@ class Plant:
         """Whether the motor has its supply: decided by the guard in `advance`, by nodes before `turn`."""
         self._guard_settings = guard
         self._commands = 0
-        self._foreign_commands = 0
         self._index_rad = math.nan
         self.time_s = 0.0
         self._raw = raw
@@ -113,11 +112,6 @@ class Plant:
         if angle_rad is not None and self.guard.reference(self._now_us, self._commands, angle_rad):
             self._index_rad += angle_rad - self._base_rad()
             self._zero_rad = self._encoder_rad - angle_rad
-
-    def write_foreign(self, command: Command, counter: int, heartbeat: int) -> None:
-        """A command of another master on the bus."""
-        self._foreign_commands += 1
-        self.guard.receive(self._now_us, command, counter, heartbeat)
 
     def reset_drive(self) -> None:
         """The drive restarts: it is silent and takes the place where it stands for zero."""
@@ -248,7 +242,6 @@ class Plant:
                 supply_on=self.guard.supply,
                 emergency_stop=faults.emergency_stop,
                 index_rad=self._index_rad,
-                foreign_commands=self._foreign_commands,
             )
         )
         if self._raw is not None:

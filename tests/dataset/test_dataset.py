@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from needle_rig.dataset import denoised_base, read_dataset, write_dataset
 from needle_rig.dataset.channels import unwrapped
+from needle_rig.dataset.table import read_table
 from needle_rig.errors import BadInput
 
 PRACTICE = Path(__file__).parents[1] / "data" / "practice"
@@ -446,6 +447,71 @@ def test_a_long_file_is_thinned_and_said(folder: Path) -> None:
         ).max()
         < 0.15
     )
+
+
+@pytest.mark.parametrize("row", [60_001, 60_002])
+def test_rows_of_a_long_file_that_are_not_used_are_whole_and_in_order(folder: Path, row: int) -> None:
+    header, first = rows(folder)[:2]
+    table = [header, *([f"{n * 1e-3:.3f}", *first[1:]] for n in range(100_000))]
+    save(folder, [*table[:row], table[row][:4], *table[row + 1 :]])
+    assert f"01.csv:{row + 1}: 4 fields where the header has 8" in refused(folder)
+    save(folder, [*table[:row], table[row - 2], *table[row + 1 :]])
+    assert f"01.csv:{row + 1}: time goes back from" in refused(folder)
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_numbers_are_exact_to_the_last_bit(folder: Path, separator: str) -> None:
+    table = rows(folder)
+    numbers = [
+        "0.1",
+        "1e-5",
+        "9007199254740993",
+        "0.30000000000000004441",
+        "123456789.123456789e-7",
+        "-.5",
+        "5.",
+    ]
+    draws = np.random.default_rng(1).normal(size=len(table)).tolist()
+    for row, draw in zip(table[1:], draws, strict=False):
+        row[6] = f"{draw:.20f}"
+    for row, text in zip(table[10:], numbers, strict=False):
+        row[6] = text
+    expected = [float(row[6]) for row in table[1:]]
+    for row in table if separator == ";" else []:
+        row[:] = [field.replace(".", ",") for field in row]
+    trial = folder / "trials/01.csv"
+    save(folder, table, separator)
+    assert read_table(trial, folder, "", "phase", "time").values[:, 6].tolist() == expected
+    table[20][6] = f'"{table[20][6]}"'  # field by field
+    save(folder, table, separator)
+    assert read_table(trial, folder, "", "phase", "time").values[:, 6].tolist() == expected
+
+
+@pytest.mark.parametrize("word", ["", '""', "-", "nan", "NaN", "-nan", "NA", "n/a", "null", "None", " "])
+def test_a_field_that_says_that_there_is_no_value(folder: Path, word: str) -> None:
+    table = rows(folder)
+    table[41][3] = word
+    save(folder, table)
+    values = read_table(folder / "trials/01.csv", folder, "", "phase", "time").values
+    assert np.argwhere(np.isnan(values)).tolist() == [[40, 3]]
+
+
+@pytest.mark.parametrize(
+    "word", ["inf", "-Infinity", "1e999", "1_0", "0x10", "1,5", "+", "nothing", "１", "1 2"]
+)
+def test_what_is_no_number(folder: Path, word: str) -> None:
+    table = rows(folder)
+    table[41][3] = word
+    save(folder, table, ";")
+    assert f"01.csv:42: hall_1_deg: '{word}' is no number" in refused(folder)
+    table[41][3], table[41][0] = table[40][3], word
+    save(folder, table, ";")
+    assert f"01.csv:42: time_s: '{word}' is no number" in refused(folder)
+
+
+def test_a_header_without_end_has_no_rows(folder: Path) -> None:
+    (folder / "trials/01.csv").write_text("time_s," + "a" * 100_000 + "\n1,2\n")
+    assert "01.csv:1: no rows below the header" in refused(folder)
 
 
 # The base's path without the encoder's noise.

@@ -22,6 +22,6 @@ class BaseEqualsTip(Strategy):
             return Waypoint(history[1].base_angle_rad - history[1].predicted_lag_rad, "back")
         return None
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """Two."""
         return 2

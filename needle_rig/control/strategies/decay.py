@@ -30,6 +30,6 @@ class Decay(Strategy):
             return Waypoint(task.target_rad + amplitude, f"step_{done + 1}")
         return Waypoint(task.target_rad, "final") if done == self.rotations + 1 else None
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """The turn, the rotations and the last."""
         return self.rotations + 2

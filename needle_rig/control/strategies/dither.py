@@ -43,6 +43,6 @@ class Dither(Strategy):
         oscillation = Oscillation(rad(self.amplitude_deg), self.frequency_hz)
         return Waypoint(task.target_rad, "rotate", dither=oscillation)
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """One."""
         return 1

@@ -72,7 +72,7 @@ class Estimator(Strategy):
             return None
         return Waypoint(self._base_for_tip(task, history, estimate, error), f"step_{len(history)}")
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """The turn and usually three corrections."""
         return 4
 

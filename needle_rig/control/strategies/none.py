@@ -15,6 +15,6 @@ class NoCompensation(Strategy):
         """One motion."""
         return Waypoint(task.target_rad, "rotate") if len(history) == 1 else None
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """One."""
         return 1

@@ -136,7 +136,7 @@ class Planned(Strategy):
             note=note,
         )
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """The turn in two parts, and the way back."""
         return 3
 

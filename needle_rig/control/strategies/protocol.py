@@ -46,7 +46,7 @@ class Protocol(Strategy):
             if speed is not None and rad(speed) > fastest:
                 raise BadInput(f"protocol: step {number} turns at {speed:g}°/s, limit {deg(fastest):g}°/s")
 
-    def next(self, task: Task, history: History) -> Waypoint | None:
+    def next(self, task: Task, history: History) -> Waypoint | None:  # noqa: ARG002 see Strategy
         """The next step of the list."""
         done = len(history) - 1
         if done == len(self.steps_deg):
@@ -59,7 +59,7 @@ class Protocol(Strategy):
             settle_s=_each(self.dwell_s, done),
         )
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """As many as there are steps."""
         return len(self.steps_deg)
 

@@ -22,7 +22,7 @@ class Reed2008(Strategy):
         done = len(history) - 1
         return reed_motion(task, done, history[1].predicted_lag_rad if done else 0.0)
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """Five."""
         return len(SEQUENCE)
 

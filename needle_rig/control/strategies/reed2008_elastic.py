@@ -46,6 +46,6 @@ class Reed2008Elastic(Strategy):
             return self.extra_deg
         return max(0.0, task.extra_before_deg + deg(task.lag_left_rad or 0.0))
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """Five."""
         return 5

@@ -42,6 +42,6 @@ class Relax(Strategy):
                 turn = last.torque_nm * moved / eased
         return Waypoint(last.base_angle_rad - turn, f"step_{len(history)}")
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """The turn and usually two corrections."""
         return 3

@@ -19,6 +19,6 @@ class SingleLag(Strategy):
             return Waypoint(task.target_rad + history[1].predicted_lag_rad, "overshoot")
         return None
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """Two."""
         return 2

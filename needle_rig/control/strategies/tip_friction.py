@@ -23,6 +23,6 @@ class TipFriction(Strategy):
             return Waypoint(task.target_rad + lag, "overshoot")
         return None
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """Two."""
         return 2

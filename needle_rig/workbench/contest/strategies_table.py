@@ -16,7 +16,7 @@ from needle_rig.model import SavedModel
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.parallel import Here, Work
+from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun, run_settled
 
@@ -204,7 +204,7 @@ def compare_strategies(
         for start in starts
         for seed in range(seeds)
     ]
-    with work or Here() as at:
+    with work or Work() as at:
         at.share(bout)
         results = at.run(one_result, tasks)
     return Table(tuple(results), tuple(strategies), tuple(float(t) for t in targets_deg))

@@ -190,8 +190,7 @@ def _finish(
     share = np.log1p((own**2).sum() / room) * (noise.scatter_dof + trials)
     part = own**2 / max((own**2).sum(), 1e-30)
     loss = np.array([r @ r for r in rows]) + log_det + share * part
-    fixed = np.r_[np.zeros(p), weights[p:]]
-    rank = _rank(curvature, fixed, p)
+    rank = _rank(curvature, p)
     scatter = float(np.sqrt((room + (own**2).sum()) / (noise.scatter_dof + trials)))
     # the trials' mean is a draw of their scatter: how far it carries the parameters that it can stand for
     shared, common = np.vstack([j[:, :p] for j in jacobians]), np.concatenate([j[:, p] for j in jacobians])
@@ -216,7 +215,7 @@ def _finish(
     )
 
 
-def _rank(curvature: Array, fixed: Array, p: int) -> int:
+def _rank(curvature: Array, p: int) -> int:
     """Directions among the positions that the data see, the other parameters projected out."""
     inside = np.arange(2, p)
     if not inside.size:

@@ -123,9 +123,7 @@ class Objective:
         centre[0] = x[0]
         return x - centre
 
-    def derivatives(
-        self, x: Array, rows: list[Array], changed: Sequence[int] | None = None
-    ) -> list[Array] | None:
+    def derivatives(self, x: Array, rows: list[Array]) -> list[Array] | None:
         """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound.
 
         Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the

@@ -55,7 +55,6 @@ class Problem:
     threads: int | None = 1
     whiteners: tuple[Whitener, ...] = ()
     _cache: OrderedDict[object, Solution] = field(default_factory=OrderedDict, repr=False)
-    solves: int = 0
 
     def __post_init__(self) -> None:
         if not self.whiteners:
@@ -142,7 +141,6 @@ class Problem:
             rods.append(models[place].rod(drive))
             inputs.append((drive.time_s, models[place].held_path(drive)[0]))
         solved = solve_batch(rods, inputs, threads=self.threads) if rods else []
-        self.solves += len(rods)
         self._cache.update(zip(new, solved, strict=True))
         if any(self._cache[k].solves > most_solves * self._cache[k].time_s.size for k in keys):
             raise SolverError(f"{models[0].name}: the needle snaps through too many balances to follow")

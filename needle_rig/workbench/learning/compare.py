@@ -19,7 +19,6 @@ from needle_rig.workbench.estimation.baseline import Prepared, prepare
 Array = npt.NDArray[np.float64]
 
 WORST = 8
-GROWTH_SHARE = 0.5
 NOISE_LIMIT = 3.0
 
 

@@ -134,11 +134,6 @@ def aligned(model: NeedleModel, strategy: Strategy, target_deg: float) -> Needle
     return run_settled(model, strategy, task, np.random.default_rng(0), NO_NOISE).needles[1:]
 
 
-def reproduce() -> tuple[Row, ...]:
-    """All rows of the comparison."""
-    return Reproduction().rows()
-
-
 def as_document(rows: tuple[Row, ...]) -> dict[str, Any]:
     """The rows as `--json` prints them."""
     return {

@@ -1,6 +1,6 @@
 """Which effect is missing, asked of settled values: the same answer as on traces, from a few numbers.
 
-Few numbers leave ties (see `settled_search`); among effects that tie, plausibility gives the order, and what
+Few numbers leave ties (see `search`); among effects that tie, plausibility gives the order, and what
 would tell them apart is computed. One effect is added at a time.
 """
 
@@ -68,7 +68,6 @@ def diagnose_settled(
     say("looking for what would tell them apart")
     verdict = "none" if not missing else "effect" if tied else "unknown"
     best = tied[0].fit if tied and tied[0].fit else root
-    n = len(problem.values)
     room = max(root.chi2 - root.freedom, 1e-9)
     patterns = _left(problem, best)
     return SettledAnswer(
@@ -78,7 +77,7 @@ def diagnose_settled(
         effects=(tied[0].effect,) if tied else (),
         ranking=tuple(_ranking(problem, root, tried, tied)),
         decisions={c.effect: _decision(problem, c, tied, missing) for c in tried},
-        left_over=Leftover(tuple(patterns), best.chi2, best.chi2 / n),
+        left_over=Leftover(tuple(patterns), best.chi2),
         explained=verdict != "unknown",
         lack_before=None,
         lack_after=None,

@@ -18,17 +18,16 @@ def decide(search: Search, named: list[str]) -> dict[str, Decision]:
     by_name = {c.effect: c for c in search.children.get(search.best, [])}
     decisions = {}
     for name in search.names:
-        axes = search.problem.axes([name])
         if name in best.effects:
-            decisions[name] = _decision(name, axes, best, "present" if name in named else None)
+            decisions[name] = _decision(name, best, "present" if name in named else None)
         elif name in search.traces:
-            decisions[name] = _decision(name, axes, search.traces[name][0], "negligible")
+            decisions[name] = _decision(name, search.traces[name][0], "negligible")
         else:
-            decisions[name] = _undetected(search, name, axes, best, by_name.get(name))
+            decisions[name] = _undetected(search, name, best, by_name.get(name))
     return decisions
 
 
-def _sizes(axes: tuple[Coordinate, ...], found: Fit, name: str) -> list[tuple[Coordinate, float, float]]:
+def _sizes(found: Fit, name: str) -> list[tuple[Coordinate, float, float]]:
     """(axis, position, its error) of each size; at 0 nothing is known finer than the derivatives' step."""
     return [
         (a, float(x), max(float(e), STEP * (x == 0.0)))
@@ -37,8 +36,8 @@ def _sizes(axes: tuple[Coordinate, ...], found: Fit, name: str) -> list[tuple[Co
     ]
 
 
-def _decision(name: str, axes: tuple[Coordinate, ...], found: Fit, fixed: str | None) -> Decision:
-    sizes = _sizes(axes, found, name)
+def _decision(name: str, found: Fit, fixed: str | None) -> Decision:
+    sizes = _sizes(found, name)
     axis, at, error = max(sizes, key=lambda s: (abs(s[1]) + 1.645 * s[2]) / max(s[0].smallest, 1e-9))
     limit = abs(at) + 1.645 * error
     below = all(abs(x) + 1.645 * e < a.smallest for a, x, e in sizes)
@@ -61,10 +60,8 @@ def _smallest_size(axis: Coordinate) -> float:
     return abs(axis.info.smallest - axis.info.off)
 
 
-def _undetected(
-    search: Search, name: str, axes: tuple[Coordinate, ...], best: Fit, candidate: Candidate | None
-) -> Decision:
-    strength = next(a for a in axes if not a.info.shapes)
+def _undetected(search: Search, name: str, best: Fit, candidate: Candidate | None) -> Decision:
+    strength = next(a for a in search.problem.axes([name]) if not a.info.shapes)
     if candidate is None:
         return decision_at(name, strength, np.inf, "cannot_tell", 0.0)
     found = candidate.fit
@@ -73,8 +70,8 @@ def _undetected(
         return decision_at(
             name, strength, limit, "absent" if limit < strength.smallest else "cannot_tell", 0.0
         )
-    decided = _decision(name, axes, found, None)
+    decided = _decision(name, found, None)
     if chance(best, found, len(search.names)) < SIGNIFICANCE:
         fixed = "negligible" if is_trace(found, name) else "cannot_tell"
-        return _decision(name, axes, found, fixed)
+        return _decision(name, found, fixed)
     return decided

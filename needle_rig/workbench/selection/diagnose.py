@@ -14,7 +14,7 @@ from needle_rig.units import per_100mm
 from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prepare
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.parallel import Here, Work
+from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
@@ -66,7 +66,7 @@ def diagnose(
     say("measuring the noise, fitting the present model")
     prepared = prepare(dataset, model, library)
     names = tuple(sorted(set(library) - set(prepared.present.effects)))
-    with work or Here() as at:
+    with work or Work() as at:
         at.share(prepared.problem)
         search = Search(prepared.problem, names, at, max_effects, prepared.present, prepared.held)
         say("trying every effect")

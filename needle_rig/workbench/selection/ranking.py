@@ -72,7 +72,7 @@ def rank(
                     values_of(adopted, effect),
                     tied,
                     apart[0].separation_sigma if apart else None,
-                    _favour(search, best, effect, alone),
+                    _favour(search, best, alone),
                     _against(adopted, effect, rivals[effect]),
                 )
             )
@@ -89,7 +89,7 @@ def rank(
                             values_of(found, rival.effect),
                             (effect,),
                             rival.separation_sigma,
-                            _favour(search, found, rival.effect, None),
+                            _favour(search, found, None),
                             _against(found, rival.effect, []) or f"{effect} fits as well",
                         )
                     )
@@ -137,7 +137,7 @@ def _removed(problem: Any, root: Fit, found: Fit) -> float:
     )
 
 
-def _favour(search: Search, found: Fit, effect: str, alone: float | None) -> str:
+def _favour(search: Search, found: Fit, alone: float | None) -> str:
     removed = 100 * _removed(search.problem, search.root, found)
     sigmas = (
         f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""

@@ -59,7 +59,6 @@ class Leftover:
     patterns: tuple[Pattern, ...]
     gain: float
     """Fall of the objective that the significant signatures would bring."""
-    chi2_per_value: float
 
     @property
     def significant(self) -> bool:
@@ -158,7 +157,7 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
         _pattern(problem, readings, sensors, names[i], z, abs(z) / lengths[i], z**2 / gain) for i, z in picked
     ]
     both = (*patterns, *(replace(p, share=p.sigmas**2 / gain) for p in trend))
-    return Leftover(both, gain, found.chi2 / problem.size)
+    return Leftover(both, gain)
 
 
 def _pattern(

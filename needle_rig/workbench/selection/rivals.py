@@ -27,7 +27,6 @@ class Rival:
     """Another effect in the place of one that was found."""
 
     effect: str
-    instead_of: str
     key: frozenset[str]
     behind: float
     """Score of the rival over that of what was found."""
@@ -88,7 +87,7 @@ def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
             contains = effect in problem.library[candidate.effect].limits
             if contains and other.objective > here.objective - CLOSE:
                 tied = False
-            rivals.append(Rival(candidate.effect, effect, key, behind, share, tied))
+            rivals.append(Rival(candidate.effect, key, behind, share, tied))
         rivals.sort(key=lambda r: (r.behind, r.effect))
         for place, rival in enumerate(rivals[:2]):
             if rival.tied or (place == 0 and rival.behind < 400.0):

@@ -209,7 +209,7 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     starts.sort(key=lambda s: -s.gain)
     kept: list[Start] = []
     for start in starts:
-        if all(_apart(start.positions, k.positions, own) for k in kept):
+        if all(_apart(start.positions, k.positions) for k in kept):
             kept.append(start)
         if len(kept) == 4:
             break
@@ -251,7 +251,7 @@ def _joint(
     return found
 
 
-def _apart(a: Array, b: Array, own: Sequence[Coordinate]) -> bool:
+def _apart(a: Array, b: Array) -> bool:
     gap = [abs(x - y) / max(0.3, 0.5 * abs(x), 0.5 * abs(y)) for x, y in zip(a, b, strict=True)]
     return max(gap, default=0.0) > 1.0
 

@@ -278,11 +278,11 @@ class Search:
         stale = self.children.get(self.best, [])
         kept_fits = {self.start: (self.root, self.root_held), self.best: self.fits[self.best]}
         self.fits, self.children = {}, {}
-        for key, (old, old_held) in kept_fits.items():
+        for effects, (old, old_held) in kept_fits.items():
             new, new_held = refit(self.problem, old.effects, old.point)
             if new is None:
                 new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
-            self.fits[key] = new, new_held
+            self.fits[effects] = new, new_held
         self.root, root_held = self.fits[self.start]
         self.root_held = root_held or self.root_held
         parent = self.fits[self.best][0]

@@ -182,9 +182,9 @@ class Recorded(Strategy):
             return waypoint
         return replace(waypoint, angle_rad=rad(self.base_deg[waypoint.name]))
 
-    def expected_motions(self, task: Task) -> int:
+    def expected_motions(self) -> int:
         """As many as the strategy's."""
-        return self.inner.expected_motions(task)
+        return self.inner.expected_motions()
 
 
 class RampDrive:

@@ -383,7 +383,7 @@ def test_a_strategy_that_fails_stops_the_drive_with_its_sentence():
         def next(self, task, history):
             raise ZeroDivisionError("half of nothing")
 
-        def expected_motions(self, task):
+        def expected_motions(self):
             return 1
 
     rig = started(strategy=Broken())

@@ -105,7 +105,7 @@ class There(Strategy):
         done = len(history) - 1
         return self.waypoints[done] if done < len(self.waypoints) else None
 
-    def expected_motions(self, task):
+    def expected_motions(self):
         return len(self.waypoints)
 
 

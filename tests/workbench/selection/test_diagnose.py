@@ -8,7 +8,7 @@ import pytest
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
 from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.parallel import Here, workers
+from needle_rig.workbench.parallel import Work, workers
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.diagnose import diagnose
@@ -274,7 +274,7 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
     good = try_effect(problem, prepared.present, "tissue_elasticity")
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
     idle = dataclasses.replace(good.fit.point, positions=np.r_[good.fit.point.positions, 0.0])
-    hunt = search.Search(problem, names, Here(), 3, prepared.present, prepared.held)
+    hunt = search.Search(problem, names, Work(), 3, prepared.present, prepared.held)
     hunt.keep(worse, good.held)
     both = frozenset(names)
     hunt.keep(*search.refit(problem, names, idle))

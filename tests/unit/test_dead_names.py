@@ -1,0 +1,53 @@
+"""What nothing uses is deleted: vulture looks at the package, with tests and scripts as its users."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vulture import Vulture
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+FOUND_BY_FILE_NAME = ("needle_rig/physics/effects", "needle_rig/control/strategies")
+"""One class a file, looked up by the file's name; its fields are read by their names."""
+CALLED_BY_LIBRARIES = {
+    "Ki": "simple_pid",
+    "_callbacks": "cffi: kept alive",
+    "_one_of_both": "pydantic",
+    "_options_end": "pydantic",
+    "app_state": "uvicorn",
+    "get_command": "click",
+    "ignore_aliases": "PyYAML",
+    "model_config": "pydantic",
+    "padding": "intelhex",
+    "should_exit": "uvicorn",
+    "typing_context": "numba",
+    "yaml_implicit_resolvers": "PyYAML",
+}
+READ_BY_NAME = {
+    "hall_mean_deg": "a quantity of published values",
+    "hall_range_deg": "a quantity of published values",
+    "made_ns": "a socket's identity, compared whole",
+    "recover": "a request to the recorder",
+    "tip_lag_deg": "a quantity of published values",
+}
+
+
+def test_every_name_is_used_and_every_exception_is_needed() -> None:
+    scripts = [p for p in (REPOSITORY / "scripts").iterdir() if p.is_file() and "python" in first_line(p)]
+    looked_at = Vulture()
+    looked_at.scavenge([str(p) for p in (REPOSITORY / "needle_rig", REPOSITORY / "tests", *scripts)])
+    unused = {}
+    for item in looked_at.get_unused_code(min_confidence=60):
+        place = Path(item.filename).resolve().relative_to(REPOSITORY)
+        if place.parts[0] == "needle_rig" and str(place.parent) not in FOUND_BY_FILE_NAME:
+            unused[item.name] = f"{place}:{item.first_lineno}: {item.typ} {item.name}"
+    exceptions = CALLED_BY_LIBRARIES.keys() | READ_BY_NAME.keys()
+    assert [place for name, place in sorted(unused.items()) if name not in exceptions] == []
+    assert sorted(exceptions - unused.keys()) == []
+
+
+def first_line(path: Path) -> str:
+    if path.suffix == ".py":
+        return "python"
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return file.readline() if path.suffix == "" else ""
