@@ -99,29 +99,12 @@ class Objective:
             + (x[self.p + self.trials :] ** 2).sum()
         )
 
-    def level(self) -> Array:
-        """Curvature (over all parameters) that holds the means."""
-        curvature = np.zeros((self.low.size, self.low.size))
-        for places in (np.arange(self.p, self.p + self.trials), *self.means):
-            curvature[places[:, None], places] += LEVEL / places.size**2
-        return curvature
-
-    def weights(self, x: Array) -> Array:
-        """Diagonal of the prior's curvature; for the trials' friction that of a bound from above."""
+    def own_precision(self, x: Array) -> float:
+        """Precision of a normal prior of the trials' own friction that bounds theirs from above at `x`."""
         noise = self.problem.noise
         own = x[self.p : self.p + self.trials]
-        tight = (noise.scatter_dof + self.trials) / (noise.scatter_dof * noise.scatter**2 + (own**2).sum())
-        parts = np.r_[
-            0.0, self.problem.rigidity_prior**-2, self.width**-2, np.full(self.trials, tight), np.ones(self.q)
-        ]
-        return np.asarray(parts, dtype=np.float64)
-
-    def pulls(self, x: Array) -> Array:
-        """Distances from the prior's centre."""
-        centre = np.zeros_like(x)
-        centre[1] = self.stated
-        centre[0] = x[0]
-        return x - centre
+        room = noise.scatter_dof * noise.scatter**2
+        return float((noise.scatter_dof + self.trials) / (room + (own**2).sum()))
 
     def derivatives(
         self, x: Array, rows: list[Array], changed: Sequence[int] | None = None
@@ -148,20 +131,6 @@ class Objective:
                     return None
             columns.append([(a - b) / -step for a, b in zip(after, rows, strict=True)])
         return [np.column_stack([c[t] for c in columns]) for t in range(self.trials)]
-
-
-def normal_equations(state: Objective, jacobians: list[Array], rows: list[Array]) -> tuple[Array, Array]:
-    """(curvature, gradient) of the data part over all parameters."""
-    p, trials, q = state.p, state.trials, state.q
-    size = p + trials + q
-    curvature, gradient = np.zeros((size, size)), np.zeros(size)
-    for t in range(trials):
-        shared, own = jacobians[t][:, :p], jacobians[t][:, state.own]
-        full = np.column_stack([shared, own, state.problem.nuisance[t]])
-        index = np.r_[np.arange(p), p + t, p + trials + np.arange(q)]
-        curvature[np.ix_(index, index)] += full.T @ full
-        gradient[index] += full.T @ rows[t]
-    return curvature, gradient
 
 
 def excess(problem: Problem, value: float) -> float:
