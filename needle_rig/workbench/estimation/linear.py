@@ -14,6 +14,7 @@ and nothing holds their mean; a fit's steps and its covariance hold it too (`lev
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from needle_rig.workbench.estimation.map_fit import Fit
 
 Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.int64]
 
 SEEN = 1.0
 """Information on a position, scaled to its typical size, above which the data see a direction: its standard
@@ -134,18 +136,18 @@ class LinearisedFit:
         return self.trials[0].p
 
     @cached_property
-    def own(self) -> npt.NDArray[np.int64]:
+    def own(self) -> Places:
         """Places of the trials' own friction."""
-        return np.arange(self.p, self.p + len(self.trials))
+        return np.arange(self.p, self.p + len(self.trials), dtype=np.int64)
 
     @cached_property
-    def shared(self) -> npt.NDArray[np.int64]:
+    def shared(self) -> Places:
         """Places of what all trials share, nuisances last."""
-        return np.r_[np.arange(self.p), np.arange(self.own[-1] + 1, self.precision.size)]
+        return np.delete(np.arange(self.precision.size, dtype=np.int64), self.own)
 
-    def _places(self, trial: int) -> npt.NDArray[np.int64]:
+    def _places(self, trial: int) -> Places:
         """Places of a trial's columns."""
-        return np.r_[np.arange(self.p), self.own[trial], self.shared[self.p :]]
+        return np.concatenate([self.shared[: self.p], self.own[[trial]], self.shared[self.p :]])
 
     @cached_property
     def residuals(self) -> Array:
@@ -153,14 +155,17 @@ class LinearisedFit:
         return np.concatenate([t.residuals for t in self.trials])
 
     @cached_property
+    def rows(self) -> tuple[slice, ...]:
+        """Each trial's place among all N values."""
+        ends = np.cumsum([0, *(t.residuals.size for t in self.trials)])
+        return tuple(slice(begin, end) for begin, end in itertools.pairwise(ends.tolist()))
+
+    @cached_property
     def columns(self) -> Array:
         """Derivatives of all values (N, P)."""
         matrix = np.zeros((self.residuals.size, self.precision.size))
-        begin = 0
-        for t, terms in enumerate(self.trials):
-            end = begin + terms.residuals.size
-            matrix[begin:end, self._places(t)] = terms.columns
-            begin = end
+        for t, (terms, rows) in enumerate(zip(self.trials, self.rows, strict=True)):
+            matrix[rows, self._places(t)] = terms.columns
         return matrix
 
     @cached_property
@@ -193,7 +198,7 @@ class LinearisedFit:
     @cached_property
     def _inverse(self) -> Array:
         """Covariance of all parameters (P, P), every mean held."""
-        return np.linalg.pinv(self.curvature + self.level, hermitian=True)
+        return np.asarray(np.linalg.pinv(self.curvature + self.level, hermitian=True))
 
     @cached_property
     def covariance(self) -> Array:
@@ -219,7 +224,7 @@ class LinearisedFit:
         cross = self.curvature[np.ix_(inside, outside)]
         rest = self.curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
         left = self.curvature[np.ix_(inside, inside)] - cross @ np.linalg.solve(rest, cross.T)
-        free = _free([places - 2 for places in self.held], inside.size)
+        free = _free([places - 2 for places in self.held], np.ones(inside.size))
         return max(1, int((np.linalg.eigvalsh(free.T @ left @ free) > SEEN).sum()))
 
     def loosest(self) -> Array | None:
@@ -248,11 +253,11 @@ class LinearisedFit:
         """
         whole = sum(self.information) + np.diag(self.precision[self.shared])
         left = whole - sum(self.information[t] for t in group)
-        free = _free(self.held, left.shape[0])
-        inside = free.T @ left @ free
-        scale = np.sqrt(np.diag(inside))
-        seen = np.linalg.pinv(inside / np.outer(scale, scale), rcond=UNSEEN, hermitian=True)
-        return left, free @ (seen / np.outer(scale, scale)) @ free.T
+        size = np.sqrt(np.diag(left))
+        alike = left / np.outer(size, size)
+        free = _free(self.held, size)
+        seen = np.linalg.pinv(free.T @ alike @ free, rcond=UNSEEN, hermitian=True)
+        return left, free @ seen @ free.T / np.outer(size, size)
 
     @cached_property
     def projection(self) -> Projection:
@@ -275,7 +280,7 @@ class Projection:
         self._tight = np.sqrt(fit.precision)
         self.size = residuals.size
         self._own = self.size + fit.own
-        matrix = np.vstack([columns, np.diag(self._tight)]) @ _free(fit.held, fit.precision.size)
+        matrix = np.vstack([columns, np.diag(self._tight)]) @ _free(fit.held, np.ones_like(fit.precision))
         self._basis, _ = np.linalg.qr(matrix)
         self._own_tight = self._tight[fit.own]
         left = np.r_[residuals, -self._tight * fit.from_centre]
@@ -309,11 +314,11 @@ def prediction_covariance(covariance: Array, own_variance: float, columns: Array
     return np.asarray(shared @ covariance @ shared.T + own_variance * np.outer(own, own))
 
 
-def _free(held: Sequence[Array], size: int) -> Array:
-    """Directions (size, ≤ size) of parameters in which no mean over `held` places changes."""
+def _free(held: Sequence[Array], size: Array) -> Array:
+    """Orthonormal directions (m, ≤ m) of m parameters, in units of 1 / `size`, that change no held mean."""
     if not held:
-        return np.eye(size)
-    rows = np.zeros((len(held), size))
+        return np.eye(size.size)
+    rows = np.zeros((len(held), size.size))
     for row, places in zip(rows, held, strict=True):
-        row[places] = 1.0
+        row[places] = 1.0 / size[places]
     return np.asarray(null_space(rows))
