@@ -16,6 +16,7 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Trial
 from needle_rig.simulation.base_drive import base_path, phases
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.workbench.estimation.linear import prediction_covariance
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Point, Problem
@@ -161,12 +162,9 @@ def _proposal(
     columns.append((seen(start, STEP) - at) / STEP)
     jacobian = whiten(np.stack(columns, -1))
     difference = whiten(binned.mean - at)
-    known = np.zeros((start.size + 1, start.size + 1))
-    known[:-1, :-1] = np.linalg.pinv(second.covariance, hermitian=True)
-    known[-1, -1] = second.scatter**-2
-    move = np.linalg.solve(jacobian.T @ jacobian + known, jacobian.T @ difference)
-    left = difference - jacobian @ move
-    separation = float(np.sqrt(left @ left + move @ known @ move))
+    unknown = prediction_covariance(second.covariance, second.scatter**2, jacobian)
+    left = np.asarray(np.linalg.solve(np.eye(difference.size) + unknown, difference), dtype=np.float64)
+    separation = float(np.sqrt(difference @ left))
     return Proposal(
         command, separation, duration_s, _watch(binned, whiten.channel, left, whiten.use, sensors)
     )
