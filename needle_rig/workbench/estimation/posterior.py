@@ -75,14 +75,11 @@ class Objective:
 
     def rows(self, x: Array) -> list[Array] | None:
         """Whitened data minus model (n,) a trial, None where the model cannot be solved."""
-        point = self.point(x)
-        every = range(self.trials)
         try:
-            models = [self.problem.model(self.axes, point, t) for t in every]
-            readings = self.problem.readings(models, list(every), MOST_SOLVES)
+            readings = self.problem.predict(self.axes, self.point(x), MOST_SOLVES)
         except (SolverError, BadInput):
             return None
-        rows = self.problem.residuals(readings, list(every))
+        rows = self.problem.residuals(readings, range(self.trials))
         found = [r - n @ x[self.p + self.trials :] for r, n in zip(rows, self.problem.nuisance, strict=True)]
         return found if all(np.all(np.isfinite(r)) for r in found) else None
 

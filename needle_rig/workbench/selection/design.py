@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +20,6 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Point, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
-from needle_rig.workbench.observations.noise import whitener
 from needle_rig.workbench.virtual.dataset import NO_NOISE, planned_motions
 
 Array = npt.NDArray[np.float64]
@@ -142,14 +140,14 @@ def _proposal(
     problem: Problem, first: Fit, second: Fit, sensors: Sequence[str], command: TrialCommand
 ) -> Proposal:
     binned, duration_s = planned(problem, first, command)
-    one = dataclasses.replace(problem, trials=(binned,), whiteners=(), nuisance=(), _cache=OrderedDict())
-    whiten = whitener(problem.noise, binned)
+    one = problem.over([binned])
+    whiten = one.whiteners[0]
     alone = dataclasses.replace(second.point, trial_friction=np.zeros(1))
     start = np.r_[alone.log_friction, alone.log_rigidity, alone.positions]
 
     def seen(x: Array, own: float = 0.0) -> Array:
         point = Point(float(x[0]), float(x[1]), x[2:], np.array([own]))
-        return one.readings([one.model(second.axes, point, 0)], [0])[0]
+        return one.predict(second.axes, point)[0]
 
     at = seen(start)
     columns = []
@@ -218,15 +216,9 @@ def expected_power(
 
     Everything is simulated from `first` without noise, and the other model is fitted to all of it.
     """
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(first.axes, first.point, t) for t in every], every)
-    old = tuple(
-        dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), r, np.nan))
-        for b, r in zip(problem.trials, readings, strict=True)
-    )
+    old = problem.with_means(problem.predict(first.axes, first.point)).trials
     binned, _ = planned(problem, first, command)
-    trials = (*old, *([binned] * replicates))
-    joint = dataclasses.replace(problem, trials=trials, whiteners=(), nuisance=(), _cache=OrderedDict())
+    joint = problem.over((*old, *([binned] * replicates)))
     own = np.r_[second.point.trial_friction, np.zeros(replicates)]
     rival = fit(joint, second.effects, dataclasses.replace(second.point, trial_friction=own))
     truth = fit(

@@ -127,8 +127,7 @@ def functions(
 def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Leftover:
     """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
     project = LinearisedFit.of(problem, found).projection
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
+    readings = problem.predict(found.axes, found.point)
     columns, names = _signatures(problem, readings, sensors)
     lengths = np.sqrt((columns**2).sum(0))
     projected = np.column_stack([project(columns), project.rigidity()])

@@ -52,13 +52,7 @@ def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> floa
 
 def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
     """How many σ apart the rival's best fit to the noise-free prediction of `truth` would be."""
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(truth.axes, truth.point, t) for t in every], every)
-    trials = tuple(
-        dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), r, np.nan))
-        for b, r in zip(problem.trials, readings, strict=True)
-    )
-    perfect = dataclasses.replace(problem, trials=trials, _cache=problem._cache)
+    perfect = problem.with_means(problem.predict(truth.axes, truth.point))
     found = fit(perfect, rival.effects, rival.point, nuisance=rival.nuisance)
     return float(np.sqrt(found.chi2)) if found is not None else float("inf")
 

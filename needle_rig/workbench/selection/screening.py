@@ -228,9 +228,9 @@ def signature(
     """Whitened change of the model (n,) over all trials when the effect is put at `positions`, and what it
     moves in the trials' own friction (T,)."""
     point = beside(problem, parent, axes, positions)
-    trials = list(range(len(problem.trials)))
+    trials = range(len(problem.trials))
     try:
-        readings = problem.readings([problem.model(axes, point, t) for t in trials], trials)
+        readings = problem.predict(axes, point)
     except (SolverError, BadInput):
         return None
     after = problem.residuals(readings, trials)

@@ -257,22 +257,21 @@ class Search:
         found = self.fits[key][0]
         self.traces[trace] = (found, self.best)
         point = found.point
-        every = list(range(len(self.problem.trials)))
         positions = point.positions.copy()
         off = positions.copy()
         for i, axis in enumerate(found.axes):
             if axis.effect == trace and not axis.info.shapes:
                 off[i] = 0.0
         largest = size_of(found, trace)
-        on = self.problem.readings([self.problem.model(found.axes, point, t) for t in every], every)
+        on = self.problem.predict(found.axes, point)
         bare = dataclasses.replace(point, positions=off)
-        gone = self.problem.readings([self.problem.model(found.axes, bare, t) for t in every], every)
+        gone = self.problem.predict(found.axes, bare)
         column = [
             self.problem.whiteners[t](a - b)[:, None] / largest
             for t, (a, b) in enumerate(zip(on, gone, strict=True))
         ]
         joined = tuple(np.hstack([n, c]) for n, c in zip(self.problem.nuisance, column, strict=True))
-        self.problem = dataclasses.replace(self.problem, nuisance=joined, _cache=self.problem._cache)
+        self.problem = dataclasses.replace(self.problem, nuisance=joined)
         self.work.share(self.problem)
         again = {c.effect for c in self.children.get(self.best, []) if self._worth_again(c)}
         stale = self.children.get(self.best, [])
