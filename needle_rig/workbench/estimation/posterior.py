@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.workbench.estimation.derivatives import forward_jacobian
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.problem import Point, Problem
 
@@ -103,31 +104,27 @@ class Objective:
         room = noise.scatter_dof * noise.scatter**2
         return float((noise.scatter_dof + self.trials) / (room + (own**2).sum()))
 
-    def derivatives(
-        self, x: Array, rows: list[Array], changed: Sequence[int] | None = None
-    ) -> list[Array] | None:
-        """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound.
+    def derivatives(self, x: Array, rows: list[Array]) -> list[Array] | None:
+        """Whitened model derivatives (n, p or p + 1) a trial, None where the model cannot be solved near x.
 
         Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the
         last bit, and what only the needle's stated constants tell is not told by the steps' own error.
         """
-        columns = []
-        for j in range(max(self.p, self.own + 1)):
-            which = slice(j, j + 1) if j < self.p else slice(self.p, self.p + self.trials)
-            step = STEP * max(1.0, abs(x[j])) if 2 <= j < self.p else -STEP if j == 1 else STEP
-            if np.any(x[which] + step > self.high[which]) or np.any(x[which] + step < self.low[which]):
-                step = -step
-            moved = x.copy()
-            moved[which] += step
+        directions = np.eye(self.p, x.size)
+        steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))]
+        if self.own == self.p:
+            every_trial = np.zeros(x.size)
+            every_trial[self.p : self.p + self.trials] = 1.0
+            directions, steps = np.vstack([directions, every_trial]), np.r_[steps, STEP]
+
+        def left(moved: Array) -> Array | None:
             after = self.rows(moved)
-            if after is None:
-                moved[which] -= 2 * step
-                step = -step
-                after = self.rows(moved)
-                if after is None:
-                    return None
-            columns.append([(a - b) / -step for a, b in zip(after, rows, strict=True)])
-        return [np.column_stack([c[t] for c in columns]) for t in range(self.trials)]
+            return None if after is None else np.concatenate(after)
+
+        jacobian = forward_jacobian(left, x, np.concatenate(rows), directions, steps, self.low, self.high)
+        if jacobian is None:
+            return None
+        return np.split(-jacobian, np.cumsum([r.size for r in rows])[:-1])
 
 
 def excess(problem: Problem, value: float) -> float:

@@ -15,10 +15,10 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Trial
 from needle_rig.simulation.base_drive import base_path, phases
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
-from needle_rig.workbench.estimation.linear import prediction_covariance
+from needle_rig.workbench.estimation.linear import LinearisedFit, prediction_covariance
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.posterior import Objective
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.virtual.dataset import NO_NOISE, planned_motions
 
@@ -140,27 +140,16 @@ def _proposal(
     problem: Problem, first: Fit, second: Fit, sensors: Sequence[str], command: TrialCommand
 ) -> Proposal:
     binned, duration_s = planned(problem, first, command)
-    one = problem.over([binned])
-    whiten = one.whiteners[0]
-    alone = dataclasses.replace(second.point, trial_friction=np.zeros(1))
-    start = np.r_[alone.log_friction, alone.log_rigidity, alone.positions]
-
-    def seen(x: Array, own: float = 0.0) -> Array:
-        point = Point(float(x[0]), float(x[1]), x[2:], np.array([own]))
-        return one.predict(second.axes, point)[0]
-
-    at = seen(start)
-    columns = []
-    for j in range(start.size):
-        high = second.axes[j - 2].bounds[1] if j >= 2 else np.inf
-        step = -STEP if j == 1 or start[j] + STEP > high else STEP
-        moved = start.copy()
-        moved[j] += step
-        columns.append((seen(moved) - at) / step)
-    columns.append((seen(start, STEP) - at) / STEP)
-    jacobian = whiten(np.stack(columns, -1))
-    difference = whiten(binned.mean - at)
-    unknown = prediction_covariance(second.covariance, second.scatter**2, jacobian)
+    alone = problem.over([binned])
+    state = Objective(alone, second.axes)
+    x = state.vector(dataclasses.replace(second.point, trial_friction=np.zeros(1)), np.zeros(0))
+    rows = state.rows(x)
+    jacobians = None if rows is None else state.derivatives(x, rows)
+    if rows is None or jacobians is None:
+        raise SolverError(f"{problem.name}: {described(command)} cannot be solved")
+    difference, whiten = rows[0], alone.whiteners[0]
+    columns = LinearisedFit.at(alone, second.axes, x, rows, jacobians, second.scatter**-2).columns
+    unknown = prediction_covariance(second.covariance, second.scatter**2, columns)
     left = np.asarray(np.linalg.solve(np.eye(difference.size) + unknown, difference), dtype=np.float64)
     separation = float(np.sqrt(difference @ left))
     return Proposal(
