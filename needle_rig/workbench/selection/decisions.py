@@ -8,21 +8,21 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.selection.answer import Decision
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, is_trace
-from needle_rig.workbench.selection.search import Candidate, Search
+from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, is_negligible
+from needle_rig.workbench.selection.search import Candidate, SearchTrace
 
 
-def decide(search: Search, named: list[str]) -> dict[str, Decision]:
+def decide(search: SearchTrace, named: list[str]) -> dict[str, Decision]:
     """What the best set of a search says of every effect of the library."""
     best = search.fits[search.best][0]
-    by_name = {c.effect: c for c in search.children.get(search.best, [])}
+    by_name = {c.effect: c for c in search.children.get(search.best, ())}
     decisions = {}
     for name in search.names:
         axes = search.problem.axes([name])
         if name in best.effects:
             decisions[name] = _decision(name, axes, best, "present" if name in named else None)
-        elif name in search.traces:
-            decisions[name] = _decision(name, axes, search.traces[name][0], "negligible")
+        elif name in search.negligible:
+            decisions[name] = _decision(name, axes, search.negligible[name], "negligible")
         else:
             decisions[name] = _undetected(search, name, axes, best, by_name.get(name))
     return decisions
@@ -62,7 +62,7 @@ def _smallest_size(axis: Coordinate) -> float:
 
 
 def _undetected(
-    search: Search, name: str, axes: tuple[Coordinate, ...], best: Fit, candidate: Candidate | None
+    search: SearchTrace, name: str, axes: tuple[Coordinate, ...], best: Fit, candidate: Candidate | None
 ) -> Decision:
     strength = next(a for a in axes if not a.info.shapes)
     if candidate is None:
@@ -75,6 +75,6 @@ def _undetected(
         )
     decided = _decision(name, axes, found, None)
     if chance(best, found, len(search.names)) < SIGNIFICANCE:
-        fixed = "negligible" if is_trace(found, name) else "cannot_tell"
+        fixed = "negligible" if is_negligible(found, name) else "cannot_tell"
         return _decision(name, axes, found, fixed)
     return decided

@@ -10,11 +10,13 @@ import numpy as np
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.selection.search import Search, score
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, score
 
 CLOSE = 10.0
-"""Difference of scores (3σ) within which two explanations are a tie."""
+"""Difference of −2 log posterior (3.2σ, odds of 150 to 1) within which two explanations are a tie."""
 SURE_SHARE = 0.8
+"""Share of reweightings of the trials in which the better of two must stay ahead to be surely better."""
 ALL_UP_TO = 100.0
 """Gain of what was found up to which every effect is refitted in its place: a preview says little there."""
 OUT_OF_REACH = 0.25
@@ -28,7 +30,7 @@ class Rival:
 
     effect: str
     instead_of: str
-    key: frozenset[str]
+    key: EffectSet
     behind: float
     """Score of the rival over that of what was found."""
     share: float
@@ -57,18 +59,18 @@ def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
     return float(np.sqrt(found.chi2)) if found is not None else float("inf")
 
 
-def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
-    """Rivals of each effect found, closest first."""
+def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace, dict[str, list[Rival]]]:
+    """The search with every effect tried in the place of each that was found; its rivals, closest first."""
     problem, best = search.problem, search.best
     here = search.fits[best][0]
     found: dict[str, list[Rival]] = {}
     for effect in search.named(best):
-        rest = frozenset(best - {effect})
+        rest = best - {effect}
         if rest in search.fits and rest not in search.children:
             gain = search.fits[rest][0].objective - here.objective
-            search.expand(rest, worth=OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
+            search = expand(search, work, rest, OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
         rivals = []
-        for candidate in search.children.get(rest, []):
+        for candidate in search.children.get(rest, ()):
             key = rest | {candidate.effect}
             if candidate.effect == effect or candidate.effect in best or key not in search.fits:
                 continue
@@ -89,4 +91,4 @@ def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
                 apart = separation(problem, here, search.fits[rival.key][0])
                 rivals[place] = dataclasses.replace(rival, separation_sigma=apart)
         found[effect] = rivals
-    return found
+    return search, found
