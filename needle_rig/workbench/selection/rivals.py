@@ -16,7 +16,7 @@ from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand
 CLOSE = 10.0
 """Difference of −2 log posterior (3.2σ, odds of 150 to 1) within which two explanations are a tie."""
 SURE_SHARE = 0.8
-"""Share of reweightings of the trials in which the better of two must stay ahead to be surely better."""
+"""Share of reweightings of the trials in which the better of two stays ahead if it surely is."""
 ALL_UP_TO = 100.0
 """Gain of what was found up to which every effect is refitted in its place: a preview says little there."""
 OUT_OF_REACH = 0.25
@@ -38,6 +38,21 @@ class Rival:
     tied: bool
     separation_sigma: float | None = None
     """From simulating what was found and fitting the rival to it; None where it was not needed."""
+
+
+def cannot_be_told_apart(
+    behind: float, *, missed: float = 0.0, sure: bool = True, gain_over_special: float | None = None
+) -> bool:
+    """Whether an explanation ties with the best one, whose −2 log posterior is lower by `behind`.
+
+    What the best one misses above the noise (`missed`) hides differences as large, and three times as much
+    lies between two of which it is not `sure` that the better one is. An explanation that becomes another
+    close one at an extreme of its parameters is no rival of it unless it gains as much as tells two apart.
+    """
+    if gain_over_special is not None and gain_over_special < CLOSE:
+        return False
+    near = CLOSE + missed
+    return behind < near or (not sure and behind < 3.0 * near)
 
 
 def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> float:
@@ -79,11 +94,13 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
                 continue
             behind = score(problem, other) - score(problem, here)
             share = bootstrap_share(problem, here, other, seed)
-            near = CLOSE + excess(problem, here.chi2)
-            tied = behind < near or (share < SURE_SHARE and behind < 3 * near)
-            contains = effect in problem.library[candidate.effect].limits
-            if contains and other.objective > here.objective - CLOSE:
-                tied = False
+            general = effect in problem.library[candidate.effect].limits
+            tied = cannot_be_told_apart(
+                behind,
+                missed=excess(problem, here.chi2),
+                sure=share >= SURE_SHARE,
+                gain_over_special=here.objective - other.objective if general else None,
+            )
             rivals.append(Rival(candidate.effect, effect, key, behind, share, tied))
         rivals.sort(key=lambda r: (r.behind, r.effect))
         for place, rival in enumerate(rivals[:2]):
