@@ -8,8 +8,8 @@ friction of each of T trials; q coefficients of nuisances), −2 log posterior i
 
 with whitened residuals r_t (n,) of a trial, their columns A_t, the distance d of the parameters from the
 priors' centre, and the priors' precision W (diagonal). Items that count against their mean move so that it
-stays: δ lies in the null space of these means. The trials' own frictions are draws about a common level, whose
-mean a test may not hold; a fit's own steps hold it, too (`level`), or it would trade places with friction.
+stays: δ lies in the null space of these means. The trials' own frictions are draws about a common level: no
+test may hold their mean. A fit's steps hold it, too (`level`), or it would trade places with friction.
 """
 
 from __future__ import annotations
