@@ -377,7 +377,7 @@ def diagnose(
         model.saved.model if model else None,
         max_effects=max_effects,
         seed=seed,
-        work=None if jobs == 1 else workers(jobs, None, lambda done, total: None),
+        work=workers(jobs, None),
     )
     return Diagnosis(found)
 

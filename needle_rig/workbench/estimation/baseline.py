@@ -116,12 +116,11 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
     rated = []
     for level in levels:
         point = dataclasses.replace(start_point(problem, float(np.log(level)), axes), positions=at)
-        every = list(range(len(problem.trials)))
         try:
-            readings = problem.readings([problem.model(axes, point, t) for t in every], every)
+            rows = problem.residuals(problem.predict(axes, point), range(len(problem.trials)))
         except SolverError:
             continue
-        rated.append((sum(float(r @ r) for r in problem.residuals(readings, every)), level, point))
+        rated.append((sum(float(r @ r) for r in rows), level, point))
     rated.sort(key=lambda r: r[0])
     for _, _, point in rated[:2]:
         found = fit(problem, names, point)
@@ -138,8 +137,7 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
 
 def _left(problem: Problem, found: Fit) -> list[Array]:
     """Data minus model in bin means (C, K), at each trial's own friction."""
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
+    readings = problem.predict(found.axes, found.point)
     return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
 
 

@@ -8,20 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import null_space
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
+from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import LOOSE, Fit
-from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
 
-UNSEEN = 1e-3
-"""Directions of less curvature than this, of parameters scaled alike, are not followed."""
 NEAR = 1.0
 """Steps of less than one standard deviation are taken as the derivatives say, without looking."""
 MOST_STEPS = 8
@@ -67,55 +64,18 @@ class _Own:
     at: float
     rows: Array
     slope: Array
-    tight: float
+    precision: float
+    """Of its prior."""
 
     @property
     def chi2(self) -> float:
-        return float(self.rows @ self.rows) + self.tight * self.at**2
+        return float(self.rows @ self.rows) + self.precision * self.at**2
 
     def step(self) -> tuple[float, float]:
         """The next step, and what χ² should fall by."""
-        stiff = float(self.slope @ self.slope) + self.tight
-        toward = float(self.slope @ self.rows) - self.tight * self.at
+        stiff = float(self.slope @ self.slope) + self.precision
+        toward = float(self.slope @ self.rows) - self.precision * self.at
         return toward / stiff, toward**2 / stiff
-
-
-@dataclass(frozen=True)
-class _Told:
-    """What one trial of n whitened values tells of the s shared parameters, nuisances among them."""
-
-    shared: Array
-    """Derivatives (n, s)."""
-    own: Array
-    """Derivative along the trial's own friction (n,)."""
-    tight: float
-    """Prior curvature of the trial's own friction."""
-
-    @property
-    def stiff(self) -> float:
-        """Curvature along the trial's own friction."""
-        return float(self.own @ self.own) + self.tight
-
-    def information(self) -> Array:
-        """Curvature (s, s), the trial's own friction profiled out."""
-        cross = self.shared.T @ self.own
-        return np.asarray(self.shared.T @ self.shared - np.outer(cross, cross) / self.stiff)
-
-    def own_step(self, rows: Array, at: float) -> float:
-        """Where residuals `rows` (n,) take the own friction from `at`."""
-        return _Own(at, rows, self.own, self.tight).step()[0]
-
-    def push(self, rows: Array, at: float) -> Array:
-        """Half the slope of −χ² (s,) for residuals `rows` (n,) at own friction `at`, which follows."""
-        return np.asarray(self.shared.T @ (rows - self.own * self.own_step(rows, at)))
-
-
-def _with_means_held(axes: Sequence[Coordinate], size: int) -> Array:
-    """Directions (size, ≤ size) of the shared parameters in which no mean that a fit holds changes."""
-    rows = np.zeros((size, size))
-    for row, places in enumerate(held_means(axes)):
-        rows[row, 2 + places] = 1.0
-    return np.asarray(null_space(rows)) if rows.any() else np.eye(size)
 
 
 class _LeaveOut:
@@ -123,18 +83,11 @@ class _LeaveOut:
 
     def __init__(self, problem: Problem, fit: Fit) -> None:
         self.problem, self.fit = problem, fit
-        self.p = 2 + len(fit.axes)
-        self.tight = fit.scatter**-2
-        self.told = [
-            _Told(np.hstack([j[:, :-1], n]), j[:, -1], self.tight)
-            for j, n in zip(fit.jacobians, problem.nuisance, strict=True)
-        ]
-        self.information = [t.information() for t in self.told]
+        self.linear = LinearisedFit.of(problem, fit)
+        self.p, self.told = self.linear.p, self.linear.trials
+        self.own_precision = fit.scatter**-2
         free = np.full(fit.nuisance.size, np.inf)
-        widths = [a.width**-2 for a in fit.axes]
-        self.prior = np.r_[0.0, problem.rigidity_prior**-2, widths, np.ones(free.size)]
-        self.whole = sum(self.information) + np.diag(self.prior)
-        self.free = _with_means_held(fit.axes, self.prior.size)
+        self.prior = self.linear.precision[self.linear.shared]
         self.centre = np.zeros(self.prior.size)
         self.centre[1] = float(np.log(problem.base.torsional_rigidity_nm2))
         point = fit.point
@@ -146,16 +99,16 @@ class _LeaveOut:
     def every_command(self) -> HeldOut:
         """Each command left out. Raises SolverError, BadInput."""
         problem, groups = self.problem, self.problem.groups
-        left = [self._without(group) for group in groups]
+        left, information = [self._without(group) for group in groups], self.linear.information
         place = {t: x for group, (x, _) in zip(groups, left, strict=True) for t in group}
         order = sorted(place)
         common = problem.readings([self._model(place[t]) for t in order], order)
         own = self._own_friction(place)
         chi2 = sum(o.chi2 for o in own.values())
-        loss = chi2 + sum(float(np.log(t.stiff / t.tight)) for t in self.told)
+        loss = chi2 + sum(float(np.log(t.stiffness / t.own_precision)) for t in self.told)
         for group, (_, spread) in zip(groups, left, strict=True):
             push = sum(self.told[t].push(own[t].rows, own[t].at) for t in group)
-            inner = np.eye(len(spread)) + spread @ sum(self.information[t] for t in group)
+            inner = np.eye(len(spread)) + spread @ sum(information[t] for t in group)
             loss += float(np.linalg.slogdet(inner)[1] - push @ np.linalg.solve(inner, spread @ push))
         residuals = tuple(problem.trials[t].mean - r for t, r in zip(order, common, strict=True))
         return HeldOut(float(np.sqrt(chi2 / problem.size)), loss, residuals)
@@ -165,12 +118,7 @@ class _LeaveOut:
 
         Steps keep the derivatives of the fit to all; they are shortened where they do not lower χ².
         """
-        left = self.whole - sum(self.information[t] for t in group)
-        # what the rest does not see (friction against the depth of tissue) stays where the fit put it
-        inside = self.free.T @ left @ self.free
-        scale = np.sqrt(np.diag(inside))
-        seen = np.linalg.pinv(inside / np.outer(scale, scale), rcond=UNSEEN, hermitian=True)
-        spread = self.free @ (seen / np.outer(scale, scale)) @ self.free.T
+        left, spread = self.linear.without(group)
         told = {t: told for t, told in enumerate(self.told) if t not in group}
         x, own = self.at, {t: float(self.fit.point.trial_friction[t]) for t in told}
         rows = {t: self.fit.residuals[t] for t in told}
@@ -195,7 +143,7 @@ class _LeaveOut:
         """Each trial at its shared parameters, at the own friction that its data prefer, found by secants."""
         begin = {t: float(self.fit.point.trial_friction[t]) for t in place}
         rows = self._rows(place, begin)
-        best = {t: _Own(at, rows[t], self.told[t].own, self.tight) for t, at in begin.items()}
+        best = {t: _Own(at, rows[t], self.told[t].own, self.own_precision) for t, at in begin.items()}
         for _ in range(MOST_ESTIMATES):
             further = {}
             for t, own in best.items():
@@ -208,7 +156,7 @@ class _LeaveOut:
             for t, after in self._rows(place, further).items():
                 old, at = best[t], further[t]
                 slope = (old.rows - after) / (at - old.at)
-                new = _Own(at, after, slope, self.tight)
+                new = _Own(at, after, slope, self.own_precision)
                 best[t] = new if new.chi2 < old.chi2 else dataclasses.replace(old, slope=slope)
         return best
 
@@ -226,5 +174,5 @@ class _LeaveOut:
         return {t: r - nuisance[t] @ place[t][self.p :] for t, r in zip(order, rows, strict=True)}
 
     def _chi2(self, x: Array, own: Mapping[int, float], rows: Mapping[int, Array]) -> float:
-        parts = sum(float(r @ r) + self.tight * own[t] ** 2 for t, r in rows.items())
+        parts = sum(float(r @ r) + self.own_precision * own[t] ** 2 for t, r in rows.items())
         return parts + float(self.prior @ (x - self.centre) ** 2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
@@ -56,13 +55,12 @@ def solver_error(
 
     Finely is on cells of `fine_m`, with an eighth of the solver's tolerance, driven by every sample.
     """
-    every = list(range(len(problem.trials)))
-    models = [problem.model(found.axes, found.point, t) for t in every]
+    models = [problem.model(found.axes, found.point, t) for t in range(len(trials))]
     tolerance_rad = models[0].tolerance_rad / FINER
     fine = [dataclasses.replace(m, element_length_m=fine_m, tolerance_rad=tolerance_rad) for m in models]
-    seen = predict_batch(fine, [given.trial for given in trials], threads=problem.threads)
+    seen = predict_batch(fine, [given.trial for given in trials], threads=1)
     errors = []
-    for t, used in enumerate(problem.readings(models, every)):
+    for t, used in enumerate(problem.predict(found.axes, found.point)):
         values = np.vstack([seen[t].torque_nm[None, :], seen[t].hall_rad.T])
         means = (sample_weights(trials[t]) @ values.T).T
         errors.append(problem.whiteners[t](means - used)[:, None])
@@ -77,17 +75,18 @@ def by_every_sample(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
     comparison, and is added to that of the sensors. Raises SolverError.
     """
     driven = tuple(driven_by_samples(b, t) for b, t in zip(problem.trials, trials, strict=True))
-    problem = dataclasses.replace(problem, trials=driven, _cache=OrderedDict())
+    problem = dataclasses.replace(problem, trials=driven)
     found = again(problem, found)
     scatter = _encoder_scatter(problem, found, trials)
     noisy = tuple(
         dataclasses.replace(b, from_encoder=s) for b, s in zip(problem.trials, scatter, strict=True)
     )
-    wider = dataclasses.replace(problem, trials=noisy, whiteners=(), nuisance=(), _cache=problem._cache)
-    wider.nuisance = tuple(
+    wider = problem.over(noisy)
+    nuisance = tuple(
         new(old.raw(n))
         for old, new, n in zip(problem.whiteners, wider.whiteners, problem.nuisance, strict=True)
     )
+    wider = dataclasses.replace(wider, nuisance=nuisance)
     return wider, again(wider, found)
 
 
@@ -102,18 +101,16 @@ def again(problem: Problem, old: Fit) -> Fit:
 def _with_suspect(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple[Problem, Fit]:
     """The solver's error in the place of the first nuisance, and the fit with it."""
     nuisance = tuple(np.hstack([e, n[:, 1:]]) for e, n in zip(error, problem.nuisance, strict=True))
-    suspect = dataclasses.replace(problem, nuisance=nuisance, _cache=problem._cache)
+    suspect = dataclasses.replace(problem, nuisance=nuisance)
     return suspect, again(suspect, found)
 
 
 def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> tuple[Array, ...]:
     """Changes of the model's bin means (C, K, draws) a trial for other paths that the encoder might show."""
-    every = list(range(len(problem.trials)))
-    models = [problem.model(found.axes, found.point, t) for t in every]
-    used = problem.readings(models, every)
+    used = problem.predict(found.axes, found.point)
     draws = []
     for draw in range(DRAWS):
-        readings = _on_other_path(problem, trials, draw).readings(models, every)
+        readings = _on_other_path(problem, trials, draw).predict(found.axes, found.point)
         draws.append([after - before for after, before in zip(readings, used, strict=True)])
     return tuple(np.stack(each, axis=-1) for each in zip(*draws, strict=True))
 
@@ -153,4 +150,4 @@ def _on_other_path(problem: Problem, trials: Sequence[DatasetTrial], draw: int) 
         drawn.append(
             dataclasses.replace(binned, trial=dataclasses.replace(binned.trial, base_angle_rad=path))
         )
-    return dataclasses.replace(problem, trials=tuple(drawn), _cache=OrderedDict())
+    return dataclasses.replace(problem, trials=tuple(drawn))

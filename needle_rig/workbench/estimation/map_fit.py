@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.parameters import Coordinate
-from needle_rig.workbench.estimation.posterior import Objective, excess, normal_equations, sum_of_squares
+from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
@@ -77,7 +78,6 @@ def fit(
     if rows is None:
         return None
     value = sum_of_squares(rows) + state.prior(x)
-    level = state.level()
     damping, jacobians, converged, fresh = 1e-3, None, False, False
     for _ in range(iterations):
         if jacobians is None:
@@ -85,15 +85,12 @@ def fit(
             fresh = True
             if jacobians is None:
                 return None
-        curvature, gradient = normal_equations(state, jacobians, rows)
-        prior = state.weights(x)
-        curvature[np.diag_indices_from(curvature)] += prior
-        curvature += level
-        gradient -= prior * state.pulls(x) + level @ x
+        linear = LinearisedFit.at(problem, axes, x, rows, jacobians, state.own_precision(x))
+        curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
         for _ in range(7):
-            step = _bounded_step(state, x, curvature, gradient, damping)
-            expected = float(2 * gradient @ step - step @ curvature @ step)
+            step = _bounded_step(state, x, curvature, descent, damping)
+            expected = float(2 * descent @ step - step @ curvature @ step)
             if expected < enough + LOOSE * excess(problem, value):
                 converged = True
                 break
@@ -128,7 +125,7 @@ def fit(
     return _finish(state, tuple(effects), x, rows, value, jacobians, converged)
 
 
-def _bounded_step(state: Objective, x: Array, curvature: Array, gradient: Array, damping: float) -> Array:
+def _bounded_step(state: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:
     """Damped step that stays within bounds: parameters that run into one are held there."""
     free = np.ones(x.size, bool)
     step = np.zeros(x.size)
@@ -136,7 +133,7 @@ def _bounded_step(state: Objective, x: Array, curvature: Array, gradient: Array,
         damped = curvature + damping * np.diag(np.diag(curvature) + 1e-9)
         step[:] = np.where(free, 0.0, step)
         held = ~free
-        right = gradient[free] - curvature[np.ix_(free, held)] @ step[held]
+        right = descent[free] - curvature[np.ix_(free, held)] @ step[held]
         step[free] = np.linalg.solve(damped[np.ix_(free, free)], right)
         out = free & ((x + step > state.high) | (x + step < state.low))
         if not out.any():
@@ -178,24 +175,13 @@ def _finish(
 ) -> Fit:
     problem, p, trials = state.problem, state.p, state.trials
     noise = problem.noise
-    curvature, _ = normal_equations(state, jacobians, rows)
-    weights = state.weights(x)
-    curvature[np.diag_indices_from(curvature)] += weights
-    inverse = np.linalg.pinv(curvature + state.level(), hermitian=True)
+    linear = LinearisedFit.at(problem, state.axes, x, rows, jacobians, state.own_precision(x))
     own = x[p : p + trials]
-    jacobians = [np.column_stack([j[:, :p], j[:, state.own]]) for j in jacobians]
-    seen = np.array([j[:, p] @ j[:, p] for j in jacobians])
     room = noise.scatter_dof * noise.scatter**2
-    log_det = np.log1p(seen * noise.scatter**2)
+    log_det = np.array([np.log1p(t.own @ t.own * noise.scatter**2) for t in linear.trials])
     share = np.log1p((own**2).sum() / room) * (noise.scatter_dof + trials)
     part = own**2 / max((own**2).sum(), 1e-30)
     loss = np.array([r @ r for r in rows]) + log_det + share * part
-    rank = _rank(curvature, p)
-    scatter = float(np.sqrt((room + (own**2).sum()) / (noise.scatter_dof + trials)))
-    # the trials' mean is a draw of their scatter: how far it carries the parameters that it can stand for
-    shared, common = np.vstack([j[:, :p] for j in jacobians]), np.concatenate([j[:, p] for j in jacobians])
-    carried = np.linalg.lstsq(shared, common, rcond=1e-9)[0]
-    covariance = inverse[:p, :p] + scatter**2 / trials * np.outer(carried, carried)
     return Fit(
         effects=effects,
         axes=state.axes,
@@ -205,23 +191,11 @@ def _finish(
         chi2=sum_of_squares(rows),
         trial_loss=loss,
         pull_rigidity=float((x[1] - state.stated) / problem.rigidity_prior),
-        scatter=scatter,
+        scatter=state.own_precision(x) ** -0.5,
         scatter_dof=noise.scatter_dof + trials,
-        covariance=np.asarray(covariance, dtype=np.float64),
+        covariance=linear.covariance,
         residuals=tuple(rows),
-        jacobians=tuple(jacobians),
-        rank=rank,
+        jacobians=tuple(t.columns[:, : p + 1] for t in linear.trials),
+        rank=linear.rank,
         converged=converged,
     )
-
-
-def _rank(curvature: Array, p: int) -> int:
-    """Directions among the positions that the data see, the other parameters projected out."""
-    inside = np.arange(2, p)
-    if not inside.size:
-        return 0
-    outside = np.r_[0, 1, np.arange(p, curvature.shape[0])]
-    cross = curvature[np.ix_(inside, outside)]
-    rest = curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
-    left = curvature[np.ix_(inside, inside)] - cross @ np.linalg.solve(rest, cross.T)
-    return max(1, int((np.linalg.eigvalsh(left) > 1.0).sum()))

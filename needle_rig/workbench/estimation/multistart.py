@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import ENOUGH, Fit, fit
-from needle_rig.workbench.estimation.posterior import Objective, excess, normal_equations, sum_of_squares
+from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import Point, Problem
 
 Array = npt.NDArray[np.float64]
@@ -95,18 +96,10 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
     """
     state = Objective(problem, found.axes)
     at = state.vector(found.point, found.nuisance)
-    curvature, _ = normal_equations(state, list(found.jacobians), list(found.residuals))
-    curvature[np.diag_indices_from(curvature)] += state.weights(at)
-    inverse = np.linalg.pinv(curvature + state.level(), hermitian=True)
-    places = np.arange(2, state.p)
-    own = inverse[np.ix_(places, places)]
-    size = np.sqrt(np.diag(own))
-    if not np.all(size > 0.0):
+    move = LinearisedFit.of(problem, found).loosest()
+    if move is None:
         return None
-    spread, directions = np.linalg.eigh(own / np.outer(size, size))
     lowest, lower = found.chi2 + state.prior(at) - ENOUGH, None
-    along = np.sqrt(max(spread[-1], 0.0)) * size * directions[:, -1]
-    move = inverse[:, places] @ np.linalg.lstsq(own, along, rcond=1e-12)[0]
     for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
         moved = np.clip(at + sigmas * move, state.low, state.high)
         rows = state.rows(moved)

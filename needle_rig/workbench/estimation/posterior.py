@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.workbench.estimation.derivatives import forward_jacobian
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.problem import Point, Problem
 
@@ -75,14 +76,11 @@ class Objective:
 
     def rows(self, x: Array) -> list[Array] | None:
         """Whitened data minus model (n,) a trial, None where the model cannot be solved."""
-        point = self.point(x)
-        every = range(self.trials)
         try:
-            models = [self.problem.model(self.axes, point, t) for t in every]
-            readings = self.problem.readings(models, list(every), MOST_SOLVES)
+            readings = self.problem.predict(self.axes, self.point(x), MOST_SOLVES)
         except (SolverError, BadInput):
             return None
-        rows = self.problem.residuals(readings, list(every))
+        rows = self.problem.residuals(readings, range(self.trials))
         found = [r - n @ x[self.p + self.trials :] for r, n in zip(rows, self.problem.nuisance, strict=True)]
         return found if all(np.all(np.isfinite(r)) for r in found) else None
 
@@ -99,67 +97,34 @@ class Objective:
             + (x[self.p + self.trials :] ** 2).sum()
         )
 
-    def level(self) -> Array:
-        """Curvature (over all parameters) that holds the means."""
-        curvature = np.zeros((self.low.size, self.low.size))
-        for places in (np.arange(self.p, self.p + self.trials), *self.means):
-            curvature[places[:, None], places] += LEVEL / places.size**2
-        return curvature
-
-    def weights(self, x: Array) -> Array:
-        """Diagonal of the prior's curvature; for the trials' friction that of a bound from above."""
+    def own_precision(self, x: Array) -> float:
+        """Precision of a normal prior of the trials' own friction that bounds theirs from above at `x`."""
         noise = self.problem.noise
         own = x[self.p : self.p + self.trials]
-        tight = (noise.scatter_dof + self.trials) / (noise.scatter_dof * noise.scatter**2 + (own**2).sum())
-        parts = np.r_[
-            0.0, self.problem.rigidity_prior**-2, self.width**-2, np.full(self.trials, tight), np.ones(self.q)
-        ]
-        return np.asarray(parts, dtype=np.float64)
-
-    def pulls(self, x: Array) -> Array:
-        """Distances from the prior's centre."""
-        centre = np.zeros_like(x)
-        centre[1] = self.stated
-        centre[0] = x[0]
-        return x - centre
+        room = noise.scatter_dof * noise.scatter**2
+        return float((noise.scatter_dof + self.trials) / (room + (own**2).sum()))
 
     def derivatives(self, x: Array, rows: list[Array]) -> list[Array] | None:
-        """Whitened model derivatives (n, p or p + 1) a trial, one-sided, away from the nearest bound.
+        """Whitened model derivatives (n, p or p + 1) a trial, None where the model cannot be solved near x.
 
         Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the
         last bit, and what only the needle's stated constants tell is not told by the steps' own error.
         """
-        columns = []
-        for j in range(max(self.p, self.own + 1)):
-            which = slice(j, j + 1) if j < self.p else slice(self.p, self.p + self.trials)
-            step = STEP * max(1.0, abs(x[j])) if 2 <= j < self.p else -STEP if j == 1 else STEP
-            if np.any(x[which] + step > self.high[which]) or np.any(x[which] + step < self.low[which]):
-                step = -step
-            moved = x.copy()
-            moved[which] += step
+        directions = np.eye(self.p, x.size)
+        steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))]
+        if self.own == self.p:
+            every_trial = np.zeros(x.size)
+            every_trial[self.p : self.p + self.trials] = 1.0
+            directions, steps = np.vstack([directions, every_trial]), np.r_[steps, STEP]
+
+        def left(moved: Array) -> Array | None:
             after = self.rows(moved)
-            if after is None:
-                moved[which] -= 2 * step
-                step = -step
-                after = self.rows(moved)
-                if after is None:
-                    return None
-            columns.append([(a - b) / -step for a, b in zip(after, rows, strict=True)])
-        return [np.column_stack([c[t] for c in columns]) for t in range(self.trials)]
+            return None if after is None else np.concatenate(after)
 
-
-def normal_equations(state: Objective, jacobians: list[Array], rows: list[Array]) -> tuple[Array, Array]:
-    """(curvature, gradient) of the data part over all parameters."""
-    p, trials, q = state.p, state.trials, state.q
-    size = p + trials + q
-    curvature, gradient = np.zeros((size, size)), np.zeros(size)
-    for t in range(trials):
-        shared, own = jacobians[t][:, :p], jacobians[t][:, state.own]
-        full = np.column_stack([shared, own, state.problem.nuisance[t]])
-        index = np.r_[np.arange(p), p + t, p + trials + np.arange(q)]
-        curvature[np.ix_(index, index)] += full.T @ full
-        gradient[index] += full.T @ rows[t]
-    return curvature, gradient
+        jacobian = forward_jacobian(left, x, np.concatenate(rows), directions, steps, self.low, self.high)
+        if jacobian is None:
+            return None
+        return np.split(-jacobian, np.cumsum([r.size for r in rows])[:-1])
 
 
 def excess(problem: Problem, value: float) -> float:

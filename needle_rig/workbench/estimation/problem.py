@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig.errors import BadInput, SolverError
-from needle_rig.physics.effect import Effect, Reading
+from needle_rig.errors import BadInput
+from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Solution, solve_batch
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
+from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Noise, Whitener, replicate_groups, whitener
 
 Array = npt.NDArray[np.float64]
 
 FRICTION_SCALE_N = 1e-3
-CACHE_ENTRIES = 1500
 
 
 @dataclass(frozen=True)
@@ -38,9 +35,12 @@ class Point:
     trial_friction: Array
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """What every fit needs; it can be sent to another process."""
+    """What every fit needs; it can be sent to another process.
+
+    Without `whiteners` these are made of the noise and the trials; without `nuisance` there is none.
+    """
 
     name: str
     base: NeedleModel
@@ -52,22 +52,31 @@ class Problem:
     """Relative standard deviation of the stated torsional rigidity."""
     nuisance: tuple[Array, ...] = ()
     """Directions (n, q) a trial, whitened, each with a coefficient of prior standard deviation 1."""
-    threads: int | None = 1
     whiteners: tuple[Whitener, ...] = ()
-    _cache: OrderedDict[object, Solution] = field(default_factory=OrderedDict, repr=False)
+    simulator: Simulator = field(default_factory=Simulator, repr=False)
 
     def __post_init__(self) -> None:
         if not self.whiteners:
-            self.whiteners = tuple(whitener(self.noise, b) for b in self.trials)
+            object.__setattr__(self, "whiteners", tuple(whitener(self.noise, b) for b in self.trials))
         if not self.nuisance:
-            self.nuisance = tuple(np.zeros((w.channel.size, 0)) for w in self.whiteners)
-
-    def __getstate__(self) -> dict[str, object]:
-        return self.__dict__ | {"_cache": OrderedDict()}
+            none = tuple(np.zeros((w.channel.size, 0)) for w in self.whiteners)
+            object.__setattr__(self, "nuisance", none)
 
     def with_noise(self, noise: Noise) -> Problem:
         """The same data under other noise; nuisance directions are dropped."""
-        return dataclasses.replace(self, noise=noise, whiteners=(), nuisance=(), _cache=self._cache)
+        return dataclasses.replace(self, noise=noise, whiteners=(), nuisance=())
+
+    def over(self, trials: Sequence[BinnedTrial]) -> Problem:
+        """Other trials; nuisance directions are dropped."""
+        return dataclasses.replace(self, trials=tuple(trials), whiteners=(), nuisance=())
+
+    def with_means(self, means: Sequence[Array]) -> Problem:
+        """Other bin means (C, K) where there are data, under the noise of these."""
+        trials = (
+            dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), m, np.nan))
+            for b, m in zip(self.trials, means, strict=True)
+        )
+        return dataclasses.replace(self, trials=tuple(trials))
 
     @property
     def groups(self) -> list[list[int]]:
@@ -115,52 +124,14 @@ class Problem:
     def readings(
         self, models: Sequence[NeedleModel], trials: Sequence[int], most_solves: float = math.inf
     ) -> list[Array]:
-        """Bin means (C, K) that each model gives in each trial, solved side by side.
+        """Bin means (C, K) that each model gives in the trial at its place; see `Simulator.readings`."""
+        return self.simulator.readings(models, [self.trials[t] for t in trials], most_solves)
 
-        Models that differ in what the sensors make of it share one solution. Raises SolverError, also where a
-        trial took more than `most_solves` solves a sample.
-        """
-        keys: list[object] = []
-        new: OrderedDict[object, int] = OrderedDict()
-        for place, (model, trial) in enumerate(zip(models, trials, strict=True)):
-            acting = tuple(e for e in model.effects if not e.is_off() and _moves(e))
-            key: object = (
-                acting,
-                model.torsional_rigidity_nm2,
-                model.friction_n,
-                model.element_length_m,
-                trial,
-            )
-            keys.append(key)
-            if key not in self._cache and key not in new:
-                new[key] = place
-        rods: list[Rod] = []
-        inputs: list[tuple[Array, Array]] = []
-        for place in new.values():
-            drive = self.trials[trials[place]].trial
-            rods.append(models[place].rod(drive))
-            inputs.append((drive.time_s, models[place].held_path(drive)[0]))
-        solved = solve_batch(rods, inputs, threads=self.threads) if rods else []
-        self._cache.update(zip(new, solved, strict=True))
-        if any(self._cache[k].solves > most_solves * self._cache[k].time_s.size for k in keys):
-            raise SolverError(f"{models[0].name}: the needle snaps through too many balances to follow")
-        found = []
-        for which, model, trial in zip(keys, models, trials, strict=True):
-            binned = self.trials[trial]
-            reading = model.observed(binned.trial, self._cache[which])
-            found.append((binned.average @ _stack(reading).T).T)
-        while len(self._cache) > CACHE_ENTRIES:
-            self._cache.popitem(last=False)
-        return found
+    def predict(self, axes: Sequence[Coordinate], point: Point, most_solves: float = math.inf) -> list[Array]:
+        """Bin means (C, K) of every trial at its own friction. Raises SolverError, BadInput."""
+        every = range(len(self.trials))
+        return self.readings([self.model(axes, point, t) for t in every], every, most_solves)
 
     def residuals(self, readings: Sequence[Array], trials: Sequence[int]) -> list[Array]:
         """Whitened data minus model (n,) for each reading."""
         return [self.whiteners[t](self.trials[t].mean - r) for r, t in zip(readings, trials, strict=True)]
-
-
-def _moves(effect: Effect) -> bool:
-    return any(effect.has(hook) for hook in ("shape", "torque", "drive"))
-
-
-def _stack(reading: Reading) -> Array:
-    return np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])

@@ -159,8 +159,7 @@ def _values(prepared: Prepared) -> dict[str, float]:
 
 
 def _training(problem: Problem, found: Fit) -> Array:
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
+    readings = problem.predict(found.axes, found.point)
     return _rms(problem, tuple(b.mean - r for b, r in zip(problem.trials, readings, strict=True)))
 
 

@@ -106,8 +106,7 @@ def compare(
 def compared(prepared: Prepared) -> Comparison:
     """The comparison of a model that is fitted already."""
     problem, found = prepared.problem, prepared.present
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
+    readings = problem.predict(found.axes, found.point)
     names = ("torque", *prepared.dataset.sensor_names)
     places = _places(prepared, readings, names)
     worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)

@@ -22,11 +22,10 @@ from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
 from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
 from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
 from needle_rig.workbench.selection.evidence import SIGNIFICANCE
+from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 
 Array = npt.NDArray[np.float64]
 
-CLOSE = 9.0
-"""Difference of objectives (3σ) within which two explanations are a tie."""
 TESTABLE = 0.5
 """Degrees of freedom that must be left for a fit to say something."""
 
@@ -108,14 +107,17 @@ def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: in
 
 def tied_effects(problem: SettledProblem, tried: list[Candidate]) -> list[Candidate]:
     """What can be the answer, most plausible first; what only generalises another of them is left out."""
-    able = [c for c in tried if c.explains and c.fit]
-    if not able:
-        return []
-    least = min(c.fit.objective for c in able if c.fit)
-    close = [c for c in able if c.fit and c.fit.objective < least + CLOSE]
-    names = {c.effect for c in close}
-    special = [c for c in close if not names & set(problem.library[c.effect].limits)]
-    return sorted(special, key=lambda c: (c.fit.objective if c.fit else 0.0, c.effect))
+    able = {c.effect: c for c in tried if c.explains}
+    objective = {c.effect: c.fit.objective for c in able.values() if c.fit}
+    least = min(objective.values(), default=0.0)
+    close = {e for e, value in objective.items() if cannot_be_told_apart(value - least)}
+
+    def tied(effect: str) -> bool:
+        special = [objective[e] for e in problem.library[effect].limits if e in close]
+        gain = min(special) - objective[effect] if special else None
+        return cannot_be_told_apart(objective[effect] - least, gain_over_special=gain)
+
+    return [able[e] for e in sorted(close, key=lambda e: (objective[e], e)) if tied(e)]
 
 
 def fits_of(candidates: list[Candidate]) -> list[SettledFit]:

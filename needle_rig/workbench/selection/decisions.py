@@ -8,22 +8,23 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.selection.answer import Decision
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, is_trace
-from needle_rig.workbench.selection.search import Candidate, Search
+from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, is_negligible
+from needle_rig.workbench.selection.search import Candidate, SearchTrace
 
 
-def decide(search: Search, named: list[str]) -> dict[str, Decision]:
+def decide(search: SearchTrace, named: list[str]) -> dict[str, Decision]:
     """What the best set of a search says of every effect of the library."""
     best = search.fits[search.best][0]
-    by_name = {c.effect: c for c in search.children.get(search.best, [])}
+    by_name = {c.effect: c for c in search.children.get(search.best, ())}
     decisions = {}
     for name in search.names:
+        axes = search.problem.axes([name])
         if name in best.effects:
             decisions[name] = _decision(name, best, "present" if name in named else None)
-        elif name in search.traces:
-            decisions[name] = _decision(name, search.traces[name][0], "negligible")
+        elif name in search.negligible:
+            decisions[name] = _decision(name, search.negligible[name], "negligible")
         else:
-            decisions[name] = _undetected(search, name, best, by_name.get(name))
+            decisions[name] = _undetected(search, name, axes, best, by_name.get(name))
     return decisions
 
 
@@ -60,8 +61,10 @@ def _smallest_size(axis: Coordinate) -> float:
     return abs(axis.info.smallest - axis.info.off)
 
 
-def _undetected(search: Search, name: str, best: Fit, candidate: Candidate | None) -> Decision:
-    strength = next(a for a in search.problem.axes([name]) if not a.info.shapes)
+def _undetected(
+    search: SearchTrace, name: str, axes: tuple[Coordinate, ...], best: Fit, candidate: Candidate | None
+) -> Decision:
+    strength = next(a for a in axes if not a.info.shapes)
     if candidate is None:
         return decision_at(name, strength, np.inf, "cannot_tell", 0.0)
     found = candidate.fit
@@ -72,6 +75,6 @@ def _undetected(search: Search, name: str, best: Fit, candidate: Candidate | Non
         )
     decided = _decision(name, found, None)
     if chance(best, found, len(search.names)) < SIGNIFICANCE:
-        fixed = "negligible" if is_trace(found, name) else "cannot_tell"
+        fixed = "negligible" if is_negligible(found, name) else "cannot_tell"
         return _decision(name, found, fixed)
     return decided

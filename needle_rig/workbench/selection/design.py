@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +15,11 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Trial
 from needle_rig.simulation.base_drive import base_path, phases
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.workbench.estimation.linear import LinearisedFit, prediction_covariance
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.posterior import Objective
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
-from needle_rig.workbench.observations.noise import whitener
 from needle_rig.workbench.virtual.dataset import planned_motions
 from needle_rig.workbench.virtual.noise import NO_NOISE
 
@@ -142,32 +141,18 @@ def _proposal(
     problem: Problem, first: Fit, second: Fit, sensors: Sequence[str], command: TrialCommand
 ) -> Proposal:
     binned, duration_s = planned(problem, first, command)
-    one = dataclasses.replace(problem, trials=(binned,), whiteners=(), nuisance=(), _cache=OrderedDict())
-    whiten = whitener(problem.noise, binned)
-    alone = dataclasses.replace(second.point, trial_friction=np.zeros(1))
-    start = np.r_[alone.log_friction, alone.log_rigidity, alone.positions]
-
-    def seen(x: Array, own: float = 0.0) -> Array:
-        point = Point(float(x[0]), float(x[1]), x[2:], np.array([own]))
-        return one.readings([one.model(second.axes, point, 0)], [0])[0]
-
-    at = seen(start)
-    columns = []
-    for j in range(start.size):
-        high = second.axes[j - 2].bounds[1] if j >= 2 else np.inf
-        step = -STEP if j == 1 or start[j] + STEP > high else STEP
-        moved = start.copy()
-        moved[j] += step
-        columns.append((seen(moved) - at) / step)
-    columns.append((seen(start, STEP) - at) / STEP)
-    jacobian = whiten(np.stack(columns, -1))
-    difference = whiten(binned.mean - at)
-    known = np.zeros((start.size + 1, start.size + 1))
-    known[:-1, :-1] = np.linalg.pinv(second.covariance, hermitian=True)
-    known[-1, -1] = second.scatter**-2
-    move = np.linalg.solve(jacobian.T @ jacobian + known, jacobian.T @ difference)
-    left = difference - jacobian @ move
-    separation = float(np.sqrt(left @ left + move @ known @ move))
+    alone = problem.over([binned])
+    state = Objective(alone, second.axes)
+    x = state.vector(dataclasses.replace(second.point, trial_friction=np.zeros(1)), np.zeros(0))
+    rows = state.rows(x)
+    jacobians = None if rows is None else state.derivatives(x, rows)
+    if rows is None or jacobians is None:
+        raise SolverError(f"{problem.name}: {described(command)} cannot be solved")
+    difference, whiten = rows[0], alone.whiteners[0]
+    columns = LinearisedFit.at(alone, second.axes, x, rows, jacobians, second.scatter**-2).columns
+    unknown = prediction_covariance(second.covariance, second.scatter**2, columns)
+    left = np.asarray(np.linalg.solve(np.eye(difference.size) + unknown, difference), dtype=np.float64)
+    separation = float(np.sqrt(difference @ left))
     return Proposal(
         command, separation, duration_s, _watch(binned, whiten.channel, left, whiten.use, sensors)
     )
@@ -221,15 +206,9 @@ def expected_power(
 
     Everything is simulated from `first` without noise, and the other model is fitted to all of it.
     """
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(first.axes, first.point, t) for t in every], every)
-    old = tuple(
-        dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), r, np.nan))
-        for b, r in zip(problem.trials, readings, strict=True)
-    )
+    old = problem.with_means(problem.predict(first.axes, first.point)).trials
     binned, _ = planned(problem, first, command)
-    trials = (*old, *([binned] * replicates))
-    joint = dataclasses.replace(problem, trials=trials, whiteners=(), nuisance=(), _cache=OrderedDict())
+    joint = problem.over((*old, *([binned] * replicates)))
     own = np.r_[second.point.trial_friction, np.zeros(replicates)]
     rival = fit(joint, second.effects, dataclasses.replace(second.point, trial_friction=own))
     truth = fit(

@@ -22,7 +22,7 @@ from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
 from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_leftover
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
-from needle_rig.workbench.selection.search import Search
+from needle_rig.workbench.selection.search import SearchTrace, search
 
 EXPLAINED = 0.8
 """Share of the explainable error below which a library model is never called an explanation."""
@@ -41,7 +41,7 @@ class Diagnosis(Answer):
     """The answer on traces, with the fits behind it."""
 
     prepared: Prepared = field(repr=False)
-    search: Search = field(repr=False)
+    search: SearchTrace = field(repr=False)
 
 
 def _too_small(size: float, unit: str) -> bool:
@@ -67,18 +67,18 @@ def diagnose(
     prepared = prepare(dataset, model, library)
     names = tuple(sorted(set(library) - set(prepared.present.effects)))
     with work or Work() as at:
-        at.share(prepared.problem)
-        search = Search(prepared.problem, names, at, max_effects, prepared.present, prepared.held)
         say("trying every effect")
-        search.run()
+        trace = search(
+            prepared.problem, names, prepared.present, prepared.held, max_effects=max_effects, work=at
+        )
         say("looking for what cannot be told apart")
-        rivals = find_rivals(search, seed)
+        trace, rivals = find_rivals(trace, at, seed)
         say("holding the answer against our own error")
-        return _conclude(prepared, search, rivals, dataset.sensor_names)
+        return _conclude(prepared, trace, rivals, dataset.sensor_names)
 
 
 def _conclude(
-    prepared: Prepared, search: Search, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
+    prepared: Prepared, search: SearchTrace, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
 ) -> Diagnosis:
     root, root_held = search.root, search.root_held
     named = search.named(search.best)
@@ -129,7 +129,7 @@ def _conclude(
         notes=(
             *prepared.dataset.notes,
             *prepared.notes,
-            *_trace_notes(search),
+            *_negligible_notes(search),
             *_mean_notes(best),
             *(_preview_notes(search, named) if verdict == "effect" else []),
             *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),
@@ -140,7 +140,7 @@ def _conclude(
     )
 
 
-def _contrived(search: Search, named: list[str]) -> list[str]:
+def _contrived(search: SearchTrace, named: list[str]) -> list[str]:
     """What to say of a set that meets the data but is too many effects at values that none should have."""
     found = search.fits[search.best][0]
     odd = [(e, v) for e in named for v in values_of(found, e) if not v.plausible]
@@ -153,7 +153,7 @@ def _contrived(search: Search, named: list[str]) -> list[str]:
     ]
 
 
-def _preview_notes(search: Search, named: list[str]) -> list[str]:
+def _preview_notes(search: SearchTrace, named: list[str]) -> list[str]:
     """What was not fitted in the place of an effect, since its preview gains too little."""
     notes = []
     here = search.fits[search.best][0].objective
@@ -161,7 +161,7 @@ def _preview_notes(search: Search, named: list[str]) -> list[str]:
         rest = frozenset(search.best - {effect})
         left_out = [
             c
-            for c in search.children.get(rest, [])
+            for c in search.children.get(rest, ())
             if c.fit is None and rest | {c.effect} not in search.fits and c.effect not in search.best
         ]
         if left_out:
@@ -192,9 +192,9 @@ def _mean_notes(found: Fit) -> list[str]:
     ]
 
 
-def _trace_notes(search: Search) -> list[str]:
+def _negligible_notes(search: SearchTrace) -> list[str]:
     notes = []
-    for name, (found, _) in search.traces.items():
+    for name, found in search.negligible.items():
         said = ", ".join(f"{v.name} = {v.value:.3g} {v.unit}" for v in values_of(found, name))
         notes.append(f"{name} is seen, but too small to matter ({said}).")
     return notes

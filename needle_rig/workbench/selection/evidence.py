@@ -74,7 +74,7 @@ def foretells(parent: Fit, parent_held: HeldOut | None, child: Fit, child_held: 
     return bool(child_held.error <= MOST_LOST * parent_held.error)
 
 
-def is_trace(found: Fit, effect: str) -> bool:
+def is_negligible(found: Fit, effect: str) -> bool:
     """Whether an effect's fitted size is below the smallest that matters."""
     return size_of(found, effect) < 1.0
 

@@ -20,6 +20,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from needle_rig.units import deg, nmm
+from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
@@ -73,52 +74,30 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
     groups = problem.groups
     if all(len(g) < 2 for g in groups):
         return None
-    p = 2 + len(found.axes)
+    linear = LinearisedFit.of(problem, found)
     keys = [_shared_keys([problem.trials[t] for t in group], problem, group) for group in groups]
-    takers = {
-        t: _taker(problem.trials[t], problem.whiteners[t], chosen)
-        for group, chosen in zip(groups, keys, strict=True)
-        for t in group
-    }
-    values: list[Array] = []
-    columns: list[Array] = []
+    ends = np.cumsum([len(chosen) for chosen in keys])
+    means = np.zeros((ends[-1], linear.residuals.size))
     within, differing_dof = 0.0, 0
-    for g, group in enumerate(groups):
-        seen = np.array([takers[t] @ found.residuals[t] for t in group])
-        jacobian = np.array([takers[t] @ found.jacobians[t] for t in group])
-        nuisance = np.mean([takers[t] @ problem.nuisance[t] for t in group], axis=0)
-        own = np.zeros((seen.shape[1], len(groups)))
-        own[:, g] = jacobian[:, :, p].mean(0)
-        root = np.sqrt(len(group))
-        values.append(root * seen.mean(0))
-        columns.append(root * np.column_stack([jacobian[:, :, :p].mean(0), nuisance, own]))
+    for end, group, chosen in zip(ends, groups, keys, strict=True):
+        takers = [_taker(problem.trials[t], problem.whiteners[t], chosen) for t in group]
+        for t, taker in zip(group, takers, strict=True):
+            means[end - len(chosen) : end, linear.rows[t]] = taker / np.sqrt(len(group))
         if len(group) > 1:
-            direction = own[:, g] / (np.linalg.norm(own[:, g]) or 1.0)
+            terms = [linear.trials[t] for t in group]
+            seen = np.array([taker @ t.residuals for taker, t in zip(takers, terms, strict=True)])
+            own = np.mean([taker @ t.own for taker, t in zip(takers, terms, strict=True)], axis=0)
+            direction = own / (np.linalg.norm(own) or 1.0)
             apart = seen - seen.mean(0)
             apart -= np.outer(apart @ direction, direction)
             within += float((apart**2).sum())
-            differing_dof += (len(group) - 1) * (seen.shape[1] - 1)
-    held = np.array([np.mean(found.point.trial_friction[g]) for g in groups])
-    tight = np.r_[
-        0.0,
-        1.0 / problem.rigidity_prior,
-        [1.0 / a.width for a in found.axes],
-        np.ones(found.nuisance.size),
-        [np.sqrt(len(g)) / found.scatter for g in groups],
-    ]
-    stated = -np.r_[
-        0.0, found.pull_rigidity * problem.rigidity_prior, found.point.positions, found.nuisance, held
-    ]
-    prior = tight > 0
-    matrix = np.vstack([*columns, np.diag(tight)[prior]])
-    value = np.concatenate([*values, (tight * stated)[prior]])
-    basis, _ = np.linalg.qr(matrix)
-    left = value - basis @ (basis.T @ value)
-    shared_dof = matrix.shape[0] - matrix.shape[1]
+            differing_dof += (len(group) - 1) * (len(chosen) - 1)
+    left = Projection(linear, means).missed
+    shared_dof = len(means) - int((linear.precision == 0.0).sum())  # every other parameter has a prior
     if shared_dof < 1 or differing_dof < 1 or not within > 0:
         return None
     statistic = float(left @ left) / shared_dof / (within / differing_dof)
-    each = np.split(left, np.cumsum([len(chosen) for chosen in keys]))[:-1]
+    each = np.split(left, ends)[:-1]
     where, size, unit = _worst(problem, found, keys, each, within / differing_dof, sensors)
     return LackOfFit(
         statistic,

@@ -11,10 +11,10 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.selection.answer import Ranked, Value
 from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, held_gain
 from needle_rig.workbench.selection.rivals import Rival
-from needle_rig.workbench.selection.search import Candidate, Search
+from needle_rig.workbench.selection.search import Candidate, SearchTrace
 
 
-def order(search: Search, named: list[str]) -> list[str]:
+def order(search: SearchTrace, named: list[str]) -> list[str]:
     """Effects in the order of what each would leave unexplained if it were missing."""
     here = search.fits[search.best][0].objective
 
@@ -40,7 +40,7 @@ def values_of(fit: Fit, effect: str) -> tuple[Value, ...]:
 
 
 def rank(
-    search: Search,
+    search: SearchTrace,
     ordered: list[str],
     rivals: dict[str, list[Rival]],
     verdict: str,
@@ -94,14 +94,14 @@ def rank(
                         )
                     )
                     done.add(rival.effect)
-    others = [c for c in search.children.get(search.start, []) if c.fit is not None and c.effect not in done]
+    others = [c for c in search.children.get(search.start, ()) if c.fit is not None and c.effect not in done]
     others.sort(key=lambda c: (c.fit.objective if c.fit else 0.0, c.effect))
     for candidate in others:
         ranked.append(_single(search, candidate))
     return ranked
 
 
-def _single(search: Search, candidate: Candidate) -> Ranked:
+def _single(search: SearchTrace, candidate: Candidate) -> Ranked:
     found = candidate.fit
     assert found is not None
     seen = chance(search.root, found, len(search.names)) < SIGNIFICANCE
@@ -137,7 +137,7 @@ def _removed(problem: Any, root: Fit, found: Fit) -> float:
     )
 
 
-def _favour(search: Search, found: Fit, alone: float | None) -> str:
+def _favour(search: SearchTrace, found: Fit, alone: float | None) -> str:
     removed = 100 * _removed(search.problem, search.root, found)
     sigmas = (
         f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""

@@ -16,10 +16,10 @@ import numpy.typing as npt
 from scipy.special import ndtri, stdtr
 
 from needle_rig.units import deg, nmm
+from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.selection.screening import Projector
 
 Array = npt.NDArray[np.float64]
 
@@ -125,9 +125,8 @@ def functions(
 
 def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Leftover:
     """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
-    project = Projector(problem, found)
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(found.axes, found.point, t) for t in every], every)
+    project = LinearisedFit.of(problem, found).projection
+    readings = problem.predict(found.axes, found.point)
     columns, names = _signatures(problem, readings, sensors)
     lengths = np.sqrt((columns**2).sum(0))
     projected = np.column_stack([project(columns), project.rigidity()])

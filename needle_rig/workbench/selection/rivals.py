@@ -10,11 +10,13 @@ import numpy as np
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.selection.search import Search, score
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, score
 
 CLOSE = 10.0
-"""Difference of scores (3σ) within which two explanations are a tie."""
+"""Difference of −2 log posterior (3.2σ, odds of 150 to 1) within which two explanations are a tie."""
 SURE_SHARE = 0.8
+"""Share of reweightings of the trials in which the better of two stays ahead if it surely is."""
 ALL_UP_TO = 100.0
 """Gain of what was found up to which every effect is refitted in its place: a preview says little there."""
 OUT_OF_REACH = 0.25
@@ -27,7 +29,8 @@ class Rival:
     """Another effect in the place of one that was found."""
 
     effect: str
-    key: frozenset[str]
+    instead_of: str
+    key: EffectSet
     behind: float
     """Score of the rival over that of what was found."""
     share: float
@@ -35,6 +38,21 @@ class Rival:
     tied: bool
     separation_sigma: float | None = None
     """From simulating what was found and fitting the rival to it; None where it was not needed."""
+
+
+def cannot_be_told_apart(
+    behind: float, *, missed: float = 0.0, sure: bool = True, gain_over_special: float | None = None
+) -> bool:
+    """Whether an explanation ties with the best one, whose −2 log posterior is lower by `behind`.
+
+    What the best one misses above the noise (`missed`) hides differences as large, and three times as much
+    lies between two of which it is not `sure` that the better one is. An explanation that becomes another
+    close one at an extreme of its parameters is no rival of it unless it gains as much as tells two apart.
+    """
+    if gain_over_special is not None and gain_over_special < CLOSE:
+        return False
+    near = CLOSE + missed
+    return behind < near or (not sure and behind < 3.0 * near)
 
 
 def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> float:
@@ -51,29 +69,23 @@ def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> floa
 
 def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
     """How many σ apart the rival's best fit to the noise-free prediction of `truth` would be."""
-    every = list(range(len(problem.trials)))
-    readings = problem.readings([problem.model(truth.axes, truth.point, t) for t in every], every)
-    trials = tuple(
-        dataclasses.replace(b, mean=np.where(np.isfinite(b.mean), r, np.nan))
-        for b, r in zip(problem.trials, readings, strict=True)
-    )
-    perfect = dataclasses.replace(problem, trials=trials, _cache=problem._cache)
+    perfect = problem.with_means(problem.predict(truth.axes, truth.point))
     found = fit(perfect, rival.effects, rival.point, nuisance=rival.nuisance)
     return float(np.sqrt(found.chi2)) if found is not None else float("inf")
 
 
-def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
-    """Rivals of each effect found, closest first."""
+def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace, dict[str, list[Rival]]]:
+    """The search with every effect tried in the place of each that was found; its rivals, closest first."""
     problem, best = search.problem, search.best
     here = search.fits[best][0]
     found: dict[str, list[Rival]] = {}
     for effect in search.named(best):
-        rest = frozenset(best - {effect})
+        rest = best - {effect}
         if rest in search.fits and rest not in search.children:
             gain = search.fits[rest][0].objective - here.objective
-            search.expand(rest, worth=OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
+            search = expand(search, work, rest, OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
         rivals = []
-        for candidate in search.children.get(rest, []):
+        for candidate in search.children.get(rest, ()):
             key = rest | {candidate.effect}
             if candidate.effect == effect or candidate.effect in best or key not in search.fits:
                 continue
@@ -82,16 +94,18 @@ def find_rivals(search: Search, seed: int) -> dict[str, list[Rival]]:
                 continue
             behind = score(problem, other) - score(problem, here)
             share = bootstrap_share(problem, here, other, seed)
-            near = CLOSE + excess(problem, here.chi2)
-            tied = behind < near or (share < SURE_SHARE and behind < 3 * near)
-            contains = effect in problem.library[candidate.effect].limits
-            if contains and other.objective > here.objective - CLOSE:
-                tied = False
-            rivals.append(Rival(candidate.effect, key, behind, share, tied))
+            general = effect in problem.library[candidate.effect].limits
+            tied = cannot_be_told_apart(
+                behind,
+                missed=excess(problem, here.chi2),
+                sure=share >= SURE_SHARE,
+                gain_over_special=here.objective - other.objective if general else None,
+            )
+            rivals.append(Rival(candidate.effect, effect, key, behind, share, tied))
         rivals.sort(key=lambda r: (r.behind, r.effect))
         for place, rival in enumerate(rivals[:2]):
             if rival.tied or (place == 0 and rival.behind < 400.0):
                 apart = separation(problem, here, search.fits[rival.key][0])
                 rivals[place] = dataclasses.replace(rival, separation_sigma=apart)
         found[effect] = rivals
-    return found
+    return search, found

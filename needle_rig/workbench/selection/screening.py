@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate, against_mean
 from needle_rig.workbench.estimation.posterior import excess
@@ -58,63 +59,6 @@ class Preview:
         return self.gain >= worth or not self.whole
 
 
-class Projector:
-    """Projects the parameters of a fit out of whitened vectors over all trials.
-
-    `missed` is what the fit leaves, with the pulls on its parameters as rows of their own: an effect may be
-    seen by nothing but what it relieves them of.
-    """
-
-    def __init__(self, problem: Problem, fit: Fit) -> None:
-        trials = len(problem.trials)
-        p, q = 2 + len(fit.axes), fit.nuisance.size
-        sizes = [r.size for r in fit.residuals]
-        total = sum(sizes)
-        width = p + trials + q
-        matrix = np.zeros((total + width, width))
-        at = 0
-        for t, size in enumerate(sizes):
-            matrix[at : at + size, :p] = fit.jacobians[t][:, :p]
-            matrix[at : at + size, p + t] = fit.jacobians[t][:, p]
-            matrix[at : at + size, p + trials :] = problem.nuisance[t]
-            at += size
-        tight = np.r_[
-            0.0,
-            1.0 / problem.rigidity_prior,
-            [1.0 / a.width for a in fit.axes],
-            np.full(trials, 1.0 / fit.scatter),
-            np.ones(q),
-        ]
-        matrix[total:, :] = np.diag(tight)
-        self.total = total
-        self._own = slice(total + p, total + p + trials)
-        self._scatter = fit.scatter
-        self._basis, _ = np.linalg.qr(matrix)
-        point, widths = fit.point, np.array([a.width for a in fit.axes])
-        own = point.trial_friction / fit.scatter
-        pulls = np.r_[0.0, fit.pull_rigidity, point.positions / widths, own, fit.nuisance]
-        left = np.r_[np.concatenate(fit.residuals), -pulls]
-        self.missed: Array = left - self._basis @ (self._basis.T @ left)
-
-    def __call__(self, vectors: Array, own: Array | None = None) -> Array:
-        """(n,) or (n, m) over all trials to what the fit's parameters cannot make; n becomes longer.
-
-        `own` (T,) is what goes with it of the trials' own friction, of which their prior tells.
-        """
-        padded = np.zeros((self._basis.shape[0], *vectors.shape[1:]))
-        padded[: self.total] = vectors
-        if own is not None:
-            padded[self._own] = own / self._scatter
-        return np.asarray(padded - self._basis @ (self._basis.T @ padded))
-
-    def rigidity(self) -> Array:
-        """The direction (n longer, as above) in which the stated rigidity stands against the data."""
-        row = self.total + 1
-        stated = -self._basis @ self._basis[row]
-        stated[row] += 1.0
-        return np.asarray(stated)
-
-
 def forms(axes: Sequence[Coordinate]) -> list[Array]:
     """Positions of the form parameters to try, typical first; entries of strengths are 0."""
     choices = []
@@ -148,7 +92,7 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     Every form is tried at the middle strength, the best two and the typical one at all; forms other than
     the typical one are left out where that one stays far below `worth` and below what is to be explained.
     """
-    project = Projector(problem, parent)
+    project = LinearisedFit.of(problem, parent).projection
     own = problem.axes([effect])
     axes = (*parent.axes, *own)
     residual = project.missed
@@ -284,9 +228,9 @@ def signature(
     """Whitened change of the model (n,) over all trials when the effect is put at `positions`, and what it
     moves in the trials' own friction (T,)."""
     point = beside(problem, parent, axes, positions)
-    trials = list(range(len(problem.trials)))
+    trials = range(len(problem.trials))
     try:
-        readings = problem.readings([problem.model(axes, point, t) for t in trials], trials)
+        readings = problem.predict(axes, point)
     except (SolverError, BadInput):
         return None
     after = problem.residuals(readings, trials)

@@ -1,5 +1,7 @@
 """The search for a set of effects: forward from the present model, sideways over relatives, back again.
 
+Each step takes what the search knows and gives what it knows afterwards; nothing is changed in place.
+
 Several parents are kept at each step, since the first effect found may be the wrong half of a pair. No
 effect is known by name here; what looks like what is declared in the effects' own files.
 """
@@ -7,9 +9,12 @@ effect is known by name here; what looks like what is declared in the effects' o
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
 from needle_rig.workbench.estimation.map_fit import LOOSE, Fit, fit
@@ -21,23 +26,29 @@ from needle_rig.workbench.selection.evidence import (
     SIGNIFICANCE,
     chance,
     foretells,
-    is_trace,
+    is_negligible,
     may_be_ours,
     size_of,
 )
 from needle_rig.workbench.selection.screening import Preview, Start, beside, preview
 
+Array = npt.NDArray[np.float64]
+
 FRONTIER = 3
-TRACE_PREFERENCE = 8.0
+FEWER_NAMED = 8.0
+"""Score that is given for a set in which fewer effects are large enough to be named."""
 ROUGH = 0.5
-"""First fits end when the next step would gain less than this;"""
+"""First fits end when the next step would gain less than this."""
 PROMISING = 4.0
-"""those that gain more than this are refined."""
-MOST_TRACES = 2
+"""First fits that gain more than this are refined."""
+MOST_SET_ASIDE = 2
+"""Negligible effects that are made nuisances."""
 IDLE = 1e-3
 """Share of the smallest size that matters below which an effect has no size."""
 FAINT = 0.1
 """Share of a large error that an effect must promise to earn a fit."""
+
+EffectSet = frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -133,103 +144,56 @@ def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
     return Candidate(candidate.effect, level, None, candidate.preview)
 
 
-@dataclass
-class Search:
-    """Progress and result of a search; `best` is where it stands."""
+@dataclass(frozen=True)
+class Step:
+    """One move of a search and where it stands after it."""
+
+    kind: Literal["forward", "set aside", "taken out", "back"]
+    best: EffectSet
+    score: float
+
+
+@dataclass(frozen=True)
+class SearchTrace:
+    """What a search knows: all fits are to its problem. `best` is where it stands."""
 
     problem: Problem
     names: tuple[str, ...]
-    work: Work
-    max_effects: int
+    """Effects to try."""
     root: Fit
+    """The present model's, on top of which effects are added."""
     root_held: HeldOut
-    fits: dict[frozenset[str], tuple[Fit, HeldOut | None]] = field(default_factory=dict)
-    children: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
-    steps: list[frozenset[str]] = field(default_factory=list)
-    best: frozenset[str] = frozenset()
-    traces: dict[str, tuple[Fit, frozenset[str]]] = field(default_factory=dict)
-    """Effects that are seen but too small to matter, with the fit that showed each."""
-    asked: dict[frozenset[str], float] = field(default_factory=dict)
+    best: EffectSet
+    fits: Mapping[EffectSet, tuple[Fit, HeldOut | None]]
+    """The best of each set of effects."""
+    children: Mapping[EffectSet, tuple[Candidate, ...]]
+    """All effects on top of a set."""
+    asked: Mapping[EffectSet, float]
     """Preview gain below which `children` of a set were not fitted."""
+    negligible: Mapping[str, Fit]
+    """Effects that are seen but too small to matter, with the fit that showed each: they are nuisances."""
+    steps: tuple[Step, ...] = ()
 
-    def __post_init__(self) -> None:
-        self.start = frozenset(self.root.effects)
-        self.best = self.start
-        self.fits[self.start] = (self.root, self.root_held)
+    @classmethod
+    def begin(cls, problem: Problem, names: tuple[str, ...], root: Fit, root_held: HeldOut) -> SearchTrace:
+        """At the present model."""
+        start = frozenset(root.effects)
+        return cls(problem, names, root, root_held, start, {start: (root, root_held)}, {}, {}, {})
 
-    def keep(self, found: Fit | None, held: HeldOut | None) -> None:
-        """Remember a fit if it is the best of its set of effects."""
-        if found is None:
-            return
-        key = frozenset(found.effects)
-        old = self.fits.get(key)
-        if old is None or found.objective < old[0].objective - 1e-9:
-            self.fits[key] = (found, held)
+    @property
+    def start(self) -> EffectSet:
+        """The present model's effects."""
+        return frozenset(self.root.effects)
 
-    def expand(self, key: frozenset[str], worth: float = -1.0) -> list[Candidate]:
-        """All effects on top of the set `key`; with `worth` only those whose preview reaches it.
+    def score(self, key: EffectSet) -> float:
+        """Score of a set that was fitted."""
+        return score(self.problem, self.fits[key][0])
 
-        A preview orders the work on sets that may come to nothing; on a set that comes near the noise, every
-        effect is fitted.
-        """
-        known = {c.effect: c for c in self.children.get(key, [])}
-        before = self.asked.get(key, np.inf)
-        parent = self.fits[key][0]
-        names = [n for n in self.names if n not in key and n not in self.traces]
-        wanted = [
-            n
-            for n in names
-            if n not in known
-            or (known[n].fit is None and worth < before and known[n].preview.may_reach(worth))
-        ]
-        if not wanted:
-            return self.children.setdefault(key, [])
-        known |= {c.effect: c for c in self.work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
-        found = self._from_limits(parent, [known[n] for n in names])
-        for candidate in found:
-            self.keep(candidate.fit, candidate.held)
-        self.children[key], self.asked[key] = found, min(worth, before)
-        return found
+    def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
+        """What sorts sets, best first."""
+        return self.score(key), sorted(key)
 
-    def _from_limits(self, parent: Fit, found: list[Candidate]) -> list[Candidate]:
-        """Fit again, from the effects that a candidate becomes at an extreme, what fits worse than these."""
-        fitted = {c.effect: c.fit for c in found if c.fit is not None}
-        tasks, places = [], []
-        for place, candidate in enumerate(found):
-            limits = self.problem.library[candidate.effect].limits
-            known = [
-                (fitted[limit], limit, extremes) for limit, extremes in limits.items() if limit in fitted
-            ]
-            lowest = min((fit.objective for fit, _, _ in known), default=np.inf)
-            if known and (candidate.fit is None or candidate.fit.objective > lowest + 0.5):
-                tasks.append(
-                    (parent, candidate.effect, tuple(self._limit_start(candidate.effect, *k) for k in known))
-                )
-                places.append(place)
-        result = list(found)
-        for place, again in zip(places, self.work.run(try_effect, tasks), strict=True):
-            old = found[place].fit
-            if again.fit is not None and (old is None or again.fit.objective < old.objective):
-                result[place] = again
-        return result
-
-    def _limit_start(self, effect: str, known: Fit, limit: str, extremes: dict[str, float]) -> Start:
-        """Where `effect` is the fitted `limit`: fields of the same name taken over, the rest extreme."""
-        own = self.problem.axes([effect])
-        values = {
-            (a.field, a.item): a.value(float(x))
-            for a, x in zip(known.axes, known.point.positions, strict=True)
-            if a.effect == limit
-        }
-        positions = np.zeros(len(own))
-        for i, axis in enumerate(own):
-            value = extremes.get(axis.field, values.get((axis.field, axis.item)))
-            if value is not None and (value != axis.info.off or axis.info.shapes):
-                inside = min(max(value, axis.info.lower), axis.info.upper)
-                positions[i] = np.clip(axis.position(inside), *axis.bounds)
-        return Start(positions, np.inf)
-
-    def passes(self, parent: frozenset[str], child: frozenset[str]) -> bool:
+    def passes(self, parent: EffectSet, child: EffectSet) -> bool:
         """Whether the child's extra effects are seen, and foretell what they have not seen."""
         (old, old_held), (new, new_held) = self.fits[parent], self.fits[child]
         if chance(old, new, len(self.names)) >= SIGNIFICANCE or may_be_ours(self.problem, old, new):
@@ -238,157 +202,10 @@ class Search:
             return True  # a single command: nothing can be left out, and the report says so
         return foretells(old, old_held, new, new_held)
 
-    def named(self, key: frozenset[str]) -> list[str]:
+    def named(self, key: EffectSet) -> list[str]:
         """Effects of a set that are large enough to matter and were not in the present model."""
         found = self.fits[key][0]
-        return [e for e in found.effects if e not in self.start and not is_trace(found, e)]
-
-    def _take_over(self, key: frozenset[str], idle: str) -> None:
-        """A fit with an effect of no size in it is a better fit of the others."""
-        found, _ = self.fits.pop(key)
-        names = tuple(e for e in found.effects if e != idle)
-        self.keep(*refit(self.problem, names, without(found, idle)))
-
-    def _set_aside(self, key: frozenset[str], trace: str) -> None:
-        """Turn an effect that is seen but too small to matter into a nuisance direction of that small size.
-
-        It then neither earns a name nor leaves a residual that another effect could claim.
-        """
-        found = self.fits[key][0]
-        self.traces[trace] = (found, self.best)
-        point = found.point
-        every = list(range(len(self.problem.trials)))
-        positions = point.positions.copy()
-        off = positions.copy()
-        for i, axis in enumerate(found.axes):
-            if axis.effect == trace and not axis.info.shapes:
-                off[i] = 0.0
-        largest = size_of(found, trace)
-        on = self.problem.readings([self.problem.model(found.axes, point, t) for t in every], every)
-        bare = dataclasses.replace(point, positions=off)
-        gone = self.problem.readings([self.problem.model(found.axes, bare, t) for t in every], every)
-        column = [
-            self.problem.whiteners[t](a - b)[:, None] / largest
-            for t, (a, b) in enumerate(zip(on, gone, strict=True))
-        ]
-        joined = tuple(np.hstack([n, c]) for n, c in zip(self.problem.nuisance, column, strict=True))
-        self.problem = dataclasses.replace(self.problem, nuisance=joined, _cache=self.problem._cache)
-        self.work.share(self.problem)
-        again = {c.effect for c in self.children.get(self.best, []) if self._worth_again(c)}
-        stale = self.children.get(self.best, [])
-        kept_fits = {self.start: (self.root, self.root_held), self.best: self.fits[self.best]}
-        self.fits, self.children = {}, {}
-        for effects, (old, old_held) in kept_fits.items():
-            new, new_held = refit(self.problem, old.effects, old.point)
-            if new is None:
-                new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
-            self.fits[effects] = new, new_held
-        self.root, root_held = self.fits[self.start]
-        self.root_held = root_held or self.root_held
-        parent = self.fits[self.best][0]
-        redone = {
-            c.effect: c for c in self.work.run(try_effect, [(parent, n) for n in sorted(again - {trace})])
-        }
-        kept = [redone.get(c.effect) or _silenced(c, parent) for c in stale if c.effect != trace]
-        for candidate in kept:
-            self.keep(candidate.fit, candidate.held)
-        self.children[self.best], self.asked = kept, {self.best: -1.0}
-
-    def _worth_again(self, candidate: Candidate) -> bool:
-        parent = self.fits[self.best][0]
-        return candidate.fit is not None and chance(parent, candidate.fit, len(self.names)) < 0.5
-
-    def run(self) -> frozenset[str]:
-        """Search until nothing more passes; returns the best set."""
-        frontier = [self.start]
-        while True:
-            options = self._forward(frontier)
-            if not options:
-                break
-            chosen = options[0]
-            lowest = score(self.problem, self.fits[chosen][0])
-            for other in options[1:]:
-                close = score(self.problem, self.fits[other][0]) < lowest + TRACE_PREFERENCE
-                if close and len(self.named(other)) < len(self.named(chosen)):
-                    chosen = other
-                    break
-            trace = [e for e in chosen - self.best if is_trace(self.fits[chosen][0], e)]
-            if trace and size_of(self.fits[chosen][0], trace[0]) < IDLE:
-                self._take_over(chosen, trace[0])
-                frontier = [self.best]
-                continue
-            if trace and self.best <= chosen and len(self.traces) < MOST_TRACES:
-                self._set_aside(chosen, trace[0])
-                frontier = [self.best]
-                continue
-            if len(self.named(chosen)) > self.max_effects or trace:
-                break
-            self.best = self._sideways(chosen)
-            self.steps.append(self.best)
-            spread = score(self.problem, self.fits[self.start][0]) - lowest
-            near = [k for k in options if score(self.problem, self.fits[k][0]) < lowest + 0.6 * spread]
-            others = (
-                [k for k in near if k != self.best] if len(self.named(self.best)) < self.max_effects else []
-            )
-            frontier = [self.best, *others[: FRONTIER - 1]]
-        self.best = self._back(self.best)
-        self.expand(self.best, self._least(self.best))
-        return self.best
-
-    def _least(self, key: frozenset[str]) -> float:
-        """The preview gain that earns a fit on top of `key`: any at the start and where the noise is near.
-
-        As long as most of the error is not explained, what promises next to nothing of it cannot be the next.
-        """
-        left = excess(self.problem, self.fits[key][0].objective)
-        return FAINT * left if key != self.start and left > self.problem.size else -1.0
-
-    def _forward(self, frontier: list[frozenset[str]]) -> list[frozenset[str]]:
-        """Sets with one effect more than where the search stands that pass, best first."""
-        self.expand(frontier[0], self._least(frontier[0]))
-        best_child = min(
-            (c.fit.objective for c in self.children[frontier[0]] if c.fit is not None), default=np.inf
-        )
-        for key in frontier[1:]:
-            needed = self.fits[key][0].objective - best_child
-            self.expand(key, worth=max(12.0, 0.6 * needed))
-        size = len(self.best)
-        options = [
-            k for k in self.fits if len(k) == size + 1 and self.start <= k and self.passes(self.best, k)
-        ]
-        return sorted(options, key=lambda k: (score(self.problem, self.fits[k][0]), sorted(k)))
-
-    def _sideways(self, key: frozenset[str]) -> frozenset[str]:
-        """Each effect's relatives in its place, as long as that helps."""
-        if len(key - self.start) < 2:
-            return key
-        for _ in range(2):
-            found = self.fits[key][0]
-            tasks, sets = [], []
-            for effect in sorted(key - self.start):
-                rest = frozenset(key - {effect})
-                if rest not in self.fits:
-                    names = tuple(e for e in found.effects if e != effect)
-                    self.keep(*self.work.run(refit, [(names, without(found, effect))])[0])
-                if rest not in self.fits:
-                    continue
-                for relative in self.relatives(effect):
-                    other = rest | {relative}
-                    if relative not in key and other not in self.fits:
-                        tasks.append((self.fits[rest][0], relative))
-                        sets.append(other)
-            for candidate in self.work.run(try_effect, tasks):
-                self.keep(candidate.fit, candidate.held)
-            near = [
-                k
-                for k in self.fits
-                if len(k) == len(key) and len(k & key) == len(key) - 1 and self.start <= k
-            ]
-            best = min([*near, key], key=lambda k: (score(self.problem, self.fits[k][0]), sorted(k)))
-            if score(self.problem, self.fits[best][0]) > score(self.problem, found) - 2.0:
-                return key
-            key = best
-        return key
+        return [e for e in found.effects if e not in self.start and not is_negligible(found, e)]
 
     def relatives(self, effect: str) -> list[str]:
         """Effects declared to look like this one, in either file."""
@@ -396,20 +213,270 @@ class Search:
         own |= {n for n in self.names if effect in self.problem.library[n].relatives}
         return sorted(own & set(self.names))
 
-    def _back(self, key: frozenset[str]) -> frozenset[str]:
-        """Drop what is no longer needed."""
-        while len(key - self.start) > 1:
-            found = self.fits[key][0]
-            dropped = None
-            for effect in sorted(key - self.start):
-                rest = frozenset(key - {effect})
-                if rest not in self.fits:
-                    names = tuple(e for e in found.effects if e != effect)
-                    self.keep(*self.work.run(refit, [(names, without(found, effect))])[0])
-                if rest in self.fits and not self.passes(rest, key):
-                    dropped = rest
-                    break
-            if dropped is None:
-                return key
-            key = dropped
-        return key
+    def keep(self, found: Fit | None, held: HeldOut | None) -> SearchTrace:
+        """With a fit, if it is the best of its set of effects."""
+        if found is None:
+            return self
+        key = frozenset(found.effects)
+        old = self.fits.get(key)
+        if old is not None and found.objective >= old[0].objective - 1e-9:
+            return self
+        return dataclasses.replace(self, fits={**self.fits, key: (found, held)})
+
+    def stepped(self, kind: Literal["forward", "set aside", "taken out", "back"]) -> SearchTrace:
+        """With one more step, which led to where it stands."""
+        return dataclasses.replace(self, steps=(*self.steps, Step(kind, self.best, self.score(self.best))))
+
+
+def search(
+    problem: Problem,
+    names: tuple[str, ...],
+    root: Fit,
+    root_held: HeldOut,
+    *,
+    max_effects: int,
+    work: Work,
+) -> SearchTrace:
+    """Search among `names` on top of `root`, until nothing more passes or more would be named."""
+    work.share(problem)
+    trace = SearchTrace.begin(problem, names, root, root_held)
+    frontier = [trace.start]
+    while True:
+        trace, options = _forward(trace, work, frontier)
+        if not options:
+            break
+        chosen, lowest = _chosen(trace, options), trace.score(options[0])
+        found = trace.fits[chosen][0]
+        small = [e for e in chosen - trace.best if is_negligible(found, e)]
+        if small and size_of(found, small[0]) < IDLE:
+            trace = take_out(trace, chosen, small[0])
+            frontier = [trace.best]
+            continue
+        if small and trace.best <= chosen and len(trace.negligible) < MOST_SET_ASIDE:
+            trace = set_aside(trace, work, chosen, small[0])
+            frontier = [trace.best]
+            continue
+        if len(trace.named(chosen)) > max_effects or small:
+            break
+        trace, best = _sideways(trace, work, chosen)
+        trace = dataclasses.replace(trace, best=best).stepped("forward")
+        spread = trace.score(trace.start) - lowest
+        near = [k for k in options if trace.score(k) < lowest + 0.6 * spread and k != best]
+        others = near if len(trace.named(best)) < max_effects else []
+        frontier = [best, *others[: FRONTIER - 1]]
+    trace = _back(trace, work)
+    return expand(trace, work, trace.best, _least(trace, trace.best))
+
+
+def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) -> SearchTrace:
+    """With all effects on top of the set `key`; with `worth` only those whose preview reaches it.
+
+    A preview orders the work on sets that may come to nothing; on a set that comes near the noise, every
+    effect is fitted.
+    """
+    known = {c.effect: c for c in trace.children.get(key, ())}
+    before = trace.asked.get(key, np.inf)
+    parent = trace.fits[key][0]
+    names = [n for n in trace.names if n not in key and n not in trace.negligible]
+    wanted = [
+        n
+        for n in names
+        if n not in known or (known[n].fit is None and worth < before and known[n].preview.may_reach(worth))
+    ]
+    if not wanted:
+        return dataclasses.replace(trace, children={**trace.children, key: trace.children.get(key, ())})
+    known |= {c.effect: c for c in work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
+    found = _from_limits(trace.problem, work, parent, [known[n] for n in names])
+    for candidate in found:
+        trace = trace.keep(candidate.fit, candidate.held)
+    return dataclasses.replace(
+        trace,
+        children={**trace.children, key: tuple(found)},
+        asked={**trace.asked, key: min(worth, before)},
+    )
+
+
+def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Candidate]) -> list[Candidate]:
+    """Fit again, from the effects that a candidate becomes at an extreme, what fits worse than these."""
+    fitted = {c.effect: c.fit for c in found if c.fit is not None}
+    tasks, places = [], []
+    for place, candidate in enumerate(found):
+        limits = problem.library[candidate.effect].limits
+        known = [(fitted[limit], limit, extremes) for limit, extremes in limits.items() if limit in fitted]
+        lowest = min((fit.objective for fit, _, _ in known), default=np.inf)
+        if known and (candidate.fit is None or candidate.fit.objective > lowest + 0.5):
+            starts = tuple(_limit_start(problem, candidate.effect, *k) for k in known)
+            tasks.append((parent, candidate.effect, starts))
+            places.append(place)
+    result = list(found)
+    for place, again in zip(places, work.run(try_effect, tasks), strict=True):
+        old = found[place].fit
+        if again.fit is not None and (old is None or again.fit.objective < old.objective):
+            result[place] = again
+    return result
+
+
+def _limit_start(
+    problem: Problem, effect: str, known: Fit, limit: str, extremes: Mapping[str, float]
+) -> Start:
+    """Where `effect` is the fitted `limit`: fields of the same name taken over, the rest extreme."""
+    own = problem.axes([effect])
+    values = {
+        (a.field, a.item): a.value(float(x))
+        for a, x in zip(known.axes, known.point.positions, strict=True)
+        if a.effect == limit
+    }
+    positions = np.zeros(len(own))
+    for i, axis in enumerate(own):
+        value = extremes.get(axis.field, values.get((axis.field, axis.item)))
+        if value is not None and (value != axis.info.off or axis.info.shapes):
+            inside = min(max(value, axis.info.lower), axis.info.upper)
+            positions[i] = np.clip(axis.position(inside), *axis.bounds)
+    return Start(positions, np.inf)
+
+
+def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
+    """A fit with an effect of no size in it is a better fit of the others: they are fitted from there."""
+    found, _ = trace.fits[key]
+    names = tuple(e for e in found.effects if e != idle)
+    rest = {k: v for k, v in trace.fits.items() if k != key}
+    trace = dataclasses.replace(trace, fits=rest)
+    return trace.keep(*refit(trace.problem, names, without(found, idle))).stepped("taken out")
+
+
+def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> SearchTrace:
+    """With an effect of the set `key` that is seen but too small to matter as a nuisance of that small size.
+
+    It then neither earns a name nor leaves a residual that another effect could claim.
+    """
+    found = trace.fits[key][0]
+    problem = dataclasses.replace(trace.problem, nuisance=_with_direction(trace.problem, found, effect))
+    work.share(problem)
+    parent = trace.fits[trace.best][0]
+    stale = trace.children.get(trace.best, ())
+    again = [
+        c.effect
+        for c in stale
+        if c.fit is not None and c.effect != effect and chance(parent, c.fit, len(trace.names)) < 0.5
+    ]
+    fits: dict[EffectSet, tuple[Fit, HeldOut | None]] = {
+        trace.start: (trace.root, trace.root_held),
+        trace.best: trace.fits[trace.best],
+    }
+    for fitted, (old, old_held) in fits.items():
+        new, new_held = refit(problem, old.effects, old.point)
+        if new is None:
+            new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
+        fits[fitted] = new, new_held
+    root, root_held = fits[trace.start]
+    parent = fits[trace.best][0]
+    redone = {c.effect: c for c in work.run(try_effect, [(parent, n) for n in sorted(again)])}
+    kept = tuple(redone.get(c.effect) or _silenced(c, parent) for c in stale if c.effect != effect)
+    trace = dataclasses.replace(
+        trace,
+        problem=problem,
+        root=root,
+        root_held=root_held or trace.root_held,
+        fits=fits,
+        children={trace.best: kept},
+        asked={trace.best: -1.0},
+        negligible={**trace.negligible, effect: found},
+    )
+    for candidate in kept:
+        trace = trace.keep(candidate.fit, candidate.held)
+    return trace.stepped("set aside")
+
+
+def _with_direction(problem: Problem, found: Fit, effect: str) -> tuple[Array, ...]:
+    """Nuisances (n, q + 1) a trial with what `effect` does in a fit, at the smallest size that matters."""
+    off = found.point.positions.copy()
+    for i, axis in enumerate(found.axes):
+        if axis.effect == effect and not axis.info.shapes:
+            off[i] = 0.0
+    on = problem.predict(found.axes, found.point)
+    gone = problem.predict(found.axes, dataclasses.replace(found.point, positions=off))
+    largest = size_of(found, effect)
+    return tuple(
+        np.hstack([n, w(a - b)[:, None] / largest])
+        for n, w, a, b in zip(problem.nuisance, problem.whiteners, on, gone, strict=True)
+    )
+
+
+def _least(trace: SearchTrace, key: EffectSet) -> float:
+    """The preview gain that earns a fit on top of `key`: any at the start and where the noise is near.
+
+    As long as most of the error is not explained, what promises next to nothing of it cannot be the next.
+    """
+    left = excess(trace.problem, trace.fits[key][0].objective)
+    return FAINT * left if key != trace.start and left > trace.problem.size else -1.0
+
+
+def _forward(
+    trace: SearchTrace, work: Work, frontier: Sequence[EffectSet]
+) -> tuple[SearchTrace, list[EffectSet]]:
+    """With the frontier expanded; sets with one effect more than where it stands that pass, best first."""
+    trace = expand(trace, work, frontier[0], _least(trace, frontier[0]))
+    fitted = [c.fit.objective for c in trace.children[frontier[0]] if c.fit is not None]
+    for key in frontier[1:]:
+        needed = trace.fits[key][0].objective - min(fitted, default=np.inf)
+        trace = expand(trace, work, key, max(12.0, 0.6 * needed))
+    size = len(trace.best) + 1
+    options = [k for k in trace.fits if len(k) == size and trace.start <= k and trace.passes(trace.best, k)]
+    return trace, sorted(options, key=trace.by_score)
+
+
+def _chosen(trace: SearchTrace, options: Sequence[EffectSet]) -> EffectSet:
+    """The best set, or one that comes close with fewer effects to name."""
+    best, *others = options
+    close = (k for k in others if trace.score(k) < trace.score(best) + FEWER_NAMED)
+    return next((k for k in close if len(trace.named(k)) < len(trace.named(best))), best)
+
+
+def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTrace, EffectSet]:
+    """With each effect's relatives tried in its place, as long as that helps; the best set."""
+    if len(key - trace.start) < 2:
+        return trace, key
+    for _ in range(2):
+        found = trace.fits[key][0]
+        tasks = []
+        for effect in sorted(key - trace.start):
+            rest = key - {effect}
+            trace = _with_rest(trace, work, found, effect)
+            if rest not in trace.fits:
+                continue
+            for relative in trace.relatives(effect):
+                if relative not in key and rest | {relative} not in trace.fits:
+                    tasks.append((trace.fits[rest][0], relative))
+        for candidate in work.run(try_effect, tasks):
+            trace = trace.keep(candidate.fit, candidate.held)
+        near = [
+            k for k in trace.fits if len(k) == len(key) and len(k & key) == len(key) - 1 and trace.start <= k
+        ]
+        best = min([*near, key], key=trace.by_score)
+        if trace.score(best) > score(trace.problem, found) - 2.0:
+            return trace, key
+        key = best
+    return trace, key
+
+
+def _back(trace: SearchTrace, work: Work) -> SearchTrace:
+    """With what is no longer needed dropped."""
+    while len(trace.best - trace.start) > 1:
+        found = trace.fits[trace.best][0]
+        for effect in sorted(trace.best - trace.start):
+            rest = trace.best - {effect}
+            trace = _with_rest(trace, work, found, effect)
+            if rest in trace.fits and not trace.passes(rest, trace.best):
+                trace = dataclasses.replace(trace, best=rest).stepped("back")
+                break
+        else:
+            break
+    return trace
+
+
+def _with_rest(trace: SearchTrace, work: Work, found: Fit, effect: str) -> SearchTrace:
+    """With the set of a fit without one effect fitted."""
+    names = tuple(e for e in found.effects if e != effect)
+    if frozenset(names) in trace.fits:
+        return trace
+    return trace.keep(*work.run(refit, [(names, without(found, effect))])[0])

@@ -17,10 +17,11 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step():
     covariance[2:, 2:] = 1e-10
     at_off = dataclasses.replace(fit.point, positions=np.zeros(1))
     sure = dataclasses.replace(fit, covariance=covariance, point=at_off, objective=search.root.objective)
-    search.children[search.best] = [
+    on_top = tuple(
         dataclasses.replace(c, fit=sure) if c.effect == "tissue_elasticity" else c
         for c in search.children[search.best]
-    ]
+    )
+    search = dataclasses.replace(search, children={search.best: on_top})
     decision = decide(search, [])["tissue_elasticity"]
     assert decision.decision == "absent"
     assert np.isfinite(decision.limit)

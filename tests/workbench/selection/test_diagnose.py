@@ -8,7 +8,7 @@ import pytest
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
 from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.parallel import Work, workers
+from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.diagnose import diagnose
@@ -78,6 +78,9 @@ def test_an_effect_too_small_to_matter_is_negligible():
     found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "negligible"
+    assert [(s.kind, s.best) for s in found.search.steps] == [("set aside", frozenset())]
+    directions = [p.nuisance[0].shape[1] for p in (found.prepared.problem, found.search.problem)]
+    assert directions == [1, 2]
 
 
 def test_a_torque_gain_is_known_by_the_needle_s_stated_constants():
@@ -274,13 +277,13 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
     good = try_effect(problem, prepared.present, "tissue_elasticity")
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
     idle = dataclasses.replace(good.fit.point, positions=np.r_[good.fit.point.positions, 0.0])
-    hunt = search.Search(problem, names, Work(), 3, prepared.present, prepared.held)
-    hunt.keep(worse, good.held)
-    both = frozenset(names)
-    hunt.keep(*search.refit(problem, names, idle))
-    hunt._take_over(both, "torque_bias")
-    assert both not in hunt.fits
-    assert hunt.fits[frozenset(names[:1])][0].objective == pytest.approx(good.fit.objective, abs=0.1)
+    began = search.SearchTrace.begin(problem, names, prepared.present, prepared.held)
+    before = began.keep(worse, good.held).keep(*search.refit(problem, names, idle))
+    after = search.take_out(before, frozenset(names), "torque_bias")
+    assert frozenset(names) in before.fits
+    assert frozenset(names) not in after.fits
+    assert after.fits[frozenset(names[:1])][0].objective == pytest.approx(good.fit.objective, abs=0.1)
+    assert [s.kind for s in after.steps] == ["taken out"]
 
 
 def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all():
