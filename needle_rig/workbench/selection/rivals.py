@@ -29,7 +29,6 @@ class Rival:
     """Another effect in the place of one that was found."""
 
     effect: str
-    instead_of: str
     key: EffectSet
     behind: float
     """Score of the rival over that of what was found."""
@@ -101,7 +100,7 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
                 sure=share >= SURE_SHARE,
                 gain_over_special=here.objective - other.objective if general else None,
             )
-            rivals.append(Rival(candidate.effect, effect, key, behind, share, tied))
+            rivals.append(Rival(candidate.effect, key, behind, share, tied))
         rivals.sort(key=lambda r: (r.behind, r.effect))
         for place, rival in enumerate(rivals[:2]):
             if rival.tied or (place == 0 and rival.behind < 400.0):
