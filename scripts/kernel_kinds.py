@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import sys
 import time
@@ -37,9 +38,9 @@ def bending(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float,
     return -parameters[0] * (angle_rad - parameters[1])
 
 
-def drag(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
-    """A law that depends on the rate."""
-    return -parameters[0] * rate_rad_s / (1.0 + abs(rate_rad_s))
+def swaying(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
+    """A law that depends on the time."""
+    return -parameters[0] * (angle_rad - parameters[1] * math.sin(time_s))
 
 
 def rod(
@@ -79,7 +80,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "Stribeck viscous": {"stiffness": 0.278, "viscous": 0.05, "static_excess": 0.3, "weakening_rad": 0.3},
     "ageing": {"stiffness": 0.278, "ageing_per_decade": 0.1, "weakening_rad": 0.3},
     "steady law": {"stiffness": 0.278, "law": bending},
-    "law of the rate": {"stiffness": 0.278, "law": drag},
+    "law of time": {"stiffness": 0.278, "viscous": 0.1, "law": swaying},
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from numba import njit, types
 
+from needle_rig.physics.kernel._cache import keep_by_package
 from needle_rig.physics.kernel._compile import FLOATS
 from needle_rig.physics.kernel.extrapolated import follow_extrapolated
 from needle_rig.physics.kernel.laws import borrowed
@@ -25,24 +26,28 @@ from needle_rig.physics.kernel.layout import (
 from needle_rig.physics.kernel.quasi_static import follow_quasi_static, reach_first_sample
 from needle_rig.physics.kernel.sdirk import follow_sdirk
 
+_record = types.BaseTuple.from_types
 _ROW, _ROWS, _BLOCK, _INDICES = (
     types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1], types.int64[::1]
 )  # fmt: skip
 _SIGNATURE = types.int64(
     _ROW,
     _ROWS,
-    types.NamedTuple((types.float64,) * len(Settings._fields), Settings),
-    types.NamedTuple((types.boolean,) * len(Features._fields), Features),
+    _record((types.float64,) * len(Settings._fields), Settings),
+    _record((types.boolean,) * len(Features._fields), Features),
     types.boolean,
-    types.NamedTuple((_INDICES, _INDICES, _ROWS), Laws),
-    types.NamedTuple((_ROW, _ROW), Drive),
+    _record((_INDICES, _INDICES, _ROWS), Laws),
+    _record((_ROW, _ROW), Drive),
     _INDICES,
     _INDICES,
     _BLOCK,
     _ROWS,
-    types.NamedTuple((_ROW, _ROWS, _ROW, _ROWS), Output),
+    _record((_ROW, _ROWS, _ROW, _ROWS), Output),
     _INDICES,
 )
+
+
+keep_by_package()
 
 
 @njit(_SIGNATURE, cache=True, nogil=True, fastmath=FLOATS, error_model="numpy", no_cfunc_wrapper=True)
