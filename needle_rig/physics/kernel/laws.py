@@ -11,8 +11,11 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from needle_rig.physics.kernel._compile import compiled
+from needle_rig.physics.kernel.layout import FORCE, POSITION, SLOPE
+
 LAW_SIGNATURE = types.float64(
-    types.CPointer(types.float64),  # type: ignore[no-untyped-call]
+    types.CPointer(types.float64),
     *(types.float64,) * 4,
 )
 """law(parameters, angle_rad, rate_rad_s, time_s, position_m) -> N·m per metre."""
@@ -30,9 +33,7 @@ def law_address(law: Callable[..., float]) -> int:
     return int(_compiled[plain].address)
 
 
-def _call_law(  # type: ignore[no-untyped-def]
-    typing_context, address, parameters, angle_rad, rate_rad_s, time_s, position_m
-):
+def _call_law(typing_context, address, parameters, angle_rad, rate_rad_s, time_s, position_m):
     """Call the law at `address` with the pointer `parameters` (an integer) and four floats."""
     signature = types.float64(
         types.int64, types.int64, types.float64, types.float64, types.float64, types.float64
@@ -51,7 +52,7 @@ def _call_law(  # type: ignore[no-untyped-def]
 call_law: Any = intrinsic(_call_law)
 
 
-def _borrowed(typing_context, array):  # type: ignore[no-untyped-def]
+def _borrowed(typing_context, array):
     """The same array without a count of its references, which costs two locked additions a slice or call.
 
     Something else must keep it alive.
@@ -59,10 +60,35 @@ def _borrowed(typing_context, array):  # type: ignore[no-untyped-def]
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         view = context.make_array(signature.return_type)(context, builder, value=arguments[0])
-        view.meminfo = cgutils.get_null_value(view.meminfo.type)  # type: ignore[no-untyped-call]
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
         return view._getvalue()
 
     return array(array), generate
 
 
 borrowed: Any = intrinsic(_borrowed)
+
+
+@compiled
+def linearise_laws(rod, laws, angle, angle_before, dt, time, work):
+    """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`."""
+    change = 0.0
+    for i in range(angle.size):
+        value = 0.0
+        gradient = 0.0
+        rate = (angle[i] - angle_before[i]) / dt
+        for k in range(laws.addresses.size):
+            weight = laws.weights_m[k, i]
+            if weight == 0.0:
+                continue
+            a, p, x = laws.addresses[k], laws.parameters[k], rod[POSITION, i]
+            here = call_law(a, p, angle[i], rate, time, x)
+            by_angle = (call_law(a, p, angle[i] + 1e-7, rate, time, x) - here) / 1e-7
+            step = 1e-7 * (1.0 + abs(rate))
+            by_rate = (call_law(a, p, angle[i], rate + step, time, x) - here) / step
+            value += weight * here
+            gradient += weight * (by_angle + by_rate / dt)
+        change = max(change, abs(work[FORCE, i] + work[SLOPE, i] * angle[i] - value))
+        work[FORCE, i] = value - gradient * angle[i]
+        work[SLOPE, i] = gradient
+    return change
