@@ -87,6 +87,10 @@ def test_of_a_tick_that_came_late_only_its_share_is_held_against_the_link():
     assert heard_ages([(0.001, 0.005), (0.011, 0.01), (0.022, 0.011)]) == pytest.approx([0.001, 0.011, 0.021])
 
 
+def test_a_tick_as_long_as_the_host_listens_is_not_late():
+    assert heard_ages([(0.0, 0.005), (0.1, 0.1), (0.11, 0.01)]) == pytest.approx([0.0, 0.01, 0.02])
+
+
 def test_a_fresh_value_and_one_that_was_never_there_are_judged_at_once():
     assert heard_ages([(0.04, 0.005), (0.002, 0.005)]) == [0.04, 0.002]
     assert heard_ages([(math.inf, 0.005), (0.3, 0.005)]) == [math.inf, 0.3]
