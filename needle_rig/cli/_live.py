@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
@@ -18,6 +19,22 @@ Document = dict[str, Any]
 _REFRESH_S = 0.08
 _MOVING = ("rest", "moving", "settling", "measuring")
 _COLOURS = {"moving": "cyan", "settling": "yellow", "measuring": "magenta", "fault": "red", "done": "green"}
+
+
+@contextmanager
+def moving_bar(reason: str) -> Iterator[None]:
+    """A bar on stderr that moves while the block runs, with the reason and the time; on a terminal only."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        progress.add_task(reason, total=None)
+        yield
 
 
 class View(Protocol):

@@ -9,12 +9,12 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from needle_rig.cli._live import moving_bar
 from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, view
 from needle_rig.errors import BadInput, NeedleRigError
 
@@ -196,8 +196,7 @@ def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
             options.append(f"--{name}")
         elif value is not None and value is not False:
             options.append(f"--{name}={value}")
-    wait = partial(click.echo, err=True)
-    with private_daemon(options, meanwhile=_get_ready, on_wait=wait) as client:
+    with private_daemon(options, meanwhile=_get_ready, waiting=moving_bar) as client:
         yield client
 
 

@@ -55,7 +55,7 @@ def _compile(effect: type[Effect]) -> Callable[..., float]:
     # numba takes longer to import than most models need that have no such effect
     import numba
 
-    from needle_rig.physics.laws import LAW_SIGNATURE
+    from needle_rig.physics.kernel.laws import LAW_SIGNATURE
 
     source = inspect.getsourcefile(effect.torque) or "?"
     first_line = inspect.getsourcelines(effect.torque)[1]

@@ -7,12 +7,15 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.rod import Array, Rod
+
+if TYPE_CHECKING:
+    from needle_rig.physics.kernel.layout import Laws
 
 DEFAULT_TOLERANCE_RAD = 6e-4
 LONGEST_STEP_S = 60.0
@@ -25,10 +28,11 @@ class RodState:
     """Everything a rod remembers; arrays of shape (nodes,)."""
 
     angle_rad: Array
-    grip_rad: Array
-    """Where the tissue grips; for the base node the turned base."""
+    anchor_rad: Array
+    """Plastic anchor: where the tissue holds the node; of the base node the turned base."""
     creep_rad: Array
-    bond: Array
+    excess_state: Array
+    """State variable of the static excess, 0 to 1."""
     age_s: Array
     slip: Array
     """Direction of slip of the last step, −1, 0 or 1; 2 where nothing resists a turn."""
@@ -159,82 +163,74 @@ def _run(
     most_solves: float,
 ) -> Solution:
     # numba takes longer to import than most trials to solve
-    from needle_rig.physics import kernel
+    from needle_rig.physics.kernel import layout
+    from needle_rig.physics.kernel.run import run
 
     coefficients = rod.coefficients
     nodes = coefficients.shape[1]
     if not (np.isfinite(tolerance_rad) and tolerance_rad > 0 and longest_step_s > 0):
         raise BadInput(f"tolerance {tolerance_rad} rad and longest step {longest_step_s} s must be above 0")
     packed = _relaxed_rows(rod, 0.0) if state is None else _packed_state(rod, state)
-    packed[5, 0] = 0.0
-    addresses, parameters, weights, keep = _packed_laws(rod)
-    creeps, viscous, bonds = rod.depends_on_rate
-    flags = kernel.HAS_CREEP * creeps + kernel.HAS_VISCOUS * viscous + kernel.HAS_BOND * bonds
-    adaptive = flags > 0 or not all(law.steady for law in rod.laws)
-    if len(addresses):
-        flags += kernel.HAS_LAWS
-    if adaptive:
-        dry = (coefficients[kernel.VISCOUS] == 0) & (coefficients[[kernel.PLUS, kernel.MINUS]] > 0).any(
-            axis=0
-        )
-        flags += kernel.ADAPTIVE + kernel.HAS_DRY * bool(dry.any())
-    scalars = np.array(
-        [
-            rod.base_compliance_rad_per_nm,
-            rod.stribeck_rate_rad_s,
-            rod.weakening_rad,
-            rod.ageing_time_s,
-            # angles show an error of the slip limits only later, when the limits are reached
-            tolerance_rad / 6.0 if bonds else tolerance_rad,
-            longest_step_s,
-            # a snap to a lower limit takes no time: shorter steps do not resolve it better
-            SHORTEST_SNAP_S if bonds else SHORTEST_STEP_S,
-            most_solves,
-            # over a slip of the weakening length a bond breaks, while an age only halves
-            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0),
-        ]
+    packed[layout.STATUS, 0] = layout.STUCK
+    laws, keep = _packed_laws(rod)
+    creeps, viscous, memory = rod.depends_on_rate
+    by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
+    dry = (coefficients[layout.VISCOUS] == 0) & (coefficients[[layout.PLUS, layout.MINUS]] > 0).any(axis=0)
+    has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, by_rate and bool(dry.any()))
+    settings = layout.Settings(
+        base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm,
+        stribeck_rate_rad_s=rod.stribeck_rate_rad_s,
+        weakening_rad=rod.weakening_rad,
+        ageing_time_s=rod.ageing_time_s,
+        # angles show an error of the slip limits only later, when the limits are reached
+        tolerance_rad=tolerance_rad / 6.0 if memory else tolerance_rad,
+        longest_step_s=longest_step_s,
+        # a snap to a lower limit takes no time: shorter steps do not resolve it better
+        shortest_step_s=SHORTEST_SNAP_S if memory else SHORTEST_STEP_S,
+        # over a slip of the weakening length the static excess breaks down, while an age only halves
+        longest_slip_rad=rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0),
+        most_solves=most_solves,
     )
-    states = np.repeat(packed[np.newaxis], kernel.SLOTS, axis=0)
-    torque = np.empty(time.size)
-    sensor = np.empty((time.size, len(rod.sensors)))
-    tip = np.empty(time.size)
-    shafts = np.empty((time.size if shaft else 0, nodes))
+    sensors = np.ascontiguousarray(rod.sensors, dtype=np.int64)
+    output = layout.Output(
+        torque_nm=np.empty(time.size),
+        sensor_rad=np.empty((time.size, len(sensors))),
+        tip_rad=np.empty(time.size),
+        shaft_rad=np.empty((time.size if shaft else 0, nodes)),
+    )
+    states = np.repeat(packed[np.newaxis], layout.SLOTS, axis=0)
     counts = np.zeros(6, dtype=np.int64)
-    failed = kernel.run(
+    ended = run(
         np.ascontiguousarray(rod.stiffness_nm_per_rad, dtype=np.float64),
         coefficients,
-        scalars,
-        flags,
-        addresses,
-        parameters,
-        weights,
-        time,
-        base,
-        np.ascontiguousarray(rod.sensors, dtype=np.int64),
+        settings,
+        has,
+        by_rate,
+        laws,
+        layout.Drive(time, base),
+        sensors,
+        np.arange(nodes) if shaft else np.append(sensors, nodes - 1),
         states,
-        np.zeros((kernel.WORK_ROWS, nodes)),
-        torque,
-        sensor,
-        tip,
-        shafts,
+        np.zeros((layout.WORK_ROWS, nodes)),
+        output,
         counts,
     )
     del keep
     packed = states[0].copy()
-    sample = int(counts[kernel.FAILED_SAMPLE])
-    if failed == kernel.TOO_MANY:
+    sample = int(counts[layout.FAILED_SAMPLE])
+    if ended == layout.TOO_MANY_SOLVES:
         raise SolverError(
             f"more than {most_solves:.0f} solves after {time[sample]:g} s: the needle snaps too often"
         )
-    if failed:
-        node = int(counts[kernel.FAILED_NODE])
+    if ended == layout.NO_SOLUTION:
+        node = int(counts[layout.FAILED_NODE])
         raise SolverError(
             f"no balance of torques found after {time[sample]:g} s at node {node}"
             f" ({rod.position_m[node] * 1e3:g} mm from the base); check the coefficients there"
         )
     finite = np.isfinite(packed).all(axis=0)
-    if not (np.isfinite(torque).all() and finite.all()):
-        sample = int(np.argmin(np.isfinite(torque)))
+    if not (np.isfinite(output.torque_nm).all() and finite.all()):
+        sample = int(np.argmin(np.isfinite(output.torque_nm)))
         node = int(np.argmin(finite))
         raise SolverError(
             f"angles stopped being finite at {time[sample]:g} s near node {node}"
@@ -242,19 +238,19 @@ def _run(
         )
     return Solution(
         time_s=time,
-        torque_nm=torque,
-        sensor_rad=sensor,
-        tip_rad=tip,
-        shaft_rad=shafts if shaft else None,
+        torque_nm=output.torque_nm,
+        sensor_rad=output.sensor_rad,
+        tip_rad=output.tip_rad,
+        shaft_rad=output.shaft_rad if shaft else None,
         state=RodState(*packed),
-        steps=int(counts[kernel.STEPS]),
-        solves=int(counts[kernel.SOLVES]),
+        steps=int(counts[layout.STEPS]),
+        solves=int(counts[layout.SOLVES]),
     )
 
 
 def _packed_state(rod: Rod, state: RodState) -> Array:
     nodes = len(rod.position_m)
-    rows = (state.angle_rad, state.grip_rad, state.creep_rad, state.bond, state.age_s, state.slip)
+    rows = (state.angle_rad, state.anchor_rad, state.creep_rad, state.excess_state, state.age_s, state.slip)
     packed = np.empty((6, nodes))
     for row, values in enumerate(rows):
         if np.shape(values) != (nodes,):
@@ -269,21 +265,24 @@ def _packed_state(rod: Rod, state: RodState) -> Array:
     return packed
 
 
-def _packed_laws(rod: Rod) -> tuple[Any, Any, Array, list[Array]]:
-    """Code addresses, parameter addresses and weights of the torque laws, and what must stay alive."""
+def _packed_laws(rod: Rod) -> tuple[Laws, list[Array]]:
+    """The torque laws as addresses and weights, and what must stay alive."""
+    from needle_rig.physics.kernel.laws import law_address
+    from needle_rig.physics.kernel.layout import Laws
+
     count = len(rod.laws)
-    addresses = np.zeros(count, dtype=np.int64)
-    pointers = np.zeros(count, dtype=np.int64)
-    weights = np.zeros((count, len(rod.position_m)))
+    laws = Laws(
+        addresses=np.zeros(count, dtype=np.int64),
+        parameters=np.zeros(count, dtype=np.int64),
+        weights_m=np.zeros((count, len(rod.position_m))),
+    )
     keep = []
     for row, law in enumerate(rod.laws):
-        from needle_rig.physics.laws import law_address
-
         values = np.ascontiguousarray(np.append(np.asarray(law.parameters, dtype=np.float64), 0.0))
-        if not np.isfinite(values).all() or np.shape(law.weight_m) != weights.shape[1:]:
+        if not np.isfinite(values).all() or np.shape(law.weight_m) != laws.weights_m.shape[1:]:
             raise BadInput("a torque law needs finite parameters and one weight_m a node")
-        addresses[row] = law_address(law.law)
-        pointers[row] = values.ctypes.data
-        weights[row] = law.weight_m
+        laws.addresses[row] = law_address(law.law)
+        laws.parameters[row] = values.ctypes.data
+        laws.weights_m[row] = law.weight_m
         keep.append(values)
-    return addresses, pointers, weights, keep
+    return laws, keep

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any
 
@@ -187,13 +187,13 @@ def the_daemon(path: Path | None = None) -> DaemonClient:
 def private_daemon(
     options: Sequence[str],
     meanwhile: Callable[[], None] = lambda: None,
-    on_wait: Callable[[str], None] = lambda sentence: None,
+    waiting: Callable[[str], AbstractContextManager[None]] = lambda reason: nullcontext(),
 ) -> Iterator[DaemonClient]:
     """A daemon of our own, started with these command-line options and ended with the block.
 
     It holds the other end of a pipe: should this process die in whatever way, the daemon stops the drive and
-    ends. `meanwhile` is called while it starts, `on_wait` gets a sentence when that takes long. Raises what
-    the daemon says when it cannot start.
+    ends. `meanwhile` is called while it starts; when that takes long, the rest of the wait is inside a block
+    `waiting(reason)`. Raises what the daemon says when it cannot start.
     """
     with temporary_folder(_PREFIX) as folder, tempfile.TemporaryFile("w+") as complaints:
         command = [*_DAEMON, f"--private={folder}", *options]
@@ -203,20 +203,22 @@ def private_daemon(
         )
         try:
             meanwhile()
-            _wait_until_ready(process, complaints, on_wait)
+            _wait_until_ready(process, complaints, waiting)
             yield DaemonClient(private_socket(folder), process)
         finally:
             _end(process)
 
 
 def _wait_until_ready(
-    process: subprocess.Popen[bytes], complaints: IO[str], on_wait: Callable[[str], None]
+    process: subprocess.Popen[bytes],
+    complaints: IO[str],
+    waiting: Callable[[str], AbstractContextManager[None]],
 ) -> None:
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], _PATIENCE_S)
     if not ready:
-        on_wait("starting; the first start compiles the needle's equations, which takes up to a minute")
-        ready, _, _ = select.select([process.stdout], [], [], _START_TIMEOUT_S)
+        with waiting("the first start compiles the needle's equations"):
+            ready, _, _ = select.select([process.stdout], [], [], _START_TIMEOUT_S)
     line = process.stdout.readline() if ready else b""
     if line:
         told: Document = json.loads(line)

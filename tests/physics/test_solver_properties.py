@@ -193,7 +193,7 @@ def test_a_limit_that_falls_with_slip_is_obeyed_in_every_final_state():
         pull, rounding = node_torques(needle, solution)
         state = solution.state
         grown = needle.ageing_per_decade * np.log10(1 + state.age_s / needle.ageing_time_s)
-        limit = needle.slip_plus_nm * (1 + needle.static_excess * state.bond + grown)
+        limit = needle.slip_plus_nm * (1 + needle.static_excess * state.excess_state + grown)
         assert (np.abs(pull[-1]) <= limit * (1 + 5e-6) + rounding)[1:].all()
 
 

@@ -11,6 +11,9 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from needle_rig.physics.kernel._compile import compiled
+from needle_rig.physics.kernel.layout import FORCE, POSITION, SLOPE
+
 LAW_SIGNATURE = types.float64(
     types.CPointer(types.float64),  # type: ignore[no-untyped-call]
     *(types.float64,) * 4,
@@ -66,3 +69,28 @@ def _borrowed(typing_context, array):  # type: ignore[no-untyped-def]
 
 
 borrowed: Any = intrinsic(_borrowed)
+
+
+@compiled
+def linearise_laws(rod, laws, angle, angle_before, dt, time, work):
+    """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`."""
+    change = 0.0
+    for i in range(angle.size):
+        value = 0.0
+        gradient = 0.0
+        rate = (angle[i] - angle_before[i]) / dt
+        for k in range(laws.addresses.size):
+            weight = laws.weights_m[k, i]
+            if weight == 0.0:
+                continue
+            a, p, x = laws.addresses[k], laws.parameters[k], rod[POSITION, i]
+            here = call_law(a, p, angle[i], rate, time, x)
+            by_angle = (call_law(a, p, angle[i] + 1e-7, rate, time, x) - here) / 1e-7
+            step = 1e-7 * (1.0 + abs(rate))
+            by_rate = (call_law(a, p, angle[i], rate + step, time, x) - here) / step
+            value += weight * here
+            gradient += weight * (by_angle + by_rate / dt)
+        change = max(change, abs(work[FORCE, i] + work[SLOPE, i] * angle[i] - value))
+        work[FORCE, i] = value - gradient * angle[i]
+        work[SLOPE, i] = gradient
+    return change

@@ -1,0 +1,118 @@
+"""What stands where in the arrays that the solver works on, and the records that go with them.
+
+`rod` has shape (9, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as arrays
+of their own in a tuple would take twenty times as many machine words through every call.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+# rows of `rod` (Rod.coefficients)
+PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION = range(9)
+
+# rows of a state (RodState); STATUS: 0 stuck, ±1 slipping that way, 2 nothing resists a turn
+ANGLE, ANCHOR, CREEP, EXCESS_STATE, AGE, STATUS = range(6)
+STUCK, FREE = 0.0, 2.0
+
+# states that a step works with
+SLOTS = 8
+
+# rows of `work`
+(
+    SPRING,  # N·m/rad of the element towards the next node
+    # law of a node over the step: θ = ANCHOR_START + ALGORITHMIC · r while stuck
+    ALGORITHMIC,  # rad/(N·m), compliance and what creep adds within the step
+    DAMPING,  # N·m/rad of a slipping node
+    CREEP_DECAY,  # part of the creep that is left at the end of the step
+    ANCHOR_START,
+    LIMIT_PLUS,
+    LIMIT_MINUS,
+    # row i of the linear system: SCALE · (Kθ − f) + own θ = CONSTANT, or LOADED with torque laws
+    SCALE,
+    DIAGONAL,
+    CONSTANT,
+    LOADED,
+    PIVOT,
+    RATIO,
+    VALUE,
+    # torque laws, linearised: FORCE + SLOPE · θ
+    FORCE,
+    SLOPE,
+    # active set
+    TORQUE,
+    VIOLATION,
+    SLIP,  # rad that the node slips in the step
+    # slip limits with memory: factors of the kinetic limits and how they fall with the slip, at the end of the
+    # step and as the step expects them
+    FACTOR,
+    FALL,
+    FACTOR_EXPECTED,
+    FALL_EXPECTED,
+    SLIP_EXPECTED,
+    SLIP_RATE,
+    # kept while something else stands in their place
+    ALGORITHMIC_KEPT,
+    DAMPING_KEPT,
+    STATUS_KEPT,
+) = range(28)
+WORK_ROWS = 28
+
+# places in `counts`
+STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_VIOLATION, LAST_VIOLATION = range(6)
+
+# how following a path ended
+DONE, NO_SOLUTION, TOO_MANY_SOLVES = range(3)
+
+EPS = 2.220446049250313e-16
+
+
+class Features(NamedTuple):
+    """What some node of the rod has; code for what none has is passed over."""
+
+    creep: bool
+    viscous: bool
+    memory: bool
+    """Slip limits that depend on the slip before: static excess or ageing."""
+    laws: bool
+    dry: bool
+    """Dry nodes in a rod that depends on rates."""
+
+
+class Settings(NamedTuple):
+    """Scalars of the rod and of the choice of steps."""
+
+    base_compliance_rad_per_nm: float
+    stribeck_rate_rad_s: float
+    weakening_rad: float
+    ageing_time_s: float
+    tolerance_rad: float
+    longest_step_s: float
+    shortest_step_s: float
+    longest_slip_rad: float
+    """Turn of the base in a step at most, where slip limits have a memory."""
+    most_solves: float
+
+
+class Laws(NamedTuple):
+    """Torque laws: addresses of machine code and of parameters, shape (laws,), and weights (laws, nodes) in m."""
+
+    addresses: Any
+    parameters: Any
+    weights_m: Any
+
+
+class Drive(NamedTuple):
+    """The base path, piecewise linear through samples: shapes (samples,)."""
+
+    time_s: Any
+    base_rad: Any
+
+
+class Output(NamedTuple):
+    """What is stored of every sample: shapes (samples,), (samples, sensors), (samples,), (samples or 0, nodes)."""
+
+    torque_nm: Any
+    sensor_rad: Any
+    tip_rad: Any
+    shaft_rad: Any

@@ -1,0 +1,75 @@
+"""The kept machine code of the kernel is as old as the newest of its sources."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from needle_rig.physics import kernel
+from needle_rig.physics.kernel.run import run
+
+KERNEL = Path(kernel.__file__).parent
+INNER = "from two_files._compile import compiled\n\n\n@compiled\ndef added(x):\n    return x + {}\n"
+OUTER = """
+from numba import njit
+from two_files._cache import keep_by_package
+from two_files.inner import added
+
+keep_by_package()
+
+
+@njit("float64(float64)", cache=True)
+def run(x):
+    return added(x)
+"""
+ASK = "from two_files.outer import run; print(run(1.0), sum(run.stats.cache_hits.values()))"
+
+
+@pytest.fixture(params=["beside the sources", "NUMBA_CACHE_DIR"])
+def ask(request, tmp_path):
+    """Asks a package of two files, cached as the kernel is, in a new process: its answer and the cache hits."""
+    package = tmp_path / "two_files"
+    package.mkdir()
+    for name in ("__init__.py", "_cache.py", "_compile.py"):
+        shutil.copy(KERNEL / name, package / name)
+    (package / "outer.py").write_text(OUTER)
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
+    if request.param == "NUMBA_CACHE_DIR":
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "kept")
+
+    def asked(summand: str) -> tuple[float, int]:
+        (package / "inner.py").write_text(INNER.format(summand))
+        done = subprocess.run(
+            [sys.executable, "-c", ASK], cwd=tmp_path, env=environment, check=True, capture_output=True
+        )
+        answer, hits = done.stdout.split()
+        return float(answer), int(hits)
+
+    return asked
+
+
+def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(ask):
+    assert ask("1.0") == (2.0, 0)
+    assert ask("1.0") == (2.0, 1)
+    assert ask("100.0") == (101.0, 0)
+    assert ask("100.0") == (101.0, 1)
+
+
+def test_every_function_in_the_machine_code_stands_in_a_file_of_the_package():
+    seen, to_see = set(), [run]
+    while to_see:
+        function = to_see.pop()
+        seen.add(function)
+        plain = getattr(function, "py_func", None) or function._defn
+        assert Path(plain.__code__.co_filename).parent == KERNEL
+        used = [plain.__globals__.get(name) for name in plain.__code__.co_names]
+        to_see += [
+            each
+            for each in used
+            if (isinstance(each, Dispatcher) or hasattr(each, "_defn")) and each not in seen
+        ]
+    assert len(seen) > 40
