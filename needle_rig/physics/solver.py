@@ -209,9 +209,7 @@ def _run(
         laws,
         layout.Drive(time, base),
         sensors,
-        np.arange(nodes) if shaft else np.append(sensors, nodes - 1),
         states,
-        np.zeros((layout.WORK_ROWS, nodes)),
         output,
         counts,
     )

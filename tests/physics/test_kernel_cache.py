@@ -10,7 +10,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from needle_rig.physics import kernel
-from needle_rig.physics.kernel.run import run
+from needle_rig.physics.kernel.run import _run
 
 KERNEL = Path(kernel.__file__).parent
 INNER = "from two_files._compile import compiled\n\n\n@compiled\ndef added(x):\n    return x + {}\n"
@@ -60,7 +60,7 @@ def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(a
 
 
 def test_every_function_in_the_machine_code_stands_in_a_file_of_the_package():
-    seen, to_see = set(), [run]
+    seen, to_see = set(), [_run]
     while to_see:
         function = to_see.pop()
         seen.add(function)

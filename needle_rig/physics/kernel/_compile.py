@@ -1,8 +1,10 @@
 """How the functions of this package are compiled: all of them in one go, as parts of the one that Python calls.
 
-numba optimises a function and makes machine code of it, and again in each of its callers, up to the last: most of
-the time of a first start. Nobody calls the functions here from Python, so the `compiled` ones are only lowered to
-LLVM's language; what calls them brings them along, and `run` is optimised once, with everything in it.
+numba optimises a function as a module, makes machine code of it, and does so again in each of its callers, up to
+the last: most of the time of a first start. Nobody calls the functions here from Python, so the `compiled` ones are
+lowered to LLVM's language and simplified one by one; what calls them brings them along, and `run` is optimised as a
+module and made machine code once, with everything in it. Long loops over nodes vectorise better before they are
+inlined: the `vectorised` functions, which call few others, are optimised as modules of their own too.
 
 numba also compiles a function anew for each integer literal among its arguments: `np.intp(0)` is none.
 """
@@ -22,30 +24,32 @@ FLOATS = {"contract", "nsz"}
 """What may be done to arithmetic: multiply and add at once, and lose the sign of a zero."""
 
 
-class LoweredLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that is neither optimised nor made machine code by itself, to be linked into that of its callers."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
-
-    def _optimize_final_module(self) -> None:
-        return
+class VectorisedLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code that is not made machine code by itself, to be linked into that of its callers."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         self._finalized = True
 
 
+class LoweredLibrary(VectorisedLibrary):
+    """Such code that is not optimised as a module either."""
+
+    def _optimize_final_module(self) -> None:
+        return
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
 class LowerForCallers(NativeLowering):  # type: ignore[misc]
-    """Lowers a function into a `LoweredLibrary`, for its callers; Python cannot call it."""
+    """Lowers a function into a library for its callers; Python cannot call it."""
 
     _name = "lower_for_callers"
+    library = LoweredLibrary
 
     def run_pass(self, state: Any) -> bool:
         """Lower the function of `state`."""
         name, context = state.func_id.func_qualname, state.targetctx
-        state.library = LoweredLibrary(context.codegen(), name)
+        state.library = self.library(context.codegen(), name)
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state["cr"]
@@ -57,8 +61,18 @@ class LowerForCallers(NativeLowering):  # type: ignore[misc]
         return True
 
 
+@register_pass(mutates_CFG=True, analysis_only=False)
+class VectoriseForCallers(LowerForCallers):
+    """The same into code optimised as a module of its own."""
+
+    _name = "vectorise_for_callers"
+    library = VectorisedLibrary
+
+
 class ForCallers(CompilerBase):  # type: ignore[misc]
     """numba's own passes, but for the lowering."""
+
+    lowering = LowerForCallers
 
     def define_pipelines(self) -> list[Any]:
         """The passes."""
@@ -71,15 +85,21 @@ class ForCallers(CompilerBase):  # type: ignore[misc]
         ):
             passes.passes.extend(part.passes)
         passes.passes = [
-            (LowerForCallers, told) if step is NativeLowering else (step, told) for step, told in passes.passes
+            (self.lowering, told) if step is NativeLowering else (step, told) for step, told in passes.passes
         ]
         passes.finalize()
         return [passes]
 
 
-def _for_callers(fastmath: Any) -> Any:
+class VectorisedForCallers(ForCallers):
+    """The same, vectorised by itself."""
+
+    lowering = VectoriseForCallers
+
+
+def _for_callers(pipeline: type[ForCallers], fastmath: Any) -> Any:
     return njit(
-        pipeline_class=ForCallers,
+        pipeline_class=pipeline,
         nogil=True,
         fastmath=fastmath,
         error_model="numpy",
@@ -88,9 +108,10 @@ def _for_callers(fastmath: Any) -> Any:
     )
 
 
-compiled: Any = _for_callers(FLOATS)
-compiled_fast: Any = _for_callers(True)
-"""For largest values, which vectorise in no given order."""
+compiled: Any = _for_callers(ForCallers, FLOATS)
+vectorised: Any = _for_callers(VectorisedForCallers, FLOATS)
+vectorised_maximum: Any = _for_callers(VectorisedForCallers, True)
+"""For largest values, which vectorise only when they may be found in any order."""
 
 
 @compiled

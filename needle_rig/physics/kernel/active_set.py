@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from needle_rig.physics.kernel._compile import compiled, copy
+from needle_rig.physics.kernel._compile import compiled, copy, vectorised
 from needle_rig.physics.kernel.laws import linearise_laws
 from needle_rig.physics.kernel.layout import (
     ALGORITHMIC,
@@ -89,7 +89,7 @@ def violation(states, slot, work, i, torque):
     return leaves_stuck if status == STUCK else leaves_slip
 
 
-@compiled
+@vectorised
 def count_violations(states, slot, work):
     """How many nodes contradict their state in the solution; writes nothing, so that it vectorises."""
     last = states.shape[2] - 1
@@ -101,7 +101,7 @@ def count_violations(states, slot, work):
     return count + (1 if violation(states, slot, work, last, torque) != 0.0 else 0)
 
 
-@compiled
+@vectorised
 def mark_violations(states, slot, work, counts):
     """VIOLATION: which way each node wants to leave its state, with the first and last; TORQUE on each."""
     last = states.shape[2] - 1
@@ -119,7 +119,7 @@ def mark_violations(states, slot, work, counts):
     counts[LAST_VIOLATION] = last
 
 
-@compiled
+@vectorised
 def store_slip(states, slot, work):
     """SLIP of every node."""
     for i in range(states.shape[2]):

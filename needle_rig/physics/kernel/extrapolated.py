@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from needle_rig.physics.kernel._compile import compiled, compiled_fast, copy, copy_state
+from needle_rig.physics.kernel._compile import compiled, vectorised_maximum, copy, copy_state
 from needle_rig.physics.kernel.dense_output import interpolates_off_middle, store_inside, store_sample
 from needle_rig.physics.kernel.layout import (
     AGE,
@@ -101,7 +101,7 @@ def extrapolate(rod, settings, has, states, middle, end, whole):
             states[end, AGE, i] = max(0.0, grown - rest)
 
 
-@compiled_fast
+@vectorised_maximum
 def dense_output_error(states, before, now, middle, end, gap, dt):
     """Largest error of the quadratic through a step, from the next divided difference.
 

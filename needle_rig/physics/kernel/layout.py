@@ -24,7 +24,6 @@ SLOTS = 8
     # law of a node over the step: θ = ANCHOR_START + ALGORITHMIC · r while stuck
     ALGORITHMIC,  # rad/(N·m), compliance and what creep adds within the step
     DAMPING,  # N·m/rad of a slipping node
-    CREEP_DECAY,  # part of the creep that is left at the end of the step
     ANCHOR_START,
     LIMIT_PLUS,
     LIMIT_MINUS,
@@ -32,17 +31,22 @@ SLOTS = 8
     SCALE,
     DIAGONAL,
     CONSTANT,
-    LOADED,
     PIVOT,
     RATIO,
     VALUE,
+    SLIP,  # rad that the node slips in the step
     # torque laws, linearised: FORCE + SLOPE · θ
     FORCE,
     SLOPE,
+    LOADED,
+    CREEP_DECAY,  # part of the creep that is left at the end of the step
     # active set
     TORQUE,
     VIOLATION,
-    SLIP,  # rad that the node slips in the step
+    # kept while something else stands in their place
+    ALGORITHMIC_KEPT,
+    DAMPING_KEPT,
+    STATUS_KEPT,
     # slip limits with memory: factors of the kinetic limits and how they fall with the slip, at the end of the
     # step and as the step expects them
     FACTOR,
@@ -51,10 +55,6 @@ SLOTS = 8
     FALL_EXPECTED,
     SLIP_EXPECTED,
     SLIP_RATE,
-    # kept while something else stands in their place
-    ALGORITHMIC_KEPT,
-    DAMPING_KEPT,
-    STATUS_KEPT,
 ) = range(28)
 WORK_ROWS = 28
 

@@ -1,7 +1,10 @@
-"""The one function that Python calls."""
+"""The one function that Python calls, and what it compiles to."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from numba import njit, types
 
 from needle_rig.physics.kernel._cache import keep_by_package
@@ -17,6 +20,7 @@ from needle_rig.physics.kernel.layout import (
     NO_SOLUTION,
     PLUS,
     SPRING,
+    WORK_ROWS,
     Drive,
     Features,
     Laws,
@@ -26,43 +30,65 @@ from needle_rig.physics.kernel.layout import (
 from needle_rig.physics.kernel.quasi_static import follow_quasi_static, reach_first_sample
 from needle_rig.physics.kernel.sdirk import follow_sdirk
 
-_record = types.BaseTuple.from_types
 _ROW, _ROWS, _BLOCK, _INDICES = (
     types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1], types.int64[::1]
 )  # fmt: skip
-_SIGNATURE = types.int64(
-    _ROW,
-    _ROWS,
-    _record((types.float64,) * len(Settings._fields), Settings),
-    _record((types.boolean,) * len(Features._fields), Features),
-    types.boolean,
-    _record((_INDICES, _INDICES, _ROWS), Laws),
-    _record((_ROW, _ROW), Drive),
-    _INDICES,
-    _INDICES,
-    _BLOCK,
-    _ROWS,
-    _record((_ROW, _ROWS, _ROW, _ROWS), Output),
-    _INDICES,
-)
-
+_FLAG = types.boolean
 
 keep_by_package()
 
 
-@njit(_SIGNATURE, cache=True, nogil=True, fastmath=FLOATS, error_model="numpy", no_cfunc_wrapper=True)
-def run(stiffness, rod, settings, has, by_rate, laws, drive, sensors, shown, states, work, output, counts):
+def run(
+    stiffness: Any,
+    rod: Any,
+    settings: Settings,
+    has: Features,
+    by_rate: bool,
+    laws: Laws,
+    drive: Drive,
+    sensors: Any,
+    states: Any,
+    output: Output,
+    counts: Any,
+) -> int:
     """Follow the base path `drive` from the state that stands in every slot of `states`.
 
-    `stiffness` (nodes − 1,) in N·m/rad, `rod` (9, nodes), `states` (SLOTS, 6, nodes), `work` zeros of
-    (WORK_ROWS, nodes), `counts` zeros of (6,); `sensors` and `shown` are nodes: those stored and those at which
-    samples inside a step must be right; `by_rate`: the rod depends on rates. DONE with the last state in slot 0,
-    or NO_SOLUTION or TOO_MANY_SOLVES.
+    `stiffness` (nodes − 1,) in N·m/rad, `rod` (9, nodes), `states` (SLOTS, 6, nodes), `counts` zeros of (6,);
+    `sensors` are nodes, and `by_rate` says whether the rod depends on rates. Returns DONE, with the last state in
+    slot 0, or NO_SOLUTION or TOO_MANY_SOLVES.
     """
-    work, states, rod = borrowed(work), borrowed(states), borrowed(rod)
-    output = Output(
-        borrowed(output.torque_nm), borrowed(output.sensor_rad), borrowed(output.tip_rad), borrowed(output.shaft_rad)
+    work = np.zeros((WORK_ROWS, rod.shape[1]))
+    scalars = np.array(settings)
+    # numba takes 10 µs to recognise the records, so they are taken apart here and put together again there
+    ended: int = _run(
+        stiffness, rod, scalars, *has, by_rate, *laws, *drive, sensors, states, work, *output, counts
     )
+    return ended
+
+
+@njit(
+    types.int64(
+        _ROW, _ROWS, _ROW, *(_FLAG,) * 6, _INDICES, _INDICES, _ROWS, _ROW, _ROW, _INDICES, _BLOCK, _ROWS,
+        _ROW, _ROWS, _ROW, _ROWS, _INDICES,
+    ),
+    cache=True,
+    nogil=True,
+    fastmath=FLOATS,
+    error_model="numpy",
+    no_cfunc_wrapper=True,
+)  # fmt: skip
+def _run(
+    stiffness, rod, scalars, creep, viscous, memory, with_laws, dry, by_rate, addresses, parameters, weights_m,
+    time_s, base_rad, sensors, states, work, torque_nm, sensor_rad, tip_rad, shaft_rad, counts,
+):  # fmt: skip
+    settings = Settings(
+        scalars[0], scalars[1], scalars[2], scalars[3], scalars[4], scalars[5], scalars[6], scalars[7], scalars[8]
+    )
+    has = Features(creep, viscous, memory, with_laws, dry)
+    laws = Laws(addresses, parameters, weights_m)
+    drive = Drive(time_s, base_rad)
+    output = Output(borrowed(torque_nm), borrowed(sensor_rad), borrowed(tip_rad), borrowed(shaft_rad))
+    work, states, rod = borrowed(work), borrowed(states), borrowed(rod)
     n = states.shape[2]
     for i in range(n):
         work[SPRING, i] = stiffness[i] if i < n - 1 else 0.0
@@ -76,4 +102,4 @@ def run(stiffness, rod, settings, has, by_rate, laws, drive, sensors, shown, sta
         return follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, output, counts)
     if has.memory:
         return follow_extrapolated(rod, settings, has, laws, drive, sensors, states, work, output, counts)
-    return follow_sdirk(rod, settings, has, laws, drive, sensors, shown, states, work, output, counts)
+    return follow_sdirk(rod, settings, has, laws, drive, sensors, states, work, output, counts)

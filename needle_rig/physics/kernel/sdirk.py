@@ -90,14 +90,16 @@ def parabola_error(states, now, stage, rate_before, rate, dt, i):
 
 
 @compiled
-def dense_output_error(states, now, stage, rate_before, rate, dt, nodes, stiffness):
-    """Largest error of the parabola at `nodes` and, through the base's twist, in the base torque."""
+def dense_output_error(states, now, stage, rate_before, rate, dt, sensors, every_node, stiffness):
+    """Largest error of the parabola at what is stored: sensors and tip or every node, and the base torque."""
     twist = parabola_error(states, now, stage, rate_before, rate, dt, np.intp(0))
     twist -= parabola_error(states, now, stage, rate_before, rate, dt, np.intp(1))
     largest = abs(twist) * stiffness / TORQUE_PER_RAD
-    for node in nodes:
+    last = states.shape[2] - 1
+    for k in range(last if every_node else sensors.size):
+        node = k if every_node else sensors[k]
         largest = max(largest, abs(parabola_error(states, now, stage, rate_before, rate, dt, node)))
-    return largest
+    return max(largest, abs(parabola_error(states, now, stage, rate_before, rate, dt, last)))
 
 
 @compiled
@@ -129,11 +131,11 @@ def two_stages(
 
 
 @compiled
-def follow_sdirk(rod, settings, has, laws, drive, sensors, shown, states, work, output, counts):
+def follow_sdirk(rod, settings, has, laws, drive, sensors, states, work, output, counts):
     """Follow the base path from slot 0 of `states`. Returns how it ended; the last state ends up in slot 0.
 
     Steps end at samples, or divide the way to the next one; samples inside a step are read off a parabola,
-    whose error at the nodes `shown` counts too.
+    whose error counts too.
     """
     times = drive.time_s
     tolerance = settings.tolerance_rad
@@ -141,6 +143,7 @@ def follow_sdirk(rod, settings, has, laws, drive, sensors, shown, states, work, 
     shortest = settings.shortest_step_s * (1.0 + 1e-6)
     now, middle_before, middle, end = np.intp(0), np.intp(1), np.intp(2), np.intp(3)
     lower, stage, rate, rate_before = np.intp(4), np.intp(5), np.intp(6), np.intp(7)
+    every_node = output.shaft_rad.shape[0] > 0
     row, kink = np.intp(0), np.intp(0)
     time, gap, coefficients_for = times[0], -1.0, -1.0
     length = min(settings.longest_step_s, 1e-3)
@@ -172,7 +175,7 @@ def follow_sdirk(rod, settings, has, laws, drive, sensors, shown, states, work, 
             continue
         growth = min(MOST_GROWTH, growth_by_error(error))
         if target > row + 1 and gap > 0.0:
-            missed = dense_output_error(states, now, stage, rate_before, rate, dt, shown, work[SPRING, 0])
+            missed = dense_output_error(states, now, stage, rate_before, rate, dt, sensors, every_node, work[SPRING, 0])
             missed /= tolerance
             if missed > 1.0 and interpolates_off_middle(drive, row, target, time + GAMMA * dt, dt):
                 length = dt * max(0.25, growth_by_interpolation(missed))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from needle_rig.physics.kernel._compile import compiled, compiled_fast
+from needle_rig.physics.kernel._compile import compiled, vectorised_maximum
 from needle_rig.physics.kernel.layout import ANGLE
 
 TORQUE_PER_RAD = 5e-4
@@ -74,7 +74,7 @@ def choose_step(drive, has, time, length, row, kink, interpolates, tolerance_rad
     return row, stop, dt, drive_angle(drive, row, stop)
 
 
-@compiled_fast
+@vectorised_maximum
 def largest_difference(states, a, b):
     """Largest difference of angles between two states."""
     largest = 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from needle_rig.physics.kernel._compile import compiled
+from needle_rig.physics.kernel._compile import compiled, vectorised
 from needle_rig.physics.kernel.layout import (
     ALGORITHMIC,
     ANCHOR_START,
@@ -35,7 +35,7 @@ RESTART = 8
 """Rows after which the minors start anew from 1, so that they neither overflow nor vanish."""
 
 
-@compiled
+@vectorised
 def assemble(states, new, has, work):
     """Rows of the system for the active set of `new`: SCALE · (Kθ − f) + own θ = CONSTANT or LOADED.
 
@@ -77,7 +77,7 @@ def next_minor(work, rhs, i, spring, spring_inward, minor, minor_before, value, 
     return after, minor, value, inward
 
 
-@compiled
+@vectorised
 def leading_minors(work, rhs, n):
     """PIVOT, RATIO and VALUE of the rows on both sides of the middle, each times the minor before its row.
 
@@ -111,7 +111,7 @@ def leading_minors(work, rhs, n):
         high_before, high, high_value = high_before * inverse, 1.0, high_value * inverse
 
 
-@compiled
+@vectorised
 def solve_tridiagonal(states, new, has, work):
     """Write the angles that solve the system of the active set of `new` into `new`."""
     n = states.shape[2]
