@@ -150,7 +150,7 @@ def loaded_from_base_side(work, angle, angle_before, i, sign):
     return sign * left > sign * right
 
 
-@compiled
+@vectorised
 def update_active_set(angle, angle_before, status, work, counts):
     """Change the state of the nodes that contradict it.
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from needle_rig.physics.kernel._compile import compiled, copy
+from needle_rig.physics.kernel._compile import compiled, copy, vectorised
 from needle_rig.physics.kernel.active_set import above_limit, node_torque, solve_for_limits
 from needle_rig.physics.kernel.laws import linearise_laws
 from needle_rig.physics.kernel.layout import (
@@ -173,6 +173,16 @@ def inadmissible(rod, states, slot, work, i, angle_after):
     return over if (rod[VISCOUS, i] == 0.0) & (states[slot, STATUS, i] != FREE) else 0.0
 
 
+@vectorised
+def count_inadmissible(rod, states, slot, work):
+    """How many dry nodes are above their limit; writes nothing, so that it vectorises."""
+    last = states.shape[2] - 1
+    count = 1 if inadmissible(rod, states, slot, work, last, states[slot, ANGLE, last]) != 0.0 else 0
+    for i in range(1, last):
+        count += 1 if inadmissible(rod, states, slot, work, i, states[slot, ANGLE, i + 1]) != 0.0 else 0
+    return count
+
+
 @compiled
 def project(rod, has, laws, states, slot, before, elapsed, time, work, counts):
     """Project a state that was extrapolated or interpolated to the admissible set; False: not found.
@@ -184,11 +194,7 @@ def project(rod, has, laws, states, slot, before, elapsed, time, work, counts):
     n = states.shape[2]
     if has.laws:
         linearise_laws(rod, laws, states[slot, ANGLE], states[before, ANGLE], elapsed, time, work)
-    last = n - 1
-    count = 1 if inadmissible(rod, states, slot, work, last, states[slot, ANGLE, last]) != 0.0 else 0
-    for i in range(1, last):
-        count += 1 if inadmissible(rod, states, slot, work, i, states[slot, ANGLE, i + 1]) != 0.0 else 0
-    if count == 0:
+    if count_inadmissible(rod, states, slot, work) == 0:
         return True
     set_step_length(rod, has, NO_TIME_S, work)
     for i in range(n):
@@ -196,7 +202,7 @@ def project(rod, has, laws, states, slot, before, elapsed, time, work, counts):
     for i in range(1, n):
         work[STATUS_KEPT, i] = states[slot, STATUS, i]
         if states[slot, STATUS, i] != FREE:
-            after = states[slot, ANGLE, min(i + 1, last)]
+            after = states[slot, ANGLE, min(i + 1, n - 1)]
             states[slot, STATUS, i] = inadmissible(rod, states, slot, work, i, after)
     attempts = np.intp(MOST_ATTEMPTS)
     solved = solve_for_limits(
