@@ -1,7 +1,7 @@
-"""Kinds of rods solved by the code of one tree: `kernel_kinds.py TREE`, a kind a line in, a result a line out.
+"""Kinds of rods, solved by the code that PYTHONPATH names: a kind a line in, a result a line out.
 
-A line "NAME TIMES" is answered by processor seconds of one solve and a digest of what it found; "NAME 0" by the
-found numbers themselves.
+A line "NAME TIMES" is answered by processor seconds of one solve and a digest of what it found; "NAME 0" by
+the found numbers themselves.
 """
 
 from __future__ import annotations
@@ -9,18 +9,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
-
-for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(sys.argv[1]).resolve()))
 
 import numpy as np
 

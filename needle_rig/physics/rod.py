@@ -69,8 +69,8 @@ class TorqueLaw:
 
     `law(parameters, angle_rad, rate_rad_s, time_s, position_m)` gives N·m per metre; a node receives it times
     its `weight_m` (`Rod.tissue_length_m` for a law that acts along the tissue). Positive turns the needle
-    counter-clockwise. `law` is plain arithmetic and `math`: a Python or numba function (compiled here, once
-    a function) or a numba cfunc of signature `kernel.laws.LAW_SIGNATURE`. Other parameters need no compilation.
+    counter-clockwise. `law` is plain arithmetic and `math`: a Python or numba function (compiled here, once a
+    function) or a numba cfunc of signature `kernel.laws.LAW_SIGNATURE`. Other parameters need no compilation.
     A `steady` law reads neither rate nor time: it alone does not make a rod depend on them.
     """
 
@@ -85,8 +85,8 @@ class Rod:
     """Coefficients of the discretised needle; every array has one entry a node unless said.
 
     The law of a node, with r the torque of the tissue on it, p the plastic anchor (the angle at which the
-    tissue holds it), c the creep of the tissue, w the slip, m the state variable of the static excess, 0 to 1,
-    and a the age of the contact:
+    tissue holds it), c the creep of the tissue, w the slip, m the state variable of the static excess, 0 to
+    1, and a the age of the contact:
 
         θ = p + compliance · r + c,    creep_viscosity · dc/dt + creep_stiffness · c = r,
         dp/dt = dw/dt,

@@ -124,8 +124,8 @@ class Bench:
 def start(config: RigConfig, timeout_s: float = 120.0) -> Bench:
     """Start the bench of `config` as a child and wait until its ports are there.
 
-    The first start on a machine compiles the solver, which takes a quarter of a minute. Raises BadInput or RigFault
-    with what the child had to say. Blocks: from a running loop, use a thread.
+    The first start on a machine compiles the solver, which takes a quarter of a minute. Raises BadInput or
+    RigFault with what the child had to say. Blocks: from a running loop, use a thread.
     """
     folder = contextlib.ExitStack()
     ports = str(folder.enter_context(temporary_folder(PREFIX)))

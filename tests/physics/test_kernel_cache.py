@@ -31,7 +31,7 @@ ASK = "from two_files.outer import run; print(run(1.0), sum(run.stats.cache_hits
 
 @pytest.fixture(params=["beside the sources", "NUMBA_CACHE_DIR"])
 def ask(request, tmp_path):
-    """Asks a package of two files, cached as the kernel is, in a new process: its answer and the cache hits."""
+    """Asks a package of two files, kept as the kernel is, in a new process: its answer and the cache hits."""
     package = tmp_path / "two_files"
     package.mkdir()
     for name in ("__init__.py", "_cache.py", "_compile.py"):

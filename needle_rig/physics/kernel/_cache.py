@@ -10,12 +10,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from numba.core import config
+from numba.core import config as numba_config
 from numba.core.caching import (
     CacheImpl,
     InTreeCacheLocator,
     UserProvidedCacheLocator,
     UserWideCacheLocator,
+    _CacheLocator,
 )
 
 FOLDER = Path(__file__).parent
@@ -34,7 +35,7 @@ def _stamp() -> str:
 STAMP = _stamp()
 
 
-class _WholePackage:
+class _WholePackage(_CacheLocator):
     """A locator of numba for functions of this package alone, stamped with all of it."""
 
     def get_source_stamp(self) -> str:
@@ -43,23 +44,24 @@ class _WholePackage:
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
         here = Path(py_file).parent == FOLDER
-        return super().from_function(py_func, py_file) if here else None  # type: ignore[misc]
+        return super().from_function(py_func, py_file) if here else None
 
 
-class ProvidedFolder(_WholePackage, UserProvidedCacheLocator):  # type: ignore[misc]
+class ProvidedFolder(_WholePackage, UserProvidedCacheLocator):
     """NUMBA_CACHE_DIR."""
 
 
-class PackageFolder(_WholePackage, InTreeCacheLocator):  # type: ignore[misc]
+class PackageFolder(_WholePackage, InTreeCacheLocator):
     """__pycache__ beside the sources, where that can be written."""
 
 
-class UserFolder(_WholePackage, UserWideCacheLocator):  # type: ignore[misc]
+class UserFolder(_WholePackage, UserWideCacheLocator):
     """The user's folder for caches."""
 
 
 def keep_by_package() -> None:
-    """Let numba find the locators of this package before its own. Those are left in place for everything else."""
+    """Let numba ask the locators of this package before its own, which serve everything else."""
     ours = [f"{__name__}.{locator.__name__}" for locator in (ProvidedFolder, PackageFolder, UserFolder)]
+    config: Any = numba_config
     theirs = config.CACHE_LOCATOR_CLASSES or ",".join(each.__name__ for each in CacheImpl._locator_classes)
     config.CACHE_LOCATOR_CLASSES = ",".join([*ours, theirs])

@@ -1,17 +1,18 @@
-"""How the functions of this package are compiled: all of them in one go, as parts of the one that Python calls.
+"""How the functions of this package are compiled: as parts of the one that Python calls.
 
-numba optimises a function as a module, makes machine code of it, and does so again in each of its callers, up to
-the last: most of the time of a first start. Nobody calls the functions here from Python, so the `compiled` ones are
-lowered to LLVM's language and simplified one by one; what calls them brings them along, and `run` is optimised as a
-module and made machine code once, with everything in it. Long loops over nodes vectorise better before they are
-inlined: the `vectorised` functions, which call few others, are optimised as modules of their own too.
+numba optimises a function as a module, makes machine code of it, and does so again in each of its callers, up
+to the last: most of the time of a first start. Nobody calls the functions here from Python, so the `compiled`
+ones are lowered to LLVM's language and simplified one by one; what calls them brings them along, and `run` is
+optimised as a module and made machine code once, with everything in it. Long loops over nodes vectorise
+better before they are inlined: the `vectorised` functions, which call few others, are optimised as modules of
+their own too.
 
 numba also compiles a function anew for each integer literal among its arguments: `np.intp(0)` is none.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from numba import njit
 from numba._dynfunc import make_function
@@ -22,9 +23,10 @@ from numba.core.typed_passes import NativeLowering
 
 FLOATS = {"contract", "nsz"}
 """What may be done to arithmetic: multiply and add at once, and lose the sign of a zero."""
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
-class VectorisedLibrary(JITCodeLibrary):  # type: ignore[misc]
+class VectorisedLibrary(JITCodeLibrary):
     """Code that is not made machine code by itself, to be linked into that of its callers."""
 
     def _finalize_final_module(self) -> None:
@@ -40,11 +42,11 @@ class LoweredLibrary(VectorisedLibrary):
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class LowerForCallers(NativeLowering):  # type: ignore[misc]
+class LowerForCallers(NativeLowering):
     """Lowers a function into a library for its callers; Python cannot call it."""
 
     _name = "lower_for_callers"
-    library = LoweredLibrary
+    library: ClassVar[type[VectorisedLibrary]] = LoweredLibrary
 
     def run_pass(self, state: Any) -> bool:
         """Lower the function of `state`."""
@@ -69,10 +71,10 @@ class VectoriseForCallers(LowerForCallers):
     library = VectorisedLibrary
 
 
-class ForCallers(CompilerBase):  # type: ignore[misc]
+class ForCallers(CompilerBase):
     """numba's own passes, but for the lowering."""
 
-    lowering = LowerForCallers
+    lowering: ClassVar[type[LowerForCallers]] = LowerForCallers
 
     def define_pipelines(self) -> list[Any]:
         """The passes."""
@@ -98,14 +100,7 @@ class VectorisedForCallers(ForCallers):
 
 
 def _for_callers(pipeline: type[ForCallers], fastmath: Any) -> Any:
-    return njit(
-        pipeline_class=pipeline,
-        nogil=True,
-        fastmath=fastmath,
-        error_model="numpy",
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-    )
+    return njit(pipeline_class=pipeline, fastmath=fastmath, **{**OPTIONS, "no_cpython_wrapper": True})
 
 
 compiled: Any = _for_callers(ForCallers, FLOATS)
@@ -116,7 +111,7 @@ vectorised_maximum: Any = _for_callers(VectorisedForCallers, True)
 
 @compiled
 def copy(source, target):
-    """Copy a row; a loop compiles in a fraction of the time that an assignment of slices takes."""
+    """Copy a row: a loop, as an assignment of slices compiles all of broadcasting."""
     for i in range(source.size):
         target[i] = source[i]
 

@@ -1,9 +1,9 @@
 """The complementarity problem of a step: a primal–dual active set method on stuck and slipping nodes.
 
-For fixed slip limits a step is a bounded linear complementarity problem with a P-matrix. Solve the linear system
-of an active set {stuck, slipping +, slipping −}, see which nodes contradict their state (a stuck one above its
-limit, a slipping one that moves back), change those, and so on (Hintermüller, Ito and Kunisch, SIAM J. Optim.
-13, 2002).
+For fixed slip limits a step is a bounded linear complementarity problem with a P-matrix. Solve the linear
+system of an active set {stuck, slipping +, slipping −}, see which nodes contradict their state (a stuck one
+above its limit, a slipping one that moves back), change those, and so on (Hintermüller, Ito and Kunisch, SIAM
+J. Optim. 13, 2002).
 """
 
 from __future__ import annotations
@@ -301,7 +301,8 @@ def iterate_active_set(rod, has, laws, states, old, new, dt, time, work, counts,
     """Update the active set until no node contradicts it; the last attempt, 2, does not give up early.
 
     Laws are linearised anew before each of the first solves of the later attempts, which strong ones need;
-    else only when no node contradicts its state, which takes fewer calls and cannot chase the active set round.
+    else only when no node contradicts its state, which takes fewer calls and cannot chase the active set
+    round.
     """
     n = states.shape[2]
     linearise_until = MOST_LINEARISATIONS if attempt > 0 else 0

@@ -1,4 +1,4 @@
-"""Samples: those at which steps end, and those inside, read off the quadratic through a step's three states."""
+"""Samples: those at which steps end, and those inside, off the quadratic through a step's three states."""
 
 from __future__ import annotations
 
@@ -45,9 +45,7 @@ def store_inside(
     for k in range(row + 1, target):
         x = (drive.time_s[k] - time) / dt
         interpolate(states, now, middle, end, x, 3 if has.dry else 1, out)
-        if has.dry and not project(
-            rod, has, laws, states, out, now, x * dt, drive.time_s[k], work, counts
-        ):
+        if has.dry and not project(rod, has, laws, states, out, now, x * dt, drive.time_s[k], work, counts):
             counts[FAILED_SAMPLE] = k
             return False
         store_sample(rod, has, laws, states, out, drive.time_s[k], k, sensors, output, work)

@@ -1,15 +1,17 @@
 """Rods whose slip limits have a memory: implicit Euler steps, extrapolated.
 
-Two half steps and a full one are taken, and their difference, the error of first order, is taken out (Richardson
-extrapolation) and sets the length of the steps. A second stage that sets out from a predicted state would change
-what dry friction remembers, as SDIRK2 does.
+Two half steps and a full one are taken, and their difference, the error of first order, is taken out
+(Richardson extrapolation) and sets the length of the steps. A second stage that sets out from a predicted
+state would change what dry friction remembers, as SDIRK2 does.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from needle_rig.physics.kernel._compile import compiled, vectorised_maximum, copy, copy_state
+from needle_rig.physics.kernel._compile import compiled, copy, copy_state, vectorised_maximum
 from needle_rig.physics.kernel.dense_output import interpolates_off_middle, store_inside, store_sample
 from needle_rig.physics.kernel.layout import (
     AGE,
@@ -42,7 +44,7 @@ from needle_rig.physics.kernel.step_length import (
 )
 
 MOST_GROWTH = 3.0
-CUBIC = 0.0481
+CUBIC = 1.0 / (12.0 * math.sqrt(3.0))
 """Largest value of |x (x − 1/2) (x − 1)| for x from 0 to 1."""
 
 
@@ -76,9 +78,7 @@ def halves_and_whole(
     # the active set at the end of the halves is a good first guess for the whole
     set_step_length(rod, has, dt, work)
     copy(states[end, STATUS], states[whole, STATUS])
-    return implicit_step(
-        rod, settings, has, laws, states, now, whole, end, dt, end_base, stop, work, counts
-    )
+    return implicit_step(rod, settings, has, laws, states, now, whole, end, dt, end_base, stop, work, counts)
 
 
 @compiled

@@ -15,7 +15,7 @@ from needle_rig.physics.kernel._compile import compiled
 from needle_rig.physics.kernel.layout import FORCE, POSITION, SLOPE
 
 LAW_SIGNATURE = types.float64(
-    types.CPointer(types.float64),  # type: ignore[no-untyped-call]
+    types.CPointer(types.float64),
     *(types.float64,) * 4,
 )
 """law(parameters, angle_rad, rate_rad_s, time_s, position_m) -> N·m per metre."""
@@ -33,9 +33,7 @@ def law_address(law: Callable[..., float]) -> int:
     return int(_compiled[plain].address)
 
 
-def _call_law(  # type: ignore[no-untyped-def]
-    typing_context, address, parameters, angle_rad, rate_rad_s, time_s, position_m
-):
+def _call_law(typing_context, address, parameters, angle_rad, rate_rad_s, time_s, position_m):
     """Call the law at `address` with the pointer `parameters` (an integer) and four floats."""
     signature = types.float64(
         types.int64, types.int64, types.float64, types.float64, types.float64, types.float64
@@ -54,7 +52,7 @@ def _call_law(  # type: ignore[no-untyped-def]
 call_law: Any = intrinsic(_call_law)
 
 
-def _borrowed(typing_context, array):  # type: ignore[no-untyped-def]
+def _borrowed(typing_context, array):
     """The same array without a count of its references, which costs two locked additions a slice or call.
 
     Something else must keep it alive.
@@ -62,7 +60,7 @@ def _borrowed(typing_context, array):  # type: ignore[no-untyped-def]
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         view = context.make_array(signature.return_type)(context, builder, value=arguments[0])
-        view.meminfo = cgutils.get_null_value(view.meminfo.type)  # type: ignore[no-untyped-call]
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
         return view._getvalue()
 
     return array(array), generate

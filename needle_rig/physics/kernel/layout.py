@@ -1,7 +1,7 @@
 """What stands where in the arrays that the solver works on, and the records that go with them.
 
-`rod` has shape (9, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as arrays
-of their own in a tuple would take twenty times as many machine words through every call.
+`rod` has shape (9, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as
+a tuple of 28 arrays would be 196 machine words in every call.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ SLOTS = 8
     ALGORITHMIC_KEPT,
     DAMPING_KEPT,
     STATUS_KEPT,
-    # slip limits with memory: factors of the kinetic limits and how they fall with the slip, at the end of the
-    # step and as the step expects them
+    # slip limits with memory: factors of the kinetic limits and how they fall with the slip, at the end of
+    # the step and as the step expects them
     FACTOR,
     FALL,
     FACTOR_EXPECTED,
@@ -95,7 +95,7 @@ class Settings(NamedTuple):
 
 
 class Laws(NamedTuple):
-    """Torque laws: addresses of machine code and of parameters, shape (laws,), and weights (laws, nodes) in m."""
+    """Torque laws: addresses of code and parameters, shapes (laws,); weights in m, shape (laws, nodes)."""
 
     addresses: Any
     parameters: Any
@@ -110,7 +110,7 @@ class Drive(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What is stored of every sample: shapes (samples,), (samples, sensors), (samples,), (samples or 0, nodes)."""
+    """What is stored: shapes (samples,), (samples, sensors), (samples,), (samples or 0, nodes)."""
 
     torque_nm: Any
     sensor_rad: Any

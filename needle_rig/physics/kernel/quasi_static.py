@@ -1,4 +1,4 @@
-"""Rods that depend on no rate: one implicit step a sample is exact, and none is needed while the base stands."""
+"""Rods that depend on no rate: one implicit step a sample is exact, none is needed while the base stands."""
 
 from __future__ import annotations
 

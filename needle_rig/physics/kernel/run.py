@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, types
 
 from needle_rig.physics.kernel._cache import keep_by_package
-from needle_rig.physics.kernel._compile import FLOATS
+from needle_rig.physics.kernel._compile import FLOATS, OPTIONS
 from needle_rig.physics.kernel.extrapolated import follow_extrapolated
 from needle_rig.physics.kernel.laws import borrowed
 from needle_rig.physics.kernel.layout import (
@@ -54,8 +54,8 @@ def run(
     """Follow the base path `drive` from the state that stands in every slot of `states`.
 
     `stiffness` (nodes − 1,) in N·m/rad, `rod` (9, nodes), `states` (SLOTS, 6, nodes), `counts` zeros of (6,);
-    `sensors` are nodes, and `by_rate` says whether the rod depends on rates. Returns DONE, with the last state in
-    slot 0, or NO_SOLUTION or TOO_MANY_SOLVES.
+    `sensors` are nodes, and `by_rate` says whether the rod depends on rates. Returns DONE, with the last
+    state in slot 0, or NO_SOLUTION or TOO_MANY_SOLVES.
     """
     work = np.zeros((WORK_ROWS, rod.shape[1]))
     scalars = np.array(settings)
@@ -72,17 +72,23 @@ def run(
         _ROW, _ROWS, _ROW, _ROWS, _INDICES,
     ),
     cache=True,
-    nogil=True,
     fastmath=FLOATS,
-    error_model="numpy",
-    no_cfunc_wrapper=True,
+    **OPTIONS,
 )  # fmt: skip
 def _run(
-    stiffness, rod, scalars, creep, viscous, memory, with_laws, dry, by_rate, addresses, parameters, weights_m,
-    time_s, base_rad, sensors, states, work, torque_nm, sensor_rad, tip_rad, shaft_rad, counts,
+    stiffness, rod, scalars, creep, viscous, memory, with_laws, dry, by_rate, addresses, parameters,
+    weights_m, time_s, base_rad, sensors, states, work, torque_nm, sensor_rad, tip_rad, shaft_rad, counts,
 ):  # fmt: skip
     settings = Settings(
-        scalars[0], scalars[1], scalars[2], scalars[3], scalars[4], scalars[5], scalars[6], scalars[7], scalars[8]
+        scalars[0],
+        scalars[1],
+        scalars[2],
+        scalars[3],
+        scalars[4],
+        scalars[5],
+        scalars[6],
+        scalars[7],
+        scalars[8],
     )
     has = Features(creep, viscous, memory, with_laws, dry)
     laws = Laws(addresses, parameters, weights_m)

@@ -1,7 +1,7 @@
 """Rods that depend on rates: a singly diagonally implicit Runge–Kutta method of second order (SDIRK2).
 
-Two implicit stages of length γ · dt with γ = 1 − 1/√2, L-stable and stiffly accurate (Alexander, SIAM J. Numer.
-Anal. 14, 1977). What it adds to first order sets the length of the steps.
+Two implicit stages of length γ · dt with γ = 1 − 1/√2, L-stable and stiffly accurate (Alexander, SIAM J.
+Numer. Anal. 14, 1977). What it adds to first order sets the length of the steps.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from needle_rig.physics.kernel.step_length import (
 GAMMA = 1.0 - math.sqrt(0.5)
 """Length of each of the two stages of a step, as a part of it."""
 STAGE_PREDICTOR = math.sqrt(0.5) / GAMMA
-"""(1 − γ) / γ: the second stage sets out where the first one gets when it goes on for as many times as long."""
+"""(1 − γ) / γ: the second stage sets out where the first gets when it goes on for so many times as long."""
 MOST_GROWTH = 5.0
 
 
@@ -50,7 +50,9 @@ def predict_second_stage(rod, has, states, now, stage, start):
     """
     for r in range(3 if has.creep else 2):
         for i in range(states.shape[2]):
-            states[start, r, i] = states[now, r, i] + STAGE_PREDICTOR * (states[stage, r, i] - states[now, r, i])
+            states[start, r, i] = states[now, r, i] + STAGE_PREDICTOR * (
+                states[stage, r, i] - states[now, r, i]
+            )
     for i in range(states.shape[2]):
         states[start, STATUS, i] = states[stage, STATUS, i]
     if has.dry:
@@ -125,9 +127,7 @@ def two_stages(
         predict_active_set(states, middle_before, lower, rest / (gap + h), end)
     else:
         predict_active_set(states, now, lower, rest / h, end)
-    return implicit_step(
-        rod, settings, has, laws, states, lower, end, stage, h, end_base, stop, work, counts
-    )
+    return implicit_step(rod, settings, has, laws, states, lower, end, stage, h, end_base, stop, work, counts)
 
 
 @compiled
@@ -175,7 +175,9 @@ def follow_sdirk(rod, settings, has, laws, drive, sensors, states, work, output,
             continue
         growth = min(MOST_GROWTH, growth_by_error(error))
         if target > row + 1 and gap > 0.0:
-            missed = dense_output_error(states, now, stage, rate_before, rate, dt, sensors, every_node, work[SPRING, 0])
+            missed = dense_output_error(
+                states, now, stage, rate_before, rate, dt, sensors, every_node, work[SPRING, 0]
+            )
             missed /= tolerance
             if missed > 1.0 and interpolates_off_middle(drive, row, target, time + GAMMA * dt, dt):
                 length = dt * max(0.25, growth_by_interpolation(missed))

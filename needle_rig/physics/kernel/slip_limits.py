@@ -43,7 +43,7 @@ def set_limits(rod, settings, states, one, other, slack, work):
 
 @compiled
 def follow_memory(rod, settings, states, old, new, dt, work):
-    """Excess state and age after an implicit Euler step with the slip SLIP; FACTOR of the limits and its FALL.
+    """Excess state and age after an implicit Euler step with slip SLIP; FACTOR of the limits and its FALL.
 
     Returns the largest error of a factor that was expected.
     """

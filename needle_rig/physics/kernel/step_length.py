@@ -88,7 +88,9 @@ def embedded_error(states, end, lower, stiffness, tolerance_rad):
     """Difference of two solutions of the same step, of angles and base torque, in tolerances."""
     twist = states[end, ANGLE, 0] - states[end, ANGLE, 1]
     twist -= states[lower, ANGLE, 0] - states[lower, ANGLE, 1]
-    return max(largest_difference(states, end, lower), abs(twist) * stiffness / TORQUE_PER_RAD) / tolerance_rad
+    return (
+        max(largest_difference(states, end, lower), abs(twist) * stiffness / TORQUE_PER_RAD) / tolerance_rad
+    )
 
 
 @compiled

@@ -39,8 +39,8 @@ RESTART = 8
 def assemble(states, new, has, work):
     """Rows of the system for the active set of `new`: SCALE · (Kθ − f) + own θ = CONSTANT or LOADED.
 
-    A stuck row, divided by its stiffness, is compliance · (Kθ − f) + θ = anchor: rigid tissue needs no penalty.
-    One row of `work` a loop, as compilers vectorise loops that write little.
+    A stuck row, divided by its stiffness, is compliance · (Kθ − f) + θ = anchor: rigid tissue needs no
+    penalty. One row of `work` a loop, as compilers vectorise loops that write little.
     """
     n = states.shape[2]
     for i in range(n):
