@@ -2,13 +2,15 @@ import io
 import json
 import math
 import re
+import sys
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from needle_rig.cli._live import PhaseLines, phase_line, picture, screen
+from needle_rig.cli._live import PhaseLines, moving_bar, phase_line, picture, screen
 from needle_rig.cli._output import number, settled_table, tell_result
 from needle_rig.config.loader import load_rig_config
 from needle_rig.control.reports import BrainState, SettledMotion
@@ -163,3 +165,28 @@ def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
         assert wanted in text
     assert max(map(len, text.splitlines())) <= 80
     assert len(settled_table([]).rows) == 0
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_wait_is_told_by_a_bar_that_moves_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    out = Terminal()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", out)
+    drawn = set()
+    with moving_bar("the first start compiles"):
+        until_s = time.monotonic() + 20.0
+        while len(drawn) < 3 and time.monotonic() < until_s:
+            time.sleep(0.05)
+            drawn.add(out.getvalue())
+    assert "the first start compiles" in max(drawn, key=len)
+    assert len(drawn) == 3
+
+
+def test_a_wait_is_not_told_where_nobody_looks(capsys: pytest.CaptureFixture[str]) -> None:
+    with moving_bar("the first start compiles"):
+        time.sleep(0.2)
+    assert capsys.readouterr() == ("", "")
