@@ -175,8 +175,9 @@ def _run(
     laws, keep = _packed_laws(rod)
     creeps, viscous, memory = rod.depends_on_rate
     by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
-    dry = (coefficients[layout.VISCOUS] == 0) & (coefficients[[layout.PLUS, layout.MINUS]] > 0).any(axis=0)
-    has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, by_rate and bool(dry.any()))
+    limits = coefficients[[layout.PLUS, layout.MINUS]]
+    dry = by_rate and bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
+    has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, dry)
     settings = layout.Settings(
         base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm,
         stribeck_rate_rad_s=rod.stribeck_rate_rad_s,

@@ -6,9 +6,9 @@ slipping +, slipping −}. From the inside out:
 
 - `layout`: rows of the arrays, records, how a run ends; `laws`: torque laws as addresses of machine code
 - `tridiagonal`: the linear system of an active set; `active_set`: the complementarity problem
-- `slip_limits`: limits with a memory; `step`: an implicit Euler step, the prediction of its active set, and the
-  projection to the admissible set
-- `step_length`, `dense_output`: how far a step goes, and the samples inside it
+- `slip_limits`: limits with a memory; `step`: an implicit Euler step, the prediction of its active set and
+  the projection to the admissible set
+- `step_length`, `dense_output`: how far a step goes; the samples inside it
 - `quasi_static`, `sdirk`, `extrapolated`: the three integrators; `run`: what Python calls
 - `_compile`, `_cache`: how all of it becomes one piece of machine code, and how long that is kept
 
