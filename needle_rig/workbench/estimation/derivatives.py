@@ -10,7 +10,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
-def forward_jacobian(
+def directional_derivatives(
     values: Callable[[Array], Array | None],
     x: Array,
     here: Array,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.workbench.estimation.derivatives import forward_jacobian
+from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.problem import Point, Problem
 
@@ -121,7 +121,9 @@ class Objective:
             after = self.rows(moved)
             return None if after is None else np.concatenate(after)
 
-        jacobian = forward_jacobian(left, x, np.concatenate(rows), directions, steps, self.low, self.high)
+        jacobian = directional_derivatives(
+            left, x, np.concatenate(rows), directions, steps, self.low, self.high
+        )
         if jacobian is None:
             return None
         return np.split(-jacobian, np.cumsum([r.size for r in rows])[:-1])

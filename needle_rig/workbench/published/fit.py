@@ -21,6 +21,7 @@ from scipy.special import chdtrc
 from needle_rig.control.strategy import History, Strategy, Task, make_strategy
 from needle_rig.dataset.settled import Seen, SettledData, SettledValue
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import forward_jacobian
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
@@ -191,12 +192,7 @@ class _Rows:
         return np.concatenate([np.nan_to_num(data, nan=FAR), [x[1] / sigma], pulls])
 
     def jacobian(self, x: Array) -> Array:
-        here, columns = self(x), []
-        for j in range(x.size):
-            moved = x.copy()
-            moved[j] += STEP if x[j] + STEP <= self.high[j] else -STEP
-            columns.append((self(moved) - here) / (moved[j] - x[j]))
-        return np.stack(columns, -1)
+        return forward_jacobian(self, x, self(x), STEP, self.low, self.high)
 
 
 def fit_settled(

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from needle_rig.workbench.estimation.derivatives import forward_jacobian
+from needle_rig.workbench.estimation.derivatives import directional_derivatives
 
 MATRIX = np.array([[1.0, -2.0], [0.5, 3.0], [4.0, 0.0]])
 LOW, HIGH = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
@@ -14,7 +14,7 @@ def taken(x, directions, steps, values):
         asked.append(at - x)
         return values(at)
 
-    found = forward_jacobian(watched, x, MATRIX @ x, directions, np.array(steps), LOW, HIGH)
+    found = directional_derivatives(watched, x, MATRIX @ x, directions, np.array(steps), LOW, HIGH)
     return found, asked
 
 
