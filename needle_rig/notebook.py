@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from needle_rig.control.strategy import make_strategy
 from needle_rig.dataset import Dataset, write_dataset
-from needle_rig.dataset import read_dataset as _read_folder
 from needle_rig.dataset.settled import shipped_datasets
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel, effect_directories, load_model, load_parameters, save_model
@@ -309,7 +308,7 @@ def read_dataset(*paths: PathLike) -> Dataset:
     """The trials of dataset folders, run files and datasets shipped by name. Raises BadInput."""
     known = shipped_datasets()
     found = [path if os.path.lexists(path) else known.get(str(path), Path(path)) for path in paths]
-    return _read_folder(found[0]) if len(found) == 1 and os.path.isdir(found[0]) else read_measurements(found)
+    return read_measurements(found)
 
 
 def read_run(path: PathLike) -> Run:
