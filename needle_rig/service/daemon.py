@@ -141,12 +141,14 @@ class Daemon:
     async def _do(self, name: str, content: Message, claim: Claim) -> Message:
         """Carry out one order of the API; raises what forbids it."""
         order = read_order(name, content)
+        if isinstance(order, Reason):
+            self.stop(order.reason)
+            return {"stopping": True}
+        if self._loop is not None:
+            await self._loop.worked()  # at any other moment it could make a tick late
         match name, order:
             case "state", _:
                 return {**self._state("state"), "ticks": self.describe_timing()}
-            case "stop", Reason():
-                self.stop(order.reason)
-                return {"stopping": True}
             case "take_lease", Holder():
                 lease = self._lease.take(order.holder, claim)
                 return {"lease": lease, "holder": order.holder, "expires_s": LEASE_S}

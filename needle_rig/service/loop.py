@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -47,6 +48,8 @@ class ControlLoop:
         self._missed = 0
         self._late_s = np.zeros(_REMEMBERED_TICKS)
         self._ending = False
+        self._ended = False
+        self._worked = asyncio.Event()
         self.busy = False
         """Something is going on; while nothing is, virtual time may stand still."""
 
@@ -59,6 +62,7 @@ class ControlLoop:
                 skipped = await clock.tick(self.busy)
                 now_s = clock.now_s()
                 if now_s == before_s:
+                    self._wake()
                     continue
                 dt_s = clock.period_s if before_s is None else now_s - before_s
                 before_s = now_s
@@ -72,8 +76,23 @@ class ControlLoop:
                 self._missed += skipped + overrun
                 if not overrun:
                     self._on_met(now_s)
+                self._wake()
         finally:
-            rig.write(STOP)
+            try:
+                rig.write(STOP)
+            finally:
+                self._ended = True
+                self._wake()
+
+    async def worked(self) -> None:
+        """Wait until a tick's work is done; what follows then has the longest time before the next tick."""
+        if not self._ended:
+            await self._worked.wait()
+
+    def _wake(self) -> None:
+        """Let those go on who wait now; who comes later waits for the next tick."""
+        self._worked.set()
+        self._worked.clear()
 
     def end(self) -> None:
         """Leave `run` after the present tick."""

@@ -1,3 +1,4 @@
+import asyncio
 import math
 
 import pytest
@@ -119,3 +120,50 @@ async def test_while_time_stands_still_nothing_is_decided() -> None:
     loop = ControlLoop(rig, brain, Counting(0.001, lambda dt_s: None), lambda s: None, lambda t: None)  # type: ignore[arg-type]
     await loop.run()
     assert len(brain.lengths_s) == 1
+
+
+async def test_who_waits_for_a_tick_s_work_goes_on_after_it_and_nobody_waits_for_a_loop_that_ended() -> None:
+    class Yielding(VirtualClock):
+        async def tick(self, busy: bool) -> int:
+            await asyncio.sleep(0)
+            return await super().tick(busy)
+
+    rig, brain = Rig(), Brain()
+    told: list[int] = []
+    seen: list[tuple[int, int]] = []
+    clock = Yielding(0.005, lambda dt_s: None)
+    loop = ControlLoop(rig, brain, clock, lambda each: told.append(0), lambda t: None)  # type: ignore[arg-type]
+    loop.busy = True
+
+    async def ask() -> None:
+        for _ in range(3):
+            before = len(told)
+            await loop.worked()
+            seen.append((before, len(told)))
+        loop.end()
+
+    asking = asyncio.create_task(ask())
+    await loop.run()
+    await asking
+    assert all(after > before for before, after in seen)
+    await asyncio.wait_for(loop.worked(), 1.0)
+
+
+async def test_who_waits_for_a_tick_s_work_goes_on_while_virtual_time_stands_still() -> None:
+    loop = ControlLoop(Rig(), Brain(), VirtualClock(0.001, lambda dt_s: None), lambda s: None, lambda t: None)  # type: ignore[arg-type]
+    running = asyncio.create_task(loop.run())
+    for _ in range(3):
+        await asyncio.wait_for(loop.worked(), 1.0)
+    loop.end()
+    await running
+
+
+async def test_a_broken_brain_keeps_nobody_waiting() -> None:
+    loop = ControlLoop(
+        Rig(), Brain(breaks=True), VirtualClock(0.005, lambda dt_s: None), lambda s: None, lambda t: None
+    )  # type: ignore[arg-type]
+    loop.busy = True
+    waiting = asyncio.create_task(loop.worked())
+    with pytest.raises(ZeroDivisionError):
+        await loop.run()
+    await asyncio.wait_for(waiting, 1.0)
