@@ -181,10 +181,16 @@ class EvidencePolicy:
         _RULES,
     )
     relieved_pull: float = _threshold(
-        9.0, "fall of the squared prior pull that stands in for a gain on commands left out", "3σ", _RULES
+        9.0,
+        "fall of the squared prior pull that stands in for a gain on commands left out",
+        "3σ",
+        "selection/test_evidence.py",
     )
     held_out_rise: float = _threshold(
-        1.02, "as long as the error left out rises by no more than this factor", CHOSEN, _RULES
+        1.02,
+        "as long as the error left out rises by no more than this factor",
+        CHOSEN,
+        "selection/test_evidence.py",
     )
     discretisation_margin: float = _threshold(
         3.0, "a change of less than this many times our own error along it may be that error", CHOSEN, _RULES

@@ -152,7 +152,7 @@ def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas, 
     assert excess(problem, 200 + sigmas * np.sqrt(400.0)) == pytest.approx(above)
 
 
-@pytest.mark.parametrize(("second", "fitted"), [(3.0, 1), (5.0, 2)])
+@pytest.mark.parametrize(("second", "fitted"), [(3.5, 1), (5.0, 2)])
 def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second, fitted):
     starts = Start(np.zeros(1), 6.0), Start(np.ones(1), second)
     assert len(search._worth_fitting(Preview("x", 6.0, starts, 1.0, 0.0))) == fitted
@@ -233,8 +233,8 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(prepared, monkeypat
     preview(problem, prepared.present, "tissue_viscoelasticity")
     every = len(forms(problem.axes(["tissue_viscoelasticity"])))
     assert every == 6
-    strengths = len({tuple(t) for t in tried})
-    assert strengths in (every + 2 * 2, every + 2 * 3)
+    # the typical form and the best other one at three sizes, the rest at one
+    assert len({tuple(t) for t in tried}) == every + 2 * 2
 
 
 def left(size=1.0, unit="°"):
