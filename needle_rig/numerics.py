@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+"""Numbers of a computation: SI units and radians, of the shape that the docstring beside them gives."""
 
 
 def forward_jacobian(

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.rod import Layout
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Names = npt.NDArray[np.str_]
 

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.places import show_path
@@ -24,7 +23,7 @@ from needle_rig.recording.image import LATE
 from needle_rig.recording.journal import SUFFIX, Frames, journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
-from needle_rig.recording.tables import FORMAT
+from needle_rig.recording.tables import FORMAT, Rows
 
 Found = TypeVar("Found")
 
@@ -70,11 +69,11 @@ class RunFile:
         """The run's name: its file without the ending."""
         return self.path.stem
 
-    def table(self, name: str) -> npt.NDArray[Any]:
+    def table(self, name: str) -> Rows:
         """All rows of table `name` as a structured array (see `tables.run_tables`)."""
         if name not in self.tables:
             raise BadInput(f"{self._shown}: has no table {name}; it has {', '.join(self.tables)}")
-        rows: npt.NDArray[Any] = self._read(lambda file: _rows(file, name))
+        rows: Rows = self._read(lambda file: _rows(file, name))
         return rows
 
     @property
@@ -143,7 +142,7 @@ def _about(file: h5py.File) -> tuple[dict[str, Any], tuple[str, ...]]:
     return attributes, tuple(sorted(set(file) - NOT_TABLES))
 
 
-def _rows(file: h5py.File, name: str) -> npt.NDArray[Any]:
+def _rows(file: h5py.File, name: str) -> Rows:
     rows = np.asarray(file[name][:])
     check_times(name, rows["time_s"])
     return rows
