@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from needle_rig.config.check import validate
 from needle_rig.config.places import Places, read_yaml, write_yaml
@@ -22,6 +21,7 @@ from needle_rig.physics.needle_model import (
     NeedleModel,
 )
 from needle_rig.physics.rod import Layout
+from needle_rig.records import JsonObject
 from needle_rig.units import m, mm, per_length_n
 
 
@@ -62,19 +62,19 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
     model = saved.model
     values = model.values()
 
-    def fitted(name: str) -> dict[str, Any]:
-        entry: dict[str, Any] = {"value": values[name]}
+    def fitted(name: str) -> JsonObject:
+        entry: JsonObject = {"value": values[name]}
         if name in saved.uncertainties:
             entry["uncertainty"] = float(saved.uncertainties[name])
         return entry | {"unit": model.info(name).unit}
 
-    def fitted_list(names: list[str], unit: str) -> dict[str, Any]:
-        entry: dict[str, Any] = {"value": [values[name] for name in names]}
+    def fitted_list(names: list[str], unit: str) -> JsonObject:
+        entry: JsonObject = {"value": [values[name] for name in names]}
         if any(name in saved.uncertainties for name in names):
             entry["uncertainty"] = [saved.uncertainties.get(name) for name in names]
         return entry | {"unit": unit}
 
-    effects: dict[str, dict[str, Any]] = {}
+    effects: dict[str, JsonObject] = {}
     for effect in model.effects:
         fields = effects.setdefault(effect.name(), {})
         for name, info in effect.parameters().items():
@@ -109,7 +109,7 @@ def _tidy(length_m: float) -> float:
     return round(mm(length_m), 9)
 
 
-def saved_model(data: dict[str, Any], places: Places, effects: Iterable[str | Path]) -> SavedModel:
+def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path]) -> SavedModel:
     """The model in the mapping of a model file. Raises BadInput with file and line."""
     found = validate(ModelFile, data, places)
     for name in BASE_PARAMETERS:

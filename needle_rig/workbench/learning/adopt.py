@@ -7,11 +7,11 @@ import datetime
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.model import ChannelErrors, HistoryEntry, SavedModel
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.units import deg, nmm
@@ -22,8 +22,6 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.noise import covariance
 from needle_rig.workbench.selection.evidence import foretells
 from needle_rig.workbench.selection.search import try_effect
-
-Array = npt.NDArray[np.float64]
 
 IN_NOISE_UNITS = "noise_units"
 """Name of the errors over all channels, in units of the noise."""

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtrc
 
 from needle_rig.dataset.settled import SettledData
@@ -23,8 +22,6 @@ from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
