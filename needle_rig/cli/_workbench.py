@@ -11,8 +11,8 @@ import click
 
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
-    from needle_rig.physics.effect import Effect
     from needle_rig.model import SavedModel
+    from needle_rig.physics.effect import Effect
     from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.workbench.learning.observations import Observations
     from needle_rig.workbench.parallel import Work

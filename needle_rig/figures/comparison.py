@@ -87,10 +87,10 @@ def residual_map(found: TraceComparison) -> Figure:
     """Error in units of the noise, channel by motion and state, all directions."""
     from matplotlib.colors import LogNorm
 
-    names = list(dict.fromkeys(p.channel for p in found.places))
-    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in found.places))
+    names = list(dict.fromkeys(p.channel for p in found.every_place))
+    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in found.every_place))
     values = np.full((len(names), len(columns)), np.nan)
-    for place in found.places:
+    for place in found.every_place:
         values[names.index(place.channel), columns.index((place.motion, place.direction, place.state))] = (
             place.sigmas
         )

@@ -127,7 +127,8 @@ def _verify(kept: Kept, found: Explanation, observed: Observations) -> None:
     if not ratios[worst] <= AGREES:
         raise BadInput(
             f"{kept.place}: {worst}: its model leaves {ratios[worst]:.3g} times the error that is stated,"
-            f" limit {AGREES:g}; an effect's file or the program has changed since: diagnose {observed.name} again"
+            f" limit {AGREES:g}; an effect's file or the program has changed since;"
+            f" diagnose {observed.name} again"
         )
 
 

@@ -87,7 +87,7 @@ class TraceComparison:
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headings of the table by channel, and its rows."""
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for name, of in self.channels.items():
             whitened = "—" if of["whitened"] is None else f"{of['whitened']:.3g}"
             rows.append((name, f"{of['rmse']} {of['unit']}", f"{of['noise']} {of['unit']}", whitened))

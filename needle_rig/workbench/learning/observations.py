@@ -41,7 +41,7 @@ class Comparison(Protocol):
 
     @property
     def held_out_error(self) -> float:
-        """Error of cross-validation in units of the noise; NaN or infinite where nothing could be left out."""
+        """Error of cross-validation in units of the noise; not finite where nothing could be left out."""
 
     @property
     def channels(self) -> dict[str, Any]:
@@ -189,11 +189,12 @@ class SettledValues:
         *,
         max_effects: int = 3,  # noqa: ARG002 one effect at a time is tried
         seed: int = 0,  # noqa: ARG002 nothing is drawn
-        work: Work | None = None,  # noqa: ARG002 it is done before a process has begun
+        work: Work | None = None,
         say: Say = lambda _: None,
     ) -> Answer:
         """Which one effect is missing from the model. Raises BadInput."""
-        return diagnose_settled(self.data, library, model, say=say)
+        with work or Work():  # a few seconds' work: none is handed out
+            return diagnose_settled(self.data, library, model, say=say)
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where it changes none of the values. Raises BadInput."""

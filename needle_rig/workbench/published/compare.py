@@ -77,14 +77,12 @@ class SettledComparison:
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headings of the table by value, and its rows."""
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for row in self.values:
             error, of = row.measured.standard_error, row.measured.of
             apart = "not weighed" if row.sigmas is None else f"{row.sigmas:.1f}σ"
             scatter = "" if error is None else f" ± {error:g}"
-            rows.append(
-                (row.words, f"{row.measured.value:g}{scatter} {of.unit}", f"{row.model:.3g}", apart)
-            )
+            rows.append((row.words, f"{row.measured.value:g}{scatter} {of.unit}", f"{row.model:.3g}", apart))
         return ("value", "measured", "model", "apart"), rows
 
     def sentences(self) -> list[str]:
@@ -110,13 +108,15 @@ class SettledComparison:
             "held_out_error": round(self.held_out_error, 4) if np.isfinite(self.held_out_error) else None,
             "noise_floor": 1.0,
             "reduced_chi2": round(self.reduced_chi2, 4),
-            "channels": self._channels(),
+            "channels": self.channels,
             "worst": [r.as_json() for r in self.worst],
             "values": [r.as_json() for r in self.values],
             "notes": [],
         }
 
-    def _channels(self) -> dict[str, Any]:
+    @property
+    def channels(self) -> dict[str, Any]:
+        """By quantity: rmse, noise, unit, whitened (the error in standard errors), by_phase."""
         found: dict[str, Any] = {}
         for name in dict.fromkeys(r.measured.of.quantity for r in self.values):
             rows = [r for r in self.values if r.measured.of.quantity == name]

@@ -52,8 +52,7 @@ def by_quantity(problem: SettledProblem, predicted: Array) -> dict[str, float]:
 def scatter_by_quantity(problem: SettledProblem) -> dict[str, float]:
     """Root mean square standard error by quantity, in the unit that its name ends in."""
     return {
-        name: float(np.sqrt(np.mean(problem.errors[own] ** 2)))
-        for name, own in _quantities(problem).items()
+        name: float(np.sqrt(np.mean(problem.errors[own] ** 2))) for name, own in _quantities(problem).items()
     }
 
 

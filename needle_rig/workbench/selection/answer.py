@@ -152,9 +152,7 @@ class Answer:
 
     def errors_sentence(self) -> str:
         """The error left out, before and after."""
-        before, after = (
-            left_out_error(e) for e in (self.held_out_error_before, self.held_out_error_after)
-        )
+        before, after = (left_out_error(e) for e in (self.held_out_error_before, self.held_out_error_after))
         return f"Error on {self.left_out} left out: {before} → {after} (noise is {self.noise_floor:.2f})"
 
     def left_in_words(self) -> list[str]:
