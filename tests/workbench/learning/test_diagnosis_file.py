@@ -151,7 +151,7 @@ def test_a_model_that_no_longer_meets_its_data_is_refused(
     while worst(share) < AGREES:
         share *= 1.3
     if refused:
-        with pytest.raises(BadInput, match="times the error that is stated, limit 1.05"):
+        with pytest.raises(BadInput, match=r"times the error that is stated, limit 1\.05"):
             adopt_diagnosis(changed(factor * share), observed)
     else:
         assert adopt_diagnosis(changed(factor * share), observed).history
@@ -204,7 +204,7 @@ def test_a_tie_lists_its_alternatives_and_waits_for_a_choice(tie: tuple[Path, st
     path, _ = tie
     kept = load_diagnosis(path)
     assert [found.added for found in kept.explanations] == [(name,) for name in TIED]
-    with pytest.raises(BadInput, match="cannot be told apart: .* or --effect torque_gain"):
+    with pytest.raises(BadInput, match=r"cannot be told apart: .* or --effect torque_gain"):
         adopt_diagnosis(kept)
     with pytest.raises(BadInput, match="--effect tip_friction is not in it; it has tissue_elasticity;"):
         adopt_diagnosis(kept, effects=("tip_friction",))
