@@ -31,7 +31,7 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.contest.strategies_table import Bout
 from needle_rig.workbench.learning.adopt import adopt as _adopt
 from needle_rig.workbench.learning.adopt import adopt_diagnosis
-from needle_rig.workbench.learning.diagnosis_file import Kept, keep, save_diagnosis
+from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, save_diagnosis
 from needle_rig.workbench.learning.history import ladder
 from needle_rig.workbench.learning.observations import Comparison as _Compared
 from needle_rig.workbench.learning.observations import Observations, observations
@@ -196,7 +196,7 @@ class Diagnosis(Shown):
         return ranking_figure(self.found)
 
     @cached_property
-    def kept(self) -> Kept:
+    def kept(self) -> KeptDiagnosis:
         """The diagnosis with its fits, as it is written."""
         return keep(self.found, self.observed, self.started)
 

@@ -24,6 +24,7 @@ from needle_rig.cli._workbench import (
     seed_option,
     worker,
 )
+from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
     from needle_rig.workbench.selection.answer import Answer
@@ -63,6 +64,8 @@ def command(
     from needle_rig.workbench.parallel import one_thread_each
 
     one_thread_each()
+    if out is not None and not out.absolute().parent.is_dir():
+        raise BadInput(f"--out {out}: there is no folder {out.parent}; make it, or name another place")
     saved = read_saved(model_path, directories)
     observed = read_observations(data)
     found = observed.diagnose(

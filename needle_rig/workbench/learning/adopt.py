@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
-from needle_rig.workbench.learning.diagnosis_file import Kept, step
+from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, step
 from needle_rig.workbench.learning.observations import Observations
 from needle_rig.workbench.selection.answer import left_out_error
 from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS, Explanation
@@ -54,7 +54,7 @@ def adopt(
 
 
 def adopt_diagnosis(
-    kept: Kept,
+    kept: KeptDiagnosis,
     observed: Observations | None = None,
     *,
     effects: Sequence[str] = (),
@@ -92,7 +92,7 @@ def _before(model: SavedModel) -> SavedModel:
     return dataclasses.replace(model, history=model.history[:-1])
 
 
-def _chosen(kept: Kept, effects: Sequence[str]) -> tuple[Explanation, SavedModel]:
+def _chosen(kept: KeptDiagnosis, effects: Sequence[str]) -> tuple[Explanation, SavedModel]:
     """The one explanation with all of `effects`. Raises BadInput where there is none, or more than one."""
     if not kept.explanations:
         raise BadInput(
@@ -109,7 +109,7 @@ def _chosen(kept: Kept, effects: Sequence[str]) -> tuple[Explanation, SavedModel
     raise BadInput(f"{kept.place}: these cannot be told apart: {sets}; choose with {options}")
 
 
-def _verify(kept: Kept, found: Explanation, observed: Observations) -> None:
+def _verify(kept: KeptDiagnosis, found: Explanation, observed: Observations) -> None:
     """Raises BadInput where the data are others, or the model is not what it was when it was fitted."""
     digest = observed.sha256()
     if digest != kept.sha256:

@@ -91,7 +91,7 @@ class _File(Section):
 
 
 @dataclass(frozen=True)
-class Kept:
+class KeptDiagnosis:
     """A diagnosis with what can be adopted from it."""
 
     dataset: str
@@ -135,11 +135,11 @@ def step(
     )
 
 
-def keep(answer: Answer, observed: Observations, saved: SavedModel | None = None) -> Kept:
+def keep(answer: Answer, observed: Observations, saved: SavedModel | None = None) -> KeptDiagnosis:
     """A diagnosis of `observed` that began at `saved`, with its fits. Raises SolverError, BadInput."""
     found = answer.explanations()
     name = saved.model.name if saved else observed.name
-    return Kept(
+    return KeptDiagnosis(
         dataset=observed.name,
         sha256=observed.sha256(),
         started_from=answer.model,
@@ -155,7 +155,7 @@ def keep(answer: Answer, observed: Observations, saved: SavedModel | None = None
     )
 
 
-def save_diagnosis(path: str | os.PathLike[str], kept: Kept) -> None:
+def save_diagnosis(path: str | os.PathLike[str], kept: KeptDiagnosis) -> None:
     """Write a diagnosis file, whole or not at all."""
     content = {
         "program": VERSION,
@@ -183,7 +183,7 @@ def save_diagnosis(path: str | os.PathLike[str], kept: Kept) -> None:
     write_whole(path, {"format": FORMAT, "checksum": _checksum(plain), **plain})
 
 
-def load_diagnosis(path: str | os.PathLike[str], *, effects: Iterable[str | Path] = ()) -> Kept:
+def load_diagnosis(path: str | os.PathLike[str], *, effects: Iterable[str | Path] = ()) -> KeptDiagnosis:
     """A diagnosis file. Raises BadInput with file and line, also for one that was changed by hand."""
     data, places = read_yaml(path)
     read = validate(_File, data, places)
@@ -218,7 +218,7 @@ def load_diagnosis(path: str | os.PathLike[str], *, effects: Iterable[str | Path
                 part.trial_friction,
             )
         )
-    return Kept(
+    return KeptDiagnosis(
         read.dataset.name,
         read.dataset.sha256,
         read.started_from,

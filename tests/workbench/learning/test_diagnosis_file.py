@@ -16,7 +16,7 @@ from needle_rig.dataset import read_dataset, write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.model import load_model
 from needle_rig.workbench.learning.adopt import AGREES, Refused, adopt, adopt_diagnosis, undo
-from needle_rig.workbench.learning.diagnosis_file import Kept, keep, load_diagnosis, save_diagnosis
+from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, load_diagnosis, save_diagnosis
 from needle_rig.workbench.learning.observations import SettledValues, Traces, read_observations
 from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 from tests.workbench.hidden import dataset, effect, few
@@ -34,13 +34,13 @@ def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def kept(traces: Path) -> Kept:
+def kept(traces: Path) -> KeptDiagnosis:
     observed = Traces(read_dataset(traces))
     return keep(observed.diagnose(few(), None), observed)
 
 
 @pytest.fixture(scope="module")
-def file(kept: Kept, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(kept: KeptDiagnosis, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("kept") / "diagnosis.yaml"
     save_diagnosis(path, kept)
     return path
@@ -55,7 +55,7 @@ def tie(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return path, result.stdout
 
 
-def test_a_file_gives_back_what_was_kept(kept: Kept, file: Path) -> None:
+def test_a_file_gives_back_what_was_kept(kept: KeptDiagnosis, file: Path) -> None:
     again = load_diagnosis(file)
     assert (again.sha256, again.verdict, again.effects) == (kept.sha256, kept.verdict, kept.effects)
     assert again.noise == kept.noise
@@ -87,7 +87,7 @@ def test_both_effects_of_a_pair_are_adopted_in_one_step_and_taken_back_in_one(
     assert back.history == ()
 
 
-def test_what_was_kept_is_what_fitting_again_finds(kept: Kept, traces: Path) -> None:
+def test_what_was_kept_is_what_fitting_again_finds(kept: KeptDiagnosis, traces: Path) -> None:
     observed = read_observations([traces])
     one = adopt(observed, "tissue_elasticity", few())
     two = adopt(observed, "torque_bias", few(), one)
@@ -133,13 +133,13 @@ def test_the_identity_of_data_is_what_was_measured_and_not_their_name(traces: Pa
 
 @pytest.mark.parametrize(("factor", "refused"), [(0.5, False), (2.0, True)])
 def test_a_model_that_no_longer_meets_its_data_is_refused(
-    kept: Kept, traces: Path, factor: float, refused: bool
+    kept: KeptDiagnosis, traces: Path, factor: float, refused: bool
 ) -> None:
     """Friction is changed until the error is the limit, then by half or by twice that."""
     observed = read_observations([traces])
     found = kept.explanations[0]
 
-    def changed(share: float) -> Kept:
+    def changed(share: float) -> KeptDiagnosis:
         model = dataclasses.replace(found.model, friction_n=found.model.friction_n * (1.0 + share))
         return dataclasses.replace(kept, explanations=(dataclasses.replace(found, model=model),))
 
@@ -237,13 +237,22 @@ def test_diagnose_prints_the_command_that_takes_its_answer_over(tie: tuple[Path,
     ) in without
 
 
-def test_a_verdict_without_an_effect_leaves_nothing_to_adopt(kept: Kept) -> None:
+def test_a_place_that_cannot_be_written_is_said_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["diagnose", "reed2008", "--out", str(tmp_path / "nowhere" / "diagnosis.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "there is no folder" in said
+    assert "trying every effect" not in said
+
+
+def test_a_verdict_without_an_effect_leaves_nothing_to_adopt(kept: KeptDiagnosis) -> None:
     nothing = dataclasses.replace(kept, verdict="none", effects=(), explanations=(), models=())
     with pytest.raises(BadInput, match="its verdict is none, it names no effect"):
         adopt_diagnosis(nothing)
 
 
-def test_what_improves_no_cross_validation_is_refused_without_force(kept: Kept) -> None:
+def test_what_improves_no_cross_validation_is_refused_without_force(kept: KeptDiagnosis) -> None:
     idle = tuple(dataclasses.replace(found, improves=False) for found in kept.explanations)
     with pytest.raises(Refused, match="--force"):
         adopt_diagnosis(dataclasses.replace(kept, explanations=idle))
