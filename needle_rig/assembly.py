@@ -65,6 +65,7 @@ def _real_parts(config: RigConfig, model: NeedleModel | None, trust: Trust | Non
         make_rig=lambda raw: _real_rig(config, raw),
         make_clock=lambda _: TimerClock(period_s),
         make_steady=make_steady,
+        simulated=config.kind == "simulated",
         close=thinker.close,
     )
 
@@ -87,7 +88,9 @@ def _virtual_parts(
     def make_clock(_: Rig) -> Clock:
         return VirtualClock(period_s, rigs[-1].advance)
 
-    return Parts(config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list)
+    return Parts(
+        config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list, simulated=True
+    )
 
 
 def _real_rig(config: RigConfig, raw: RawReadings) -> Rig:

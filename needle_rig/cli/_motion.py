@@ -98,7 +98,8 @@ def told_base(state: Whole) -> str:
     from needle_rig.cli._output import number
 
     sensors = state["sensors"]
-    return "unknown" if sensors is None else f"{number(sensors['base_deg'], 2)}°"
+    simulated = " (simulated)" if state["rig"]["simulated"] else ""
+    return ("unknown" if sensors is None else f"{number(sensors['base_deg'], 2)}°") + simulated
 
 
 socket_option = click.option(

@@ -61,6 +61,8 @@ def command(
         from needle_rig.workbench.observations.runs import runs_as_dataset
 
         written = write_dataset(runs_as_dataset([found]), out or Path(f"{found.name}_dataset"))
+    if found.simulated:
+        click.echo(f"{found.name}: no real needle was turned, the rig was simulated", err=True)
     click.echo(show_path(written))
 
 

@@ -31,8 +31,8 @@ def _text(state: State, path: str) -> str:
     from needle_rig.cli._output import number
 
     rig, ticks, sensors = state["rig"], state["ticks"], state["sensors"]
-    needle = f", {rig['parameters']}" if rig["parameters"] else ""
-    lines = [f"rig:     {rig['name']}{needle}, on {path}", f"phase:   {phase_line(state).strip()}"]
+    simulated = f", simulated {rig['parameters'] or ''}".rstrip() if rig["simulated"] else ""
+    lines = [f"rig:     {rig['name']}{simulated}, on {path}", f"phase:   {phase_line(state).strip()}"]
     if sensors:
         halls = " ".join(f"{number(angle, 1)}°" for angle in sensors["hall_deg"])
         ages = ", ".join(f"{name} {number(age, 1)} ms" for name, age in _ages(sensors))

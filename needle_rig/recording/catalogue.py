@@ -24,6 +24,8 @@ class RunSummary:
 
     name: str
     path: Path
+    simulated: bool | None
+    """Whether no real needle was turned; None for an unreadable run."""
     started_utc: str
     target_deg: float
     strategy: str
@@ -91,7 +93,7 @@ def _summary(path: Path) -> RunSummary:
         run = RunFile(path)
         ending = run.ending()
     except BadInput:
-        return RunSummary(path.stem, path, "", math.nan, "", "", "unreadable", 0.0, False)
+        return RunSummary(path.stem, path, None, "", math.nan, "", "", "unreadable", 0.0, False)
     known: dict[str, Any] = run.attributes
     first_s, last_s = ending.span_s
     if ending.result is not None:
@@ -101,6 +103,7 @@ def _summary(path: Path) -> RunSummary:
     return RunSummary(
         name=run.name,
         path=path,
+        simulated=run.simulated,
         started_utc=str(known.get("started_utc", "")),
         target_deg=float(known.get("target_deg", math.nan)),
         strategy=str(known.get("strategy", "")),

@@ -49,6 +49,8 @@ class Parts:
     make_clock: Callable[[Rig], Clock]
     make_steady: Callable[[], list[str]]
     """Asks the system for a steady tick and returns what it refused."""
+    simulated: bool
+    """Whether no real needle is turned."""
     close: Callable[[], None] = lambda: None
     """Called last."""
 
@@ -64,7 +66,7 @@ class Daemon:
         self._runs = runs
         self._notify = notify
         self._recorder = Recorder(self._on_recorder_failure)
-        self._rig_document = report.rig_document(parts.config)
+        self._rig_document = report.rig_document(parts.config, simulated=parts.simulated)
         self._loop: ControlLoop | None = None
         self._warnings: list[str] = []
         self._main: asyncio.Task[Any] | None = None
@@ -260,6 +262,7 @@ class Daemon:
         return {
             "strategy": order.strategy,
             "target_deg": order.target_deg,
+            "kind": "simulated" if self._parts.simulated else "hardware",
             "parameters": simulation.parameters if simulation else "",
             "options": json.dumps(order.options),
             **{
@@ -328,10 +331,9 @@ class Daemon:
         run = self._run
         outcome = state.outcome
         assert outcome is not None
-        parameters = self._rig_document["parameters"]
         if self._failure is not None:
             outcome = dataclasses.replace(outcome, status="fault", text=self._failure)
-        result = report.result_document(outcome, state.settled, parameters, str(run))
+        result = report.result_document(outcome, state.settled, self._rig_document, str(run))
         try:
             await self._recorder.finish(result, self._time_s)
         except NeedleRigError as error:

@@ -19,6 +19,7 @@ class Rig(TypedDict):
     """What does not change while the daemon lives."""
 
     name: str
+    simulated: bool
     parameters: str | None
     """Of the simulated needle; None on a real rig."""
     tick_hz: float
@@ -101,6 +102,7 @@ class Result(TypedDict):
     status: Status
     target_deg: float | None
     strategy: str
+    simulated: bool
     parameters: str | None
     lag_deg: float | None
     motions: list[Motion]

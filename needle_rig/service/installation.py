@@ -1,0 +1,63 @@
+"""Where the service of a rig keeps its things, and whether a rig is set up on this computer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.service.endpoint import sockets_for_client
+from needle_rig.service.systemd import UNIT, unit_standing
+
+
+@dataclass(frozen=True)
+class Installation:
+    """The places of a service, below `root`."""
+
+    root: Path = Path("/")
+
+    @property
+    def unit(self) -> Path:
+        """The systemd unit."""
+        return self.root / "etc/systemd/system" / UNIT
+
+    @property
+    def rig_file(self) -> Path:
+        """The rig file that the unit names."""
+        return self.root / "etc/needle-rig/rig.yaml"
+
+    @property
+    def runs(self) -> Path:
+        """Folder of the runs."""
+        return self.root / "var/lib/needle-rig"
+
+    def signs(self, environment: Mapping[str, str] = os.environ) -> list[Path]:
+        """What shows that a rig is set up here: a unit, a rig file, a socket even when nobody listens."""
+        sockets = [self.root / path.relative_to("/") for path in sockets_for_client(environment)]
+        return [path for path in (self.unit, self.rig_file, *sockets) if os.path.lexists(path)]
+
+    def runs_directory(self) -> Path | None:
+        """Where the service keeps its runs; None where none is installed, BadInput for a bad rig file."""
+        if not os.path.lexists(self.rig_file):
+            return self.runs if self.runs.is_dir() else None
+        from needle_rig.config.loader import load_rig_config
+
+        # one that is not absolute would depend on the unit's working folder: the unit gives its own place
+        return self.runs / load_rig_config(self.rig_file).recording.directory
+
+
+HERE = Installation()
+"""This computer."""
+
+
+def nobody_answers(places: list[Path]) -> NeedleRigError:
+    """What to tell a person for whom no daemon answers at `places`."""
+    where = " or ".join(str(place) for place in places)
+    signs = HERE.signs()
+    if not signs:
+        return RigFault(f"no daemon answers at {where}; start one: needle-rig daemon")
+    standing = unit_standing() if HERE.unit in signs else None
+    next_step = "start one: needle-rig daemon" if standing is None else standing.sentence
+    return RigFault(f"a rig is set up here ({signs[0]}), but no daemon answers at {where}: {next_step}")
