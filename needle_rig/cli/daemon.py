@@ -50,7 +50,7 @@ def command(
 
     Only the socket's owner and --group may use it (mode 0660). The rig's drive is told to stop at the end,
     whatever ended it. Under systemd it says when it is ready and feeds the watchdog from ticks that met their
-    deadline: see scripts/needle-rig.service.
+    deadline: see config/service/needle-rig.service.
     """
     try:
         with _place(socket, private) as path:

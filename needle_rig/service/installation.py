@@ -11,6 +11,8 @@ from needle_rig.errors import NeedleRigError, RigFault
 from needle_rig.service.endpoint import sockets_for_client
 from needle_rig.service.systemd import UNIT, unit_standing
 
+_NETWORK_PREFIX = "60-needle-rig-"
+
 
 @dataclass(frozen=True)
 class Installation:
@@ -32,6 +34,38 @@ class Installation:
     def runs(self) -> Path:
         """Folder of the runs."""
         return self.root / "var/lib/needle-rig"
+
+    @property
+    def udev_rules(self) -> Path:
+        """What the adapters of the nodes are given."""
+        return self.root / "etc/udev/rules.d/70-needle-rig.rules"
+
+    @property
+    def sysusers(self) -> Path:
+        """The user, the group and its members."""
+        return self.root / "etc/sysusers.d/needle-rig.conf"
+
+    @property
+    def link(self) -> Path:
+        """Where everybody's shell finds needle-rig."""
+        return self.root / "usr/local/bin/needle-rig"
+
+    @property
+    def calibration(self) -> Path:
+        """What `needle-rig calibrate` wrote for this rig's nodes."""
+        return self.root / "etc/needle-rig/calibration"
+
+    def network(self, interface: str) -> Path:
+        """What brings the CAN interface up."""
+        return self.root / f"etc/systemd/network/{_NETWORK_PREFIX}{interface}.network"
+
+    def device(self, interface: str) -> Path:
+        """What makes a virtual CAN interface."""
+        return self.network(interface).with_suffix(".netdev")
+
+    def networks(self) -> list[Path]:
+        """Every such file that is there."""
+        return sorted((self.root / "etc/systemd/network").glob(f"{_NETWORK_PREFIX}*"))
 
     def signs(self, environment: Mapping[str, str] = os.environ) -> list[Path]:
         """What shows that a rig is set up here: a unit, a rig file, a socket even when nobody listens."""

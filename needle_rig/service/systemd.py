@@ -32,9 +32,7 @@ class UnitStanding:
         if self.state == "deactivating":
             return "its service is ending; wait for it, then: sudo systemctl start needle-rig"
         if self.state == "failed":
-            return (
-                f"its service failed ({self.result}); see why: {LOG}; then: sudo systemctl restart {UNIT}"
-            )
+            return f"its service failed ({self.result}); see why: {LOG}; then: sudo systemctl restart {UNIT}"
         return "its service is stopped; start it: sudo systemctl start needle-rig"
 
 
