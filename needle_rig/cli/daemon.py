@@ -56,7 +56,7 @@ def command(
         with _place(socket, private) as path:
             options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
             options["simulation.nodes"] = bench_nodes(rig, image)
-            daemon = _build(config, options, model, fast, out, absolute=private is None)
+            daemon = _build(config, options, model, fast, out, private=private is not None)
             _serve(daemon, path, group, private=private is not None)
     except NeedleRigError as error:
         if private is None:
@@ -88,9 +88,9 @@ def _build(
     fast: bool,
     out: Path | None,
     *,
-    absolute: bool,
+    private: bool,
 ) -> Daemon:
-    """The daemon; clients in other folders need the `absolute` place of its runs."""
+    """The daemon. One that is not `private` outlives its rig, and its clients are in other folders."""
     from needle_rig.assembly import build_daemon
     from needle_rig.config.loader import load_rig_config
 
@@ -104,7 +104,12 @@ def _build(
         needle, trust = saved.model, Trust(saved.uncertainties, saved.error_over_floor)
     runs = out or Path(rig.recording.directory)
     return build_daemon(
-        rig, virtual=fast, runs=runs.absolute() if absolute else runs, model=needle, trust=trust
+        rig,
+        virtual=fast,
+        runs=runs if private else runs.absolute(),
+        model=needle,
+        trust=trust,
+        resident=not private,
     )
 
 
@@ -161,6 +166,8 @@ def _log(private: bool) -> None:
 
     import structlog
 
+    # a bus that cannot be opened is told by our own sentence, not by a line of python-can's for each attempt
+    logging.getLogger("can").setLevel(logging.CRITICAL)
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL if private else logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),

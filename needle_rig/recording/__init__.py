@@ -6,6 +6,7 @@ from needle_rig.recording.catalogue import (
     is_run_file,
     list_runs,
     remove_empty_runs,
+    runs_in_journals,
     unfinished_runs,
 )
 from needle_rig.recording.journal import journal_path
@@ -28,6 +29,7 @@ __all__ = [
     "remove_empty_runs",
     "run_attributes",
     "run_tables",
+    "runs_in_journals",
     "sample_row",
     "unfinished_runs",
 ]

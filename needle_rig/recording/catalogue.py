@@ -45,9 +45,13 @@ def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
 
 def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:
     """The run files in `directory`, by name, whose writer was cut off before it could make them."""
+    return [run for run in runs_in_journals(directory) if not being_written(run)]
+
+
+def runs_in_journals(directory: str | os.PathLike[str]) -> list[Path]:
+    """The run files in `directory`, by name, that are not made yet: being written, or cut off."""
     journals = sorted(one for one in Path(directory).glob(f"*{SUFFIX}") if one.is_file())
-    runs = [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
-    return [run for run in runs if not being_written(run)]
+    return [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
 
 
 def remove_empty_runs(directory: str | os.PathLike[str]) -> None:

@@ -169,6 +169,10 @@ class Whole(Standing):
     last: Told | None
     """How the last run of this daemon ended."""
     warnings: list[str]
+    starting: bool
+    since_utc: str
+    before: str | None
+    """How the daemon before this one ended."""
     unfinished: list[dict[str, str]]
     """Runs that an earlier daemon could not close."""
     lease: str | None
