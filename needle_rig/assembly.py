@@ -58,7 +58,7 @@ def build_daemon(
         parts = _virtual_parts(config, model, trust, period_s)
     else:
         parts = _real_parts(config, model, trust, period_s, resident=resident)
-    return Daemon(parts, folder, Notify(), Logbook(folder if resident else None))
+    return Daemon(parts, folder, Notify(), Logbook.of_service())
 
 
 def _real_parts(

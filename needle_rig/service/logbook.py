@@ -5,9 +5,10 @@ from __future__ import annotations
 import datetime
 import json
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from needle_rig.service.systemd import LOG
 
@@ -19,7 +20,7 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class Logbook:
-    """The daemons of one folder of runs, one at a time; without a folder nothing is kept."""
+    """The daemons of one service, one at a time; without a folder nothing is kept."""
 
     def __init__(self, folder: Path | None, boot_id: str | None = None) -> None:
         self._folder = folder
@@ -28,6 +29,12 @@ class Logbook:
         """When this daemon began."""
         self.before = ""
         """How the one before ended; empty where none was."""
+
+    @classmethod
+    def of_service(cls, environment: Mapping[str, str] = os.environ) -> Self:
+        """That of the folder which systemd gives a service; without one for a daemon started by hand."""
+        folder = environment.get("STATE_DIRECTORY")
+        return cls(Path(folder.split(":")[0]) if folder else None)
 
     def begin(self) -> None:
         """A daemon starts."""

@@ -203,6 +203,7 @@ def main(arguments: list[str] | None = None) -> int:
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--ports", help="folder for the names of the ports; default: a temporary one")
     place.add_argument("--child-in", help=argparse.SUPPRESS)
+    parser.add_argument("--can", help="CAN interface to put the nodes on, such as vcan0; default: slcan")
     parser.add_argument("--keep", action="store_true", help="go on when standard input ends")
     options = parser.parse_args(arguments)
 
@@ -216,7 +217,7 @@ def main(arguments: list[str] | None = None) -> int:
             from needle_rig.simulation.build import build_plant
 
             config = _read_config(options.config)
-            loop = BenchLoop(config, build_plant(config), ports, say)
+            loop = BenchLoop(config, build_plant(config), ports, say, options.can)
         except NeedleRigError as error:
             say({"error": str(error), "exit_code": error.exit_code})
             return error.exit_code

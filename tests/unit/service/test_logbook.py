@@ -68,6 +68,13 @@ def test_a_damaged_book_is_as_good_as_none(tmp_path: Path, text: str) -> None:
 
 def test_nothing_is_kept_without_a_folder_or_where_none_can_be_written(tmp_path: Path) -> None:
     Logbook(None).begin()
+    by_hand = Logbook.of_service({})
+    by_hand.begin()
+    assert by_hand.before == ""
+    assert by_hand.since_utc
+    of_service = Logbook.of_service({"STATE_DIRECTORY": f"{tmp_path}/state:/elsewhere"})
+    of_service.begin()
+    assert (tmp_path / "state/.daemon.json").is_file()
     (tmp_path / "file").write_text("")
     book = begun(tmp_path / "file" / "below")
     book.end("it was told to end")
