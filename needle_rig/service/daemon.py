@@ -24,6 +24,7 @@ from needle_rig.service.lease import LEASE_S, Claim, Lease
 from needle_rig.service.logbook import Logbook
 from needle_rig.service.loop import ControlLoop
 from needle_rig.service.orders import Holder, Home, Jog, Model, Order, Reason, read_order
+from needle_rig.service.rates import Rates
 from needle_rig.service.recorder import Recorder
 from needle_rig.service.repeats import Repeats
 from needle_rig.units import rad
@@ -74,6 +75,7 @@ class Daemon:
         self._runs = runs
         self._notify = notify
         self._recorder = Recorder(self._on_recorder_failure)
+        self._rates = Rates(self._recorder.raw)
         self._rig_document = report.rig_document(parts.config, simulated=parts.simulated)
         self._loop: ControlLoop | None = None
         self._warnings: list[str] = []
@@ -105,7 +107,7 @@ class Daemon:
             # both get ready while the rig is built
             self._api.start(listener)
             await self._recorder.start(self._runs)
-            rig = self._parts.make_rig(self._recorder.raw)
+            rig = self._parts.make_rig(self._rates.raw)
             # before the links are open: what they bring meanwhile would be old at the first tick
             self._warnings = self._parts.make_steady()
             for warning in self._warnings:
@@ -268,6 +270,7 @@ class Daemon:
             "since_utc": self._logbook.since_utc,
             "before": self._logbook.before or None,
             "unfinished": self._recorder.unfinished,
+            "rates_hz": self._rates.hz,
             "lease": self._lease.holder,
             "motions": self._motions,
             "moving": self._moving,
@@ -325,6 +328,7 @@ class Daemon:
                 moved: Moved = {"type": "moved", "moved": self._motions, **self.describe()}
                 self._api.event(moved)
         now_s = time.monotonic()
+        self._rates.step(sample.time_s)
         self._api.state(now_s, lambda: self._state("state"))
         if now_s >= self._next_status_s:
             self._next_status_s = now_s + _STATUS_EVERY_S

@@ -175,6 +175,8 @@ class Whole(Standing):
     """How the daemon before this one ended."""
     unfinished: list[dict[str, str]]
     """Runs that an earlier daemon could not close."""
+    rates_hz: dict[str, float]
+    """Readings of each node in the last second, a second."""
     lease: str | None
     """Who commands."""
     motions: int
