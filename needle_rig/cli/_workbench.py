@@ -43,9 +43,15 @@ def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
 
 def read_data(paths: tuple[Path, ...]) -> Dataset:
     """One dataset from folders, run files and names of datasets in config/datasets."""
+    from needle_rig.recording import is_run_file, mark_read
     from needle_rig.workbench.observations.sources import read_measurements
 
-    return read_measurements(_found(paths))
+    found = _found(paths)
+    read = read_measurements(found)
+    for path in found:
+        if is_run_file(str(path)):
+            mark_read(path)
+    return read
 
 
 def read_settled_values(paths: tuple[Path, ...]) -> SettledData | None:
@@ -61,11 +67,17 @@ def read_settled_values(paths: tuple[Path, ...]) -> SettledData | None:
 
 
 def _found(paths: tuple[Path, ...]) -> list[Path]:
-    """The paths, those that do not exist looked for by name in config/datasets."""
+    """The paths, those that do not exist looked for by name in config/datasets; `last` is the newest run."""
     from needle_rig.dataset.settled import shipped_datasets
 
     known = {} if all(os.path.lexists(path) for path in paths) else shipped_datasets()
-    return [path if os.path.lexists(path) else known.get(str(path), path) for path in paths]
+    return [path if os.path.lexists(path) else known.get(str(path)) or _run_or(path) for path in paths]
+
+
+def _run_or(path: Path) -> Path:
+    from needle_rig.cli._runs import the_run
+
+    return the_run("last", None, None).path if str(path) == "last" else path
 
 
 def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:

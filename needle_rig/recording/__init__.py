@@ -12,6 +12,7 @@ from needle_rig.recording.catalogue import (
 from needle_rig.recording.journal import journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
+from needle_rig.recording.retention import mark_read, retain
 from needle_rig.recording.tables import run_attributes, run_tables, sample_row
 from needle_rig.recording.writer import RunWriter, new_run
 
@@ -25,8 +26,10 @@ __all__ = [
     "is_run_file",
     "journal_path",
     "list_runs",
+    "mark_read",
     "new_run",
     "remove_empty_runs",
+    "retain",
     "run_attributes",
     "run_tables",
     "runs_in_journals",

@@ -265,7 +265,7 @@ class Daemon:
             "rig": self._rig_document,
             "run": None if self._run is None else str(self._run),
             "last": self._last,
-            "warnings": self._warnings,
+            "warnings": [*self._warnings, *filter(None, [self._recorder.crowded])],
             "starting": self._loop is None,
             "since_utc": self._logbook.since_utc,
             "before": self._logbook.before or None,

@@ -55,6 +55,8 @@ class Recorder:
         self._run_bytes = 0
         self.lost_rows = 0
         """Rows of the present run that were thrown away because the writer was too slow."""
+        self.crowded: str | None = None
+        """Why runs take more room than they may, for a person."""
         self.unfinished: list[dict[str, str]] = []
         """Runs that were found cut off: `run`, `found_utc` and `text`, which is empty until it is closed."""
 
@@ -115,13 +117,24 @@ class Recorder:
         path, self._path, self._recording = self._path, None, False
         if self._lost is None:
             try:
-                await self._ask("finish", dict(result), time_s, work_bytes=self._run_bytes)
+                closed = await self._ask("finish", dict(result), time_s, work_bytes=self._run_bytes)
+                self._tell_kept(closed["removed"], closed["unread_bytes"])
             except Gone as gone:
                 answer = await self._recover(path, str(gone), result)
                 if not answer["complete"]:
                     raise RigFault(f"{gone}; what it had written is in {path}") from None
         else:
             await self._recover(path, self._lost, result)
+
+    def _tell_kept(self, removed: list[str], unread_bytes: int) -> None:
+        if removed:
+            log.info("old runs removed", runs=removed)
+        self.crowded = (
+            f"runs take {unread_bytes / 1e9:.3g} GB more than recording.keep_gb, and nobody read them:"
+            " needle-rig export"
+            if unread_bytes
+            else None
+        )
 
     async def discard(self) -> None:
         """Remove the open run: it never began."""
