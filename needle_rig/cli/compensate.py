@@ -181,6 +181,7 @@ def _option(text: str) -> tuple[str, Any]:
 @contextmanager
 def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
     """The running daemon, or a private one."""
+    from needle_rig.cli._rig import simulated_rig_file
     from needle_rig.service.client import find_daemon, private_daemon, the_daemon
 
     chosen = {name: value for name, value in rig.items() if value is not None and value is not False}
@@ -200,7 +201,7 @@ def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
     if not chosen.keys() & _CHOICES:
         _refuse_where_a_rig_is_set_up(given)
     if chosen.pop("simulated", False):
-        chosen.setdefault("config", _simulated_rig_file())
+        chosen.setdefault("config", simulated_rig_file())
     options = [f"--{name}" if value is True else f"--{name}={value}" for name, value in chosen.items()]
     with private_daemon(options, meanwhile=_get_ready, waiting=moving_bar) as client:
         yield client
@@ -221,15 +222,6 @@ def _refuse_where_a_rig_is_set_up(given: list[str]) -> None:
             f" {given[0]} out, or give --simulated"
         )
     raise RigFault(f"{nobody_answers(sockets_for_client())}; for the simulated rig give --simulated")
-
-
-def _simulated_rig_file() -> Path:
-    """The nearest rig.yaml when it is of a simulated rig, else the shipped one."""
-    from needle_rig.config.files import find_config_file, shipped_file
-    from needle_rig.config.loader import load_rig_config
-
-    nearest = find_config_file("rig.yaml")
-    return nearest if load_rig_config(nearest).kind == "simulated" else shipped_file("rig.yaml")
 
 
 def _get_ready() -> None:

@@ -93,5 +93,7 @@ def nobody_answers(places: list[Path]) -> NeedleRigError:
     if not signs:
         return RigFault(f"no daemon answers at {where}; start one: needle-rig daemon")
     standing = unit_standing() if HERE.unit in signs else None
-    next_step = "start one: needle-rig daemon" if standing is None else standing.sentence
+    next_step = (
+        f"start it: needle-rig daemon --config {HERE.rig_file}" if standing is None else standing.sentence
+    )
     return RigFault(f"a rig is set up here ({signs[0]}), but no daemon answers at {where}: {next_step}")

@@ -106,6 +106,17 @@ def test_who_asks_for_the_simulated_rig_gets_it_and_all_says_so(
     assert "simulated" in capsys.readouterr().err
 
 
+def test_a_daemon_without_a_word_is_refused_where_a_rig_is_set_up(
+    here: Installation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put(here.rig_file)
+    assert run(["daemon", "--socket", "s/daemon.sock"]) == 2
+    said = capsys.readouterr().err
+    assert f"--config {here.rig_file}" in said
+    assert "--simulated" in said
+    assert not Path("s").exists()
+
+
 def test_the_picture_of_a_simulated_run_says_so(run_path: Path) -> None:
     from needle_rig.figures.run import run_figure
     from needle_rig.recording import RunFile
