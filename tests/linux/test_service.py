@@ -157,7 +157,7 @@ def test_a_stop_in_mid_run_ends_the_run_in_order(rig: Rig) -> None:
     shell("systemctl start needle-rig", timeout_s=120)
     last = json.loads(needle_rig("runs", "--json").stdout)[-1]
     assert (last["status"], last["complete"]) == ("aborted", True)
-    assert "told to end" in status()["before"]
+    until(lambda: "told to end" in (status().get("before") or ""), "how it ended is told")
 
 
 def test_a_rig_file_that_cannot_be_used_is_told_and_not_tried_again(rig: Rig) -> None:
@@ -188,6 +188,25 @@ def test_term_is_obeyed_while_the_first_start_compiles(rig: Rig, tmp_path: Path)
     begun_s = time.monotonic()
     process.communicate(timeout=60)
     assert time.monotonic() - begun_s < 5
+
+
+def test_check_finds_nothing_that_fails_and_shows_directions_by_a_move(rig: Rig) -> None:
+    done = needle_rig("check", "--move", "20", "--json")
+    told = json.loads(done.stdout)
+    failed = [finding for finding in told["findings"] if finding["verdict"] == "fail"]
+    assert (done.returncode, failed) == (0, []), done.stdout
+    names = {finding["name"] for finding in told["findings"]}
+    assert {"CAN", "bus load", "torque node", "hall node", "drive node", "encoder", "torque cell"} <= names
+    assert told["simulated"] is False
+
+
+def test_check_names_what_fails_when_the_rig_is_off(rig: Rig) -> None:
+    rig.switch_off()
+    until(lambda: status().get("fault") is not None, "a fault is told")
+    done = needle_rig("check")
+    assert done.returncode == 1
+    assert "fail  torque node: " in done.stdout
+    assert "fail  Hall port: there is no /run/bench/hall" in done.stdout
 
 
 def test_it_is_taken_away_and_leaves_the_runs(rig: Rig) -> None:
