@@ -58,7 +58,7 @@ def command(
     call changes nothing. Members of the group needle-rig may use the rig. --remove keeps the runs in
     /var/lib/needle-rig, and the rig file as /etc/needle-rig/rig.yaml.removed.
     """
-    from needle_rig.service.install import install_steps, removal_steps
+    from needle_rig.service.install import install_steps, is_active, removal_steps
     from needle_rig.service.installation import Installation
 
     place = Installation(root.absolute())
@@ -87,10 +87,13 @@ def command(
     if all(step.is_done() for step in steps):
         click.echo("The service is set up already; nothing was changed.")
         return
+    running = place.root == Path("/") and is_active()
     _carry_out(steps, dry_run)
     if dry_run:
         click.echo("Nothing was done.")
         return
+    if running:
+        click.echo("It runs with what it had; when no run goes on: sudo systemctl restart needle-rig")
     click.echo("The service is set up. Look at it: needle-rig status; at the rig: needle-rig check")
     for member in wanted.members:
         click.echo(f"{member} may use it after logging in again (group needle-rig).")

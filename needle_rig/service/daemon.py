@@ -139,7 +139,8 @@ class Daemon:
             if self._loop is None or self._ending:
                 self._notify.send(EXTEND_TIMEOUT_USEC=round(_MORE_TIME_S * 1e6))
             if self._loop is None:
-                self._notify.send(STATUS="starting: the first start compiles the needle's equations")
+                why = ": the first start compiles the needle's equations" if self._parts.simulated else ""
+                self._notify.send(STATUS=f"starting{why}")
             await asyncio.sleep(_ASK_EVERY_S)
 
     async def _serve(self, rig: Rig, listener: socket.socket, on_ready: Callable[[], None]) -> None:

@@ -83,7 +83,7 @@ def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
     steps += _changed(unit, live, ["systemctl", "daemon-reload"])
     steps.append(Run(["systemctl", *_at(place), "enable", UNIT], functools.partial(_is_enabled, place, UNIT)))
     if live and wanted.start:
-        steps.append(Run(["systemctl", "start", "--no-block", UNIT], _is_active))
+        steps.append(Run(["systemctl", "start", "--no-block", UNIT], is_active))
     return steps
 
 
@@ -92,10 +92,15 @@ def removal_steps(place: Installation) -> list[Step]:
     live = place.root == Path("/")
     steps: list[Step] = []
     if live:
-        steps.append(Run(["systemctl", "stop", UNIT], lambda: not _is_active()))
+        steps.append(Run(["systemctl", "stop", UNIT], lambda: not is_active()))
     enabled = functools.partial(_is_enabled, place, UNIT)
     steps.append(Run(["systemctl", *_at(place), "disable", UNIT], lambda: not enabled()))
-    steps += [Remove(path) for path in (place.unit, *place.networks(), place.udev_rules, place.link)]
+    reload = live and place.unit.exists()
+    steps += [Remove(path) for path in (place.unit, *place.networks(), place.udev_rules)]
+    if reload:
+        steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
+    if place.link.is_symlink():  # a program that was installed there is not ours
+        steps.append(Remove(place.link))
     steps.append(Rename(place.rig_file, place.rig_file.with_suffix(".yaml.removed")))
     prefix = [] if live else [f"--prefix={place.root}"]
     for command, file in (("userdel", "etc/passwd"), ("groupdel", "etc/group")):
@@ -195,7 +200,8 @@ def _is_enabled(place: Installation, unit: str, target: str = "multi-user.target
     return (place.root / "etc/systemd/system" / target / unit).is_symlink()
 
 
-def _is_active() -> bool:
+def is_active() -> bool:
+    """Whether the service runs, or is about to."""
     from needle_rig.service.systemd import unit_standing
 
     standing = unit_standing()

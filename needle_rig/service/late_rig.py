@@ -77,18 +77,24 @@ class LateRig:
     async def _keep_trying(self) -> None:
         while True:
             await asyncio.sleep(self._again_s)
-            if await self._try():
-                log.info("the rig answers")
-                return
+            try:
+                if await self._try():
+                    log.info("the rig answers")
+                    return
+            except Exception as error:  # noqa: BLE001 - told, and tried again: nobody waits for this task
+                self._tell(f"a defect: {error!r}")
 
     async def _try(self) -> bool:
         rig = self._make()
         try:
             await rig.open()
         except RigFault as fault:
-            if str(fault) != self._trouble:
-                log.warning("no rig yet", reason=str(fault))
-            self._trouble = str(fault)
+            self._tell(str(fault))
             return False
         self._rig = rig
         return True
+
+    def _tell(self, trouble: str) -> None:
+        if trouble != self._trouble:
+            log.warning("no rig yet", reason=trouble)
+        self._trouble = trouble

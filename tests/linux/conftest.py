@@ -43,7 +43,7 @@ def needle_rig(*arguments: str, user: str = "tech") -> subprocess.CompletedProce
 
 
 def status() -> dict[str, Any]:
-    """What the daemon says; asked from this process, since an interpreter for each look would starve the rig."""
+    """What the daemon says; asked from here, since an interpreter for each look would starve the rig."""
     try:
         return dict(DaemonClient(SOCKET).state())
     except NeedleRigError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -54,6 +55,20 @@ def test_a_command_that_moves_refuses_where_the_daemon_is_down(
     assert str(shown) in said.err
     assert "--simulated" in said.err
     assert not Path("runs").exists()
+
+
+def test_an_option_that_needs_a_daemon_of_its_own_is_refused_while_the_rigs_runs(
+    here: Installation, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "user/needle-rig/daemon.sock"
+    path.parent.mkdir(parents=True)
+    put(here.unit)
+    with socket.socket(socket.AF_UNIX) as daemon:
+        daemon.bind(str(path))
+        daemon.listen()
+        assert run(["compensate", "--target", "45", "--out", "mine"]) == 2
+    said = capsys.readouterr().err
+    assert "leave --out out, or give --simulated" in said
 
 
 @pytest.mark.parametrize("command", ["status", "stop", "clear", "hold", "release", "jog --by 5", "home"])

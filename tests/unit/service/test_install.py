@@ -128,6 +128,14 @@ def test_it_is_taken_away_but_for_runs_and_rig_file(place: Installation) -> None
     assert put_in_place(place, "--remove") == 0
 
 
+def test_a_program_where_the_link_would_be_stays(place: Installation) -> None:
+    place.link.parent.mkdir(parents=True)
+    place.link.write_text("installed by somebody else")
+    assert put_in_place(place, "--hall", HALL) == 0
+    assert put_in_place(place, "--remove") == 0
+    assert place.link.read_text() == "installed by somebody else"
+
+
 def test_a_serial_adapter_needs_no_network(place: Installation) -> None:
     assert put_in_place(place, "--hall", HALL, "--can", "/dev/serial/by-id/usb-CANable") == 0
     can = load_rig_config(place.rig_file).links.can

@@ -90,6 +90,23 @@ async def test_it_is_opened_when_it_comes_and_used_from_then_on(made: list[FakeR
     assert made[-1].closed
 
 
+async def test_a_defect_while_it_is_opened_is_told_and_it_is_tried_again(
+    made: list[FakeRig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = late_rig(made)
+    await rig.open()
+    with monkeypatch.context() as broken:
+        broken.setattr(FakeRig, "__init__", lambda _: 1 / 0)
+        async with asyncio.timeout(5):
+            while "ZeroDivisionError" not in rig.read().torque_complaint:
+                await asyncio.sleep(0.001)
+    FakeRig.there = True
+    async with asyncio.timeout(5):
+        while math.isnan(rig.read().base_angle_rad):
+            await asyncio.sleep(0.001)
+    await rig.close()
+
+
 async def test_a_rig_that_can_never_be_opened_is_told_at_once() -> None:
     def make() -> FakeRig:
         raise BadInput("links.can: no such thing")
