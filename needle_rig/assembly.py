@@ -109,9 +109,8 @@ def _real_rig(config: RigConfig, raw: RawReadings, *, resident: bool) -> Rig:
 
     if needs_bench(config):
         return RigOnBench(config, raw)
-    if resident:
-        return LateRig(lambda: HardwareRig(config, raw), len(config.layout.hall_sensors))
-    return HardwareRig(config, raw)
+    rig = HardwareRig(config, raw)
+    return LateRig(rig, len(config.layout.hall_sensors)) if resident else rig
 
 
 class RigOnBench:

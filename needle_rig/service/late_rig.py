@@ -21,31 +21,31 @@ AGAIN_S = 1.0
 
 
 class LateRig:
-    """Opens a rig of `make` again and again until it answers; until then every link reads as dead.
+    """Opens `rig` again and again until it answers; until then every link reads as dead.
 
     What stands in the way is told as the complaint of its links, and once in the log.
     """
 
     def __init__(
         self,
-        make: Callable[[], Rig],
+        rig: Rig,
         sensors: int,
         now: Callable[[], float] = time.monotonic,
         again_s: float = AGAIN_S,
     ) -> None:
-        self._make, self._sensors, self._now, self._again_s = make, sensors, now, again_s
-        self._rig: Rig | None = None
+        self._rig, self._sensors, self._now, self._again_s = rig, sensors, now, again_s
+        self._answers = False
         self._trouble = ""
         self._opening: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Try once, and go on trying in the background; BadInput for a rig that can never be opened."""
+        """Try once, and go on trying in the background."""
         if not await self._try():
             self._opening = asyncio.create_task(self._keep_trying(), name="open rig")
 
     def read(self) -> Measurement:
         """See `Rig.read`."""
-        if self._rig is not None:
+        if self._answers:
             return self._rig.read()
         return Measurement(
             time_s=self._now(),
@@ -61,7 +61,7 @@ class LateRig:
 
     def write(self, command: Command) -> None:
         """See `Rig.write`."""
-        if self._rig is not None:
+        if self._answers:
             self._rig.write(command)
 
     async def close(self) -> None:
@@ -71,8 +71,7 @@ class LateRig:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._opening
             self._opening = None
-        if self._rig is not None:
-            await self._rig.close()
+        await self._rig.close()
 
     async def _keep_trying(self) -> None:
         while True:
@@ -85,13 +84,12 @@ class LateRig:
                 self._tell(f"a defect: {error!r}")
 
     async def _try(self) -> bool:
-        rig = self._make()
         try:
-            await rig.open()
+            await self._rig.open()
         except RigFault as fault:
             self._tell(str(fault))
             return False
-        self._rig = rig
+        self._answers = True
         return True
 
     def _tell(self, trouble: str) -> None:

@@ -21,15 +21,16 @@ MISSING = "CAN bus (socketcan can0): there is no interface can0"
 class FakeRig:
     """Answers once `there` is true."""
 
-    there = False
-    opened = 0
-
     def __init__(self) -> None:
+        self.there = self.closed = False
+        self.broken: Exception | None = None
+        self.opened = 0
         self.told: list[Command] = []
-        self.closed = False
 
     async def open(self) -> None:
-        type(self).opened += 1
+        self.opened += 1
+        if self.broken is not None:
+            raise self.broken
         if not self.there:
             raise RigFault(MISSING)
 
@@ -46,22 +47,16 @@ class FakeRig:
 
 
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> list[FakeRig]:
-    monkeypatch.setattr(FakeRig, "there", False)
-    monkeypatch.setattr(FakeRig, "opened", 0)
-    return []
+def fake() -> FakeRig:
+    return FakeRig()
 
 
-def late_rig(made: list[FakeRig]) -> LateRig:
-    def make() -> FakeRig:
-        made.append(FakeRig())
-        return made[-1]
-
-    return LateRig(make, 4, now=lambda: 7.0, again_s=0.001)
+def late_rig(fake: FakeRig) -> LateRig:
+    return LateRig(fake, 4, now=lambda: 7.0, again_s=0.001)
 
 
-async def test_a_rig_that_is_not_there_reads_as_dead_links_with_the_reason(made: list[FakeRig]) -> None:
-    rig = late_rig(made)
+async def test_a_rig_that_is_not_there_reads_as_dead_links_with_the_reason(fake: FakeRig) -> None:
+    rig = late_rig(fake)
     await rig.open()
     seen = rig.read()
     rig.write(STOP)
@@ -72,54 +67,49 @@ async def test_a_rig_that_is_not_there_reads_as_dead_links_with_the_reason(made:
     await rig.close()
 
 
-async def test_it_is_opened_when_it_comes_and_used_from_then_on(made: list[FakeRig]) -> None:
-    rig = late_rig(made)
+async def test_it_is_opened_when_it_comes_and_used_from_then_on(fake: FakeRig) -> None:
+    rig = late_rig(fake)
     await rig.open()
     await asyncio.sleep(0.01)
-    assert FakeRig.opened > 1
-    FakeRig.there = True
+    assert fake.opened > 1
+    fake.there = True
     async with asyncio.timeout(5):
         while math.isnan(rig.read().base_angle_rad):
             await asyncio.sleep(0.001)
-    attempts = FakeRig.opened
+    attempts = fake.opened
     await asyncio.sleep(0.01)
-    assert FakeRig.opened == attempts
+    assert fake.opened == attempts
     rig.write(STOP)
-    assert made[-1].told == [STOP]
+    assert fake.told == [STOP]
     await rig.close()
-    assert made[-1].closed
+    assert fake.closed
 
 
-async def test_a_defect_while_it_is_opened_is_told_and_it_is_tried_again(
-    made: list[FakeRig], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rig = late_rig(made)
+async def test_a_defect_while_it_is_opened_is_told_and_it_is_tried_again(fake: FakeRig) -> None:
+    rig = late_rig(fake)
     await rig.open()
-    with monkeypatch.context() as broken:
-        broken.setattr(FakeRig, "__init__", lambda _: 1 / 0)
-        async with asyncio.timeout(5):
-            while "ZeroDivisionError" not in rig.read().torque_complaint:
-                await asyncio.sleep(0.001)
-    FakeRig.there = True
+    fake.broken = ZeroDivisionError()
+    async with asyncio.timeout(5):
+        while "ZeroDivisionError" not in rig.read().torque_complaint:
+            await asyncio.sleep(0.001)
+    fake.broken, fake.there = None, True
     async with asyncio.timeout(5):
         while math.isnan(rig.read().base_angle_rad):
             await asyncio.sleep(0.001)
     await rig.close()
 
 
-async def test_a_rig_that_can_never_be_opened_is_told_at_once() -> None:
-    def make() -> FakeRig:
-        raise BadInput("links.can: no such thing")
-
+async def test_a_rig_that_can_never_be_opened_is_told_at_once(fake: FakeRig) -> None:
+    fake.broken = BadInput("links.can: no such thing")
     with pytest.raises(BadInput):
-        await LateRig(make, 4).open()
+        await late_rig(fake).open()
 
 
 async def test_the_brain_refuses_motions_until_the_rig_answers(
-    made: list[FakeRig],
+    fake: FakeRig,
 ) -> None:
     brain = Brain(load_rig_config(shipped_file("rig.hardware.yaml")))
-    rig = late_rig(made)
+    rig = late_rig(fake)
     await rig.open()
     for _ in range(5):
         command, _ = brain.step(rig.read(), 0.005)
