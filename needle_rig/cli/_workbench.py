@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -44,14 +45,37 @@ def read_data(paths: tuple[Path, ...]) -> Dataset:
     """One dataset of traces from folders, run files and names of datasets in config/datasets."""
     from needle_rig.workbench.observations.sources import read_measurements
 
-    return read_measurements(paths)
+    found = _found(paths)
+    read = read_measurements(found)
+    _mark_read(found)
+    return read
 
 
 def read_observations(paths: tuple[Path, ...]) -> Observations:
     """Traces, or the settled values that DATA names. Raises BadInput for both at once."""
     from needle_rig.workbench.learning.observations import read_observations as read
 
-    return read(paths)
+    found = _found(paths)
+    measured = read(found)
+    _mark_read(found)
+    return measured
+
+
+def _found(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The paths; `last` is the newest run where no file has that name."""
+    from needle_rig.cli._runs import the_run
+
+    newest = [path for path in paths if str(path) == "last" and not os.path.lexists(path)]
+    run = the_run("last", None, None).path if newest else Path()
+    return tuple(run if path in newest else path for path in paths)
+
+
+def _mark_read(paths: tuple[Path, ...]) -> None:
+    from needle_rig.recording import is_run_file, mark_read
+
+    for path in paths:
+        if is_run_file(str(path)):
+            mark_read(path)
 
 
 def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:
