@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -52,7 +53,7 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
             found.append((path, unit, parent, values))
         elif min(values.shape) <= MOST_SIDE:
             rows = values if values.shape[0] >= values.shape[1] else values.T
-            found += [(f"{path}[{k + 1}]", unit, parent, rows[:, k]) for k in range(rows.shape[1])]
+            found += [(f"{path}.{k + 1}", unit, parent, rows[:, k]) for k in range(rows.shape[1])]
     found = [entry for entry in found if len(entry[3]) >= FEWEST_ROWS and entry[3].dtype.kind in "iufb"]
     if not found:
         raise BadInput(f"{shown}: holds no array of {FEWEST_ROWS} numbers or more; is it the right file?")
@@ -61,12 +62,13 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
     common = _common(["/".join(path.split("/")[:-1]) for path, *_ in found])
     names = unique([path[len(common) :].lstrip("/") for path, *_ in found])
     lengths = {parent: {len(v) for _, _, p, v in found if p == parent} for _, _, parent, _ in found}
+    many = Counter(parent for _, _, parent, _ in found)
     timed = {
         parent for path, _, parent, _ in found if TIME_NAME.fullmatch(split_name(path.rpartition("/")[2])[0])
     }
     columns, rates = [], {}
     for name, (_, unit, parent, array) in zip(names, found, strict=True):
-        own = parent in timed and len(lengths[parent]) == 1
+        own = parent in timed and len(lengths[parent]) == 1 and many[parent] > 1
         table = parent[len(common) :].lstrip("/") if own else f"{len(array)} rows"
         values = np.asarray(array, dtype=np.float64)
         if np.isinf(values).any():

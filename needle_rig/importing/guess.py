@@ -4,6 +4,7 @@ from __future__ import annotations
 
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,8 +38,14 @@ CLEAR_LAG = 0.004
 """Of the product of travels: 0.2° of 45°; noise and rounding stay below it."""
 CLEAR_WORK = 0.1
 """Share of the work; a torque that is noise alone stays below it in a recording of 100 samples."""
-COMMON = 0.995
-"""Correlation of the rates of one quantity on two clocks; a needle's own lag leaves less."""
+ROUND = 0.75
+"""Share of levels at multiples of 5°; two of two at random are one in 150."""
+LEAST_RADIANS = 0.6
+"""A range without unit that is below it can be radians or turns: 34° or 216°."""
+COMMON = 0.01
+"""Of its span: what differs between two records of one quantity; the loop of a needle that lags is ten times that."""
+WEAK = 0.4
+"""Correlation of an angle with the base below which its sign is asked; the tip of a needle in much tissue has 0.5."""
 EPOCH_S = 1e8
 """Seconds since 1970 that a clock shows which knows the date; any other counts from its start."""
 
@@ -103,8 +110,8 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
             "each with the files of its own"
         )
     trials, series, more = _trials(series)
+    clocks, series = _on_one_clock(clocks, series)
     channels, unused = _channels(series, rig, recordings)
-    clocks = _offsets(clocks, channels, series)
     used = {(c.clock, c.source) for c in channels}
     clocks = {k: v for k, v in clocks.items() if any(c.clock == k for c in channels)}
     clocks = _sane_clocks(clocks, channels, series)
@@ -121,7 +128,7 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
 
 
 def _relative(path: Path, folder: Path) -> str:
-    import os
+
 
     return os.path.relpath(path, folder)
 
@@ -268,7 +275,7 @@ def _channels(
     rest = [s for s in (angles or loose) if s is not base]
     if not angles:
         rest, torques = _split_loose(base, rest, torques)
-    sensors = [s for s in rest if _seen_on_needle(base, s)]
+    sensors = [s for s in rest if _seen_on_needle(base, s) and not _is_copy(base, s)]
     unit = _base_unit(base, sensors)
     channels = [
         ChannelPart(
@@ -372,15 +379,15 @@ def _leads(s: _Series, angles: Sequence[_Series]) -> float:
 
 
 def _on(s: _Series, other: _Series) -> Array:
-    """`other` at the times of `s`."""
-    if s.clock == other.clock:
+    """`other` at the times of `s`, NaN outside of its own."""
+    if s.clock == other.clock and len(s.values) == len(other.values):
         return other.values
     known = np.isfinite(other.values)
-    return np.interp(s.time_s - s.time_s[0], other.time_s[known] - other.time_s[0], other.values[known])
+    return np.interp(s.time_s, other.time_s[known], other.values[known], left=math.nan, right=math.nan)
 
 
 def _lag(leader: _Series, follower: _Series) -> float:
-    """0 on different clocks: what comes first there is a question of the clocks."""
+    """How far an angle comes after another; 0 on different clocks, where it is a question of the clocks."""
     if leader.clock != follower.clock:
         return 0.0
     every = max(1, len(leader.values) // 4000)
@@ -404,6 +411,12 @@ def _ratio(a: _Series, b: _Series) -> float:
 
 def _seen_on_needle(base: _Series, s: _Series) -> bool:
     return abs(signals.follow_sign(base.values, _on(base, s))) > 0.3
+
+
+def _is_copy(base: _Series, s: _Series) -> bool:
+    """Whether a column is the base's angle once more."""
+    left = signals.difference_share(s.time_s, s.values, base.time_s, base.values)
+    return left < COMMON and (s.clock != base.clock or names.is_base(s.column.name))
 
 
 def _split_loose(
@@ -439,7 +452,10 @@ def _base_unit(base: _Series, sensors: Sequence[_Series]) -> _Unit:
         round_share[text] = signals.roundness(at * degrees)
         if SMALLEST_DEG <= peak * degrees <= LARGEST_DEG and rate * degrees <= FASTEST_DEG_S:
             fitting.append(text)
-    rounds = [u for u in fitting if round_share[u] >= 0.75]
+    rounds = [u for u in fitting if round_share[u] >= ROUND]
+    # Turns are written as such, or are seen by their round degrees; as a range alone they are a radian's.
+    if "turn" in fitting and "turn" not in rounds and peak > LEAST_RADIANS:
+        fitting.remove("turn")
     if written is not None and written.dimension == "angle":
         degrees = math.degrees(written.si)
         better = [u for u in rounds if u != written.text]
@@ -493,11 +509,9 @@ def _sensor(s: _Series, role: str, base: _Series, base_si: Array | None, why: st
     sign = 1 if follow >= 0 else -1
     unit = _sensor_unit(s, base, base_si)
     turned = "" if sign > 0 else "it falls while the base rises"
-    weak = f"it follows the base weakly (correlation {follow:.2f})" if abs(follow) < 0.6 else ""
+    weak = f"it follows the base weakly (correlation {follow:.2f})" if abs(follow) < WEAK else ""
     if sign > 0 and not weak:
         turned = "it turns with the base"
-    if base.clock == s.clock and sign < 0 and abs(follow) > 0.6:
-        weak = ""
     return ChannelPart(
         role=role,
         clock=s.clock,
@@ -621,8 +635,6 @@ def _torque_channel(
     if len(torques) > 1 and not names.says(s.column.name, names.BASE):
         rest = ", ".join(o.column.name for o in torques if o is not s)
         doubts.append(f"{rest} could be it as well")
-    if s.clock != base.clock:
-        doubts.append("it has another clock than the base")
     unit = _torque_unit(s, base_si, sensors, base, channels, rig)
     if unit.doubt:
         doubts.append(unit.doubt)
@@ -764,47 +776,54 @@ def _sane_clocks(
     return {**clocks, base.clock: part.model_copy(update={"doubt": doubt})}
 
 
-def _offsets(
-    clocks: dict[str, ClockPart], channels: Sequence[ChannelPart], series: Sequence[_Series]
-) -> dict[str, ClockPart]:
-    """Clocks brought onto that of the base, each with its reason.
+def _on_one_clock(
+    clocks: dict[str, ClockPart], series: Sequence[_Series]
+) -> tuple[dict[str, ClockPart], list[_Series]]:
+    """Clocks brought onto that of the fastest one with an angle, each with its reason; and the series on it.
 
-    Only that of the first recording is found; of several, each further one is doubted.
+    Only the offset of the first recording is found; of several, each further one is doubted.
     """
-    by = {(s.clock, s.column.name): s for s in series}
-    base = by[channels[0].clock, channels[0].source]
-    result = dict(clocks)
-    for name in {c.clock for c in channels} - {base.clock}:
-        part = clocks[name]
-        own = [s for s in series if s.clock == name]
-        if float(np.nanmedian(base.time_s)) > EPOCH_S and float(np.nanmedian(own[0].time_s)) > EPOCH_S:
-            why = f"{part.why}; both clocks count from 1970"
-            result[name] = part.model_copy(update={"why": why})
+    angles = [s for s in series if s.span > 0 and _kind(s) in ("angle", "")]
+    if len(clocks) < 2 or not angles:
+        return clocks, list(series)
+    lead = max(angles, key=lambda s: (names.is_base(s.column.name), len(s.column.values)))
+    result, moved = dict(clocks), []
+    shifts = dict.fromkeys(clocks, 0.0)
+    for name, part in clocks.items():
+        own = [s for s in series if s.clock == name and s.span > 0]
+        if name == lead.clock or not own:
             continue
-        on_base = [s for s in series if s.clock == base.clock]
-        found = [
-            (*signals.clock_offset_s(a.time_s, np.abs(_rate(a)), b.time_s, np.abs(_rate(b))), a, b)
-            for a in on_base
-            for b in own
-        ]
-        offset, match, a, b = max(found, key=lambda f: f[1])
-        common = match >= COMMON and a.column.name != "" and len(found) > 0
-        doubt = (
-            ""
-            if common
-            else (
-                f"no quantity is in both files; {b.column.name} matches {a.column.name} best "
-                f"(correlation {match:.2f}), and the needle's own lag is in it"
-            )
-        )
+        if min(float(np.nanmedian(s.time_s)) for s in (lead, own[0])) > EPOCH_S:
+            result[name] = part.model_copy(update={"why": f"{part.why}; both clocks count from 1970"})
+            continue
+        on_lead = [s for s in series if s.clock == lead.clock and s.span > 0]
+        pairs = []
+        for a in on_lead:
+            for b in own:
+                offset, match = signals.clock_offset_s(a.time_s, np.abs(_rate(a)), b.time_s, np.abs(_rate(b)))
+                left = signals.difference_share(a.time_s, a.values, b.time_s + offset, b.values)
+                pairs.append((left, -match, offset, a.column.name, b.column.name))
+        left, match, offset, a_name, b_name = min(pairs)
+        if left < COMMON:
+            doubt, how = "", f"{b_name} is {a_name}, {left:.1%} apart"
+        else:
+            _, match, offset, a_name, b_name = min(pairs, key=lambda p: p[1])
+            how = f"{b_name} moves as {a_name} (correlation {-match:.2f})"
+            doubt = f"no quantity is in both files; offset_s {offset:+.3f} has the needle's own lag in it"
         if len(part.files) > 1:
-            doubt = doubt or "found for the first file of each; write offset_s of the others"
+            doubt = doubt or "offset_s was found for the first file alone; write that of the others"
         files = (part.files[0].model_copy(update={"offset_s": round(offset, 4)}), *part.files[1:])
-        why = f"{part.why}; {b.column.name} is {a.column.name} {offset:+.3f} s (correlation {match:.3f})"
+        shifts[name] = offset
         result[name] = part.model_copy(
-            update={"files": files, "why": why, "doubt": "; ".join(filter(None, (part.doubt, doubt)))}
+            update={
+                "files": files,
+                "why": f"{part.why}; {how} at {offset:+.3f} s",
+                "doubt": "; ".join(filter(None, (part.doubt, doubt))),
+            }
         )
-    return result
+    for s in series:
+        moved.append(_Series(s.column, s.clock, s.time_s + shifts[s.clock], s.values))
+    return result, moved
 
 
 def _rate(s: _Series) -> Array:

@@ -75,6 +75,8 @@ def _placeholder(unit: str) -> bool:
 def _is_names(row: Cells, width: int) -> bool:
     """Whether a row can be one of names or units: as wide as the table, and no numbers."""
     filled = [cell for cell in row if cell]
+    if len(filled) > 1 and len(set(filled)) == 1:
+        return False
     if not filled or not (width <= len(row) <= width + 1 or len(row) == width - 1 > 1):
         return False
     return not any(number_with_unit(cell) and not number_with_unit(cell)[1] for cell in filled)  # type: ignore[index]

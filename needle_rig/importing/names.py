@@ -16,7 +16,7 @@ ANGLE = re.compile(
     r".*(angle|angular|theta|phi|rot|enc|hall|position|\bpos\b|winkel|yaw|roll|twist|orient|q\d*\b|deg|θ|φ|ϕ|α).*"
 )
 BASE = re.compile(
-    r".*(base|motor|drive|driven|proximal|\bprox|encoder|enc\b|input|spindle|stage|hub|back.?end|antrieb|\bq1?\b|q_?1\b|"
+    r".*(base|motor|drive|driven|proximal|\bprox|encoder|enc\b|input|spindle|stage|hub|chuck|collet|back.?end|antrieb|\bq1?\b|q_?1\b|"
     r"joint_?1|actuator|theta_?[0mb]?\b).*"
 )
 SENSOR = re.compile(
@@ -43,9 +43,18 @@ def plain(name: str) -> str:
 
 
 def says(name: str, pattern: re.Pattern[str]) -> bool:
-    """Whether the name, or its last part, is one of the pattern's."""
+    """Whether the name is one of the pattern's; a group or topic that it stands in counts as a part of it."""
     text = plain(name)
     return bool(pattern.fullmatch(text) or pattern.fullmatch(text.replace(" ", "_")))
+
+
+def is_base(name: str) -> bool:
+    """Whether the name is that of the base, and of no sensor on the needle; its last part before its group."""
+    for text in (re.split(r"[/.]", split_name(name)[0])[-1], name):
+        base, sensor = says(text, BASE), says(text, SENSOR)
+        if base or sensor:
+            return base and not sensor
+    return False
 
 
 def numbers_in(name: str) -> tuple[int, ...]:

@@ -140,5 +140,21 @@ def clock_offset_s(time_a: Array, a: Array, time_b: Array, b: Array) -> tuple[fl
     return offset, at / norm if norm > 0 else 0.0
 
 
+def difference_share(time_a: Array, a: Array, time_b: Array, b: Array) -> float:
+    """What is left of `a` when `b`, scaled and shifted, is taken from it: standard deviation over span, 0 to 1.
+
+    One quantity recorded twice leaves its noise; a needle that lags leaves its loop.
+    """
+    inside = (time_a >= time_b[0]) & (time_a <= time_b[-1]) & np.isfinite(a)
+    if inside.sum() < 10:
+        return 1.0
+    known = np.isfinite(b)
+    y, x = a[inside], np.interp(time_a[inside], time_b[known], b[known])
+    design = np.column_stack((x, np.ones_like(x)))
+    left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    span = float(np.ptp(y))
+    return float(left.std()) / span if span > 0 else 1.0
+
+
 def _centred(values: Array) -> Array:
     return np.asarray(values - values.mean(), dtype=np.float64)
