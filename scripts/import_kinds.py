@@ -1,4 +1,5 @@
-"""Forty recordings in twelve formats and their dialects, written by other people's writers, with the truth of each.
+"""Forty recordings in twelve formats and their dialects, written by other people's writers, with the truth
+of each.
 
 Every case turns one recording (time, base, torque, four angles; SI) into files as laboratories keep them, and
 says which column is what, in which unit and with which sign.
@@ -96,7 +97,15 @@ def text(
     return Truth((path,), rows.channels, rows.step_s)
 
 
-PLAIN = ("time_s", "base_angle_deg", "base_torque_nmm", "hall_1_deg", "hall_2_deg", "hall_3_deg", "hall_4_deg")
+PLAIN = (
+    "time_s",
+    "base_angle_deg",
+    "base_torque_nmm",
+    "hall_1_deg",
+    "hall_2_deg",
+    "hall_3_deg",
+    "hall_4_deg",
+)
 PLAIN_UNITS = ("s", "deg", "nmm", "deg", "deg", "deg", "deg")
 
 
@@ -113,7 +122,15 @@ def pandas_csv(source: Source, folder: Path) -> Truth:
 def pandas_csv_with_index(source: Source, folder: Path) -> Truth:
     import pandas
 
-    names = ("Time [s]", "Motor angle [deg]", "Torque [N·mm]", "Hall 1 [deg]", "Hall 2 [deg]", "Hall 3 [deg]", "Hall 4 [deg]")
+    names = (
+        "Time [s]",
+        "Motor angle [deg]",
+        "Torque [N·mm]",
+        "Hall 1 [deg]",
+        "Hall 2 [deg]",
+        "Hall 3 [deg]",
+        "Hall 4 [deg]",
+    )
     rows = columns(source, names, PLAIN_UNITS)
     pandas.DataFrame(rows.values, columns=list(rows.names)).to_csv(folder / "log.csv")
     return Truth((folder / "log.csv",), rows.channels, rows.step_s)
@@ -123,19 +140,33 @@ def pandas_csv_with_index(source: Source, folder: Path) -> Truth:
 def pandas_gzip_dates(source: Source, folder: Path) -> Truth:
     import pandas
 
-    rows = columns(source, ("timestamp", "encoder_deg", "Mz_mNm", "h1_deg", "h2_deg", "h3_deg", "h4_deg"), PLAIN_UNITS)
+    rows = columns(
+        source, ("timestamp", "encoder_deg", "Mz_mNm", "h1_deg", "h2_deg", "h3_deg", "h4_deg"), PLAIN_UNITS
+    )
     frame = pandas.DataFrame(rows.values, columns=list(rows.names))
-    frame["timestamp"] = pandas.Timestamp("2024-03-01 12:00:00") + pandas.to_timedelta(frame["timestamp"], unit="s")
+    frame["timestamp"] = pandas.Timestamp("2024-03-01 12:00:00") + pandas.to_timedelta(
+        frame["timestamp"], unit="s"
+    )
     frame.to_csv(folder / "log.csv.gz", index=False, date_format="%Y-%m-%d %H:%M:%S.%f")
     return Truth((folder / "log.csv.gz",), rows.channels, rows.step_s)
 
 
 @case
 def german_excel_csv(source: Source, folder: Path) -> Truth:
-    names = ("Zeit", "Antrieb Winkel", "Drehmoment", "Spitze Winkel 1", "Spitze Winkel 2", "Spitze Winkel 3", "Spitze Winkel 4")
+    names = (
+        "Zeit",
+        "Antrieb Winkel",
+        "Drehmoment",
+        "Spitze Winkel 1",
+        "Spitze Winkel 2",
+        "Spitze Winkel 3",
+        "Spitze Winkel 4",
+    )
     rows = columns(source, names, PLAIN_UNITS)
     head = [";".join(names), "s;°;mNm;°;°;°;°"]
-    return text(folder / "Messung.csv", rows, ";", comma=True, above=head, encoding="cp1252", names=False, end="\r\n")
+    return text(
+        folder / "Messung.csv", rows, ";", comma=True, above=head, encoding="cp1252", names=False, end="\r\n"
+    )
 
 
 @case
@@ -155,7 +186,11 @@ def unit_row_in_brackets(source: Source, folder: Path) -> Truth:
 
 @case
 def numpy_savetxt(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("time", "q_base", "tau", "q_1", "q_2", "q_3", "q_4"), ("s", "rad", "nmm", "rad", "rad", "rad", "rad"))
+    rows = columns(
+        source,
+        ("time", "q_base", "tau", "q_1", "q_2", "q_3", "q_4"),
+        ("s", "rad", "nmm", "rad", "rad", "rad", "rad"),
+    )
     path = folder / "log.txt"
     np.savetxt(path, rows.values, header=" ".join(rows.names))
     return Truth((path,), rows.channels, rows.step_s)
@@ -163,7 +198,11 @@ def numpy_savetxt(source: Source, folder: Path) -> Truth:
 
 @case
 def spaces_aligned(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("Time[s]", "Motor[deg]", "Torque[Nmm]", "Hall1[deg]", "Hall2[deg]", "Hall3[deg]", "Hall4[deg]"), PLAIN_UNITS)
+    rows = columns(
+        source,
+        ("Time[s]", "Motor[deg]", "Torque[Nmm]", "Hall1[deg]", "Hall2[deg]", "Hall3[deg]", "Hall4[deg]"),
+        PLAIN_UNITS,
+    )
     path = folder / "log.dat"
     lines = ["".join(f"{n:>16}" for n in rows.names)]
     lines += ["".join(f"{v:16.6f}" for v in row) for row in rows.values]
@@ -189,14 +228,26 @@ def commands_beside(source: Source, folder: Path) -> Truth:
     rows = columns(source, ("time_ms", "motor_angle_deg", "torque_Nmm", "tip_1_deg", "tip_2_deg", "tip_3_deg", "tip_4_deg"),
                    ("ms", *PLAIN_UNITS[1:]))  # fmt: skip
     speed = np.gradient(rows.values[:, 1], source.time_s)
-    more = np.column_stack((np.round(rows.values[:, 1]), speed, 0.2 + 0.01 * speed, 22.0 + 0 * speed + 0.01 * source.time_s))
+    more = np.column_stack(
+        (np.round(rows.values[:, 1]), speed, 0.2 + 0.01 * speed, 22.0 + 0 * speed + 0.01 * source.time_s)
+    )
     names = (*rows.names, "motor_target_deg", "motor_speed_deg_s", "motor_current_A", "temperature_C")
-    return text(folder / "run1.csv", Columns(names, np.column_stack((rows.values, more)), rows.channels, rows.step_s))
+    return text(
+        folder / "run1.csv", Columns(names, np.column_stack((rows.values, more)), rows.channels, rows.step_s)
+    )
 
 
 @case
 def quotes_and_gaps(source: Source, folder: Path) -> Truth:
-    names = ('"Time, s"', '"Base angle, deg"', '"Base torque, N-mm"', '"Sensor 1, deg"', '"Sensor 2, deg"', '"Sensor 3, deg"', '"Sensor 4, deg"')
+    names = (
+        '"Time, s"',
+        '"Base angle, deg"',
+        '"Base torque, N-mm"',
+        '"Sensor 1, deg"',
+        '"Sensor 2, deg"',
+        '"Sensor 3, deg"',
+        '"Sensor 4, deg"',
+    )
     plain = tuple(n.strip('"') for n in names)
     rows = columns(source, plain, PLAIN_UNITS)
     rows.values[100:110, 4] = np.nan
@@ -210,21 +261,47 @@ def quotes_and_gaps(source: Source, folder: Path) -> Truth:
 
 @case
 def no_time_but_rate(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("Time", "Base [deg]", "Torque [mNm]", "H1 [deg]", "H2 [deg]", "H3 [deg]", "H4 [deg]"), PLAIN_UNITS)
+    rows = columns(
+        source,
+        ("Time", "Base [deg]", "Torque [mNm]", "H1 [deg]", "H2 [deg]", "H3 [deg]", "H4 [deg]"),
+        PLAIN_UNITS,
+    )
     bare = Columns(rows.names[1:], rows.values[:, 1:], rows.channels, rows.step_s)
-    return text(folder / "log.csv", bare, above=["# Operator: K", f"# Sampling rate: {1 / rows.step_s:g} Hz", "#"])
+    return text(
+        folder / "log.csv", bare, above=["# Operator: K", f"# Sampling rate: {1 / rows.step_s:g} Hz", "#"]
+    )
 
 
 @case
 def micros_of_a_microcontroller(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("micros", "enc_deg", "torque_mNm", "hall0_deg", "hall1_deg", "hall2_deg", "hall3_deg"), ("us", *PLAIN_UNITS[1:]))
+    rows = columns(
+        source,
+        ("micros", "enc_deg", "torque_mNm", "hall0_deg", "hall1_deg", "hall2_deg", "hall3_deg"),
+        ("us", *PLAIN_UNITS[1:]),
+    )
     rows.values[:, 0] += 8_123_456
-    return text(folder / "serial.log", Columns(("time_us", *rows.names[1:]), rows.values, rows.channels, rows.step_s), digits="%.5f")
+    return text(
+        folder / "serial.log",
+        Columns(("time_us", *rows.names[1:]), rows.values, rows.channels, rows.step_s),
+        digits="%.5f",
+    )
 
 
 @case
 def clock_of_the_day(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("Time", "Angle Motor (deg)", "Torque (Nmm)", "Angle 1 (deg)", "Angle 2 (deg)", "Angle 3 (deg)", "Angle 4 (deg)"), PLAIN_UNITS)
+    rows = columns(
+        source,
+        (
+            "Time",
+            "Angle Motor (deg)",
+            "Torque (Nmm)",
+            "Angle 1 (deg)",
+            "Angle 2 (deg)",
+            "Angle 3 (deg)",
+            "Angle 4 (deg)",
+        ),
+        PLAIN_UNITS,
+    )
     lines = [";".join(rows.names)]
     for row in rows.values:
         s = row[0] + 60
@@ -284,20 +361,39 @@ def labview_lvm_without_x(source: Source, folder: Path) -> Truth:
 
 @case
 def dasylab_ascii(source: Source, folder: Path) -> Truth:
-    names = ("Measurement time[hh:mm:ss]", "Drive angle [°]", "Torque [Nmm]", "Hall 1 [°]", "Hall 2 [°]", "Hall 3 [°]", "Hall 4 [°]")
+    names = (
+        "Measurement time[hh:mm:ss]",
+        "Drive angle [°]",
+        "Torque [Nmm]",
+        "Hall 1 [°]",
+        "Hall 2 [°]",
+        "Hall 3 [°]",
+        "Hall 4 [°]",
+    )
     rows = columns(source, names, PLAIN_UNITS)
-    lines = ["DASYLab - V 11.00.00", "Worksheet name: rig", "Recording date: 01.03.2024, 14:03:11", f"Block length: 1",
+    lines = ["DASYLab - V 11.00.00", "Worksheet name: rig", "Recording date: 01.03.2024, 14:03:11", "Block length: 1",
              f"Delta: {rows.step_s:g} sec", "Number of channels: 6", ";".join(names)]  # fmt: skip
     for row in rows.values:
         s = row[0]
-        lines.append(f"14:{3 + int(s // 60):02d}:{s % 60:06.3f};".replace(".", ",") + ";".join(f"{v:.5f}" for v in row[1:]).replace(".", ","))
+        lines.append(
+            f"14:{3 + int(s // 60):02d}:{s % 60:06.3f};".replace(".", ",")
+            + ";".join(f"{v:.5f}" for v in row[1:]).replace(".", ",")
+        )
     (folder / "rig.asc").write_bytes("\r\n".join(lines).encode("cp1252"))
     return Truth((folder / "rig.asc",), rows.channels, rows.step_s)
 
 
 @case
 def catman_ascii(source: Source, folder: Path) -> Truth:
-    names = ("Time  1 - default sample rate", "Angle drive", "Torque cell", "Angle 1", "Angle 2", "Angle 3", "Angle 4")
+    names = (
+        "Time  1 - default sample rate",
+        "Angle drive",
+        "Torque cell",
+        "Angle 1",
+        "Angle 2",
+        "Angle 3",
+        "Angle 4",
+    )
     rows = columns(source, names, PLAIN_UNITS)
     head = ["HBM_CATMAN_DATAFILE_40", "DATAFILE FROM CATMAN", "Comment:\tseries 3", "NUMBER OF CHANNELS:\t7", "MAXLENGTH OF CHANNELS:\t900",
             "\t".join(names), "\t".join(("s", "deg", "mNm", "deg", "deg", "deg", "deg")),
@@ -307,9 +403,22 @@ def catman_ascii(source: Source, folder: Path) -> Truth:
 
 @case
 def ni_daqexpress(source: Source, folder: Path) -> Truth:
-    names = ("Time (s)", "Dev1/ctr0 encoder (deg)", "Dev1/ai0 torque (N·m)", "Dev1/ai1 hall (deg)", "Dev1/ai2 hall (deg)", "Dev1/ai3 hall (deg)", "Dev1/ai4 hall (deg)")
+    names = (
+        "Time (s)",
+        "Dev1/ctr0 encoder (deg)",
+        "Dev1/ai0 torque (N·m)",
+        "Dev1/ai1 hall (deg)",
+        "Dev1/ai2 hall (deg)",
+        "Dev1/ai3 hall (deg)",
+        "Dev1/ai4 hall (deg)",
+    )
     rows = columns(source, names, ("s", "deg", "nm", "deg", "deg", "deg", "deg"), decimals=9)
-    head = ["Start Time,2024-03-01 14:03:11", f"Sample Rate (Hz),{1 / rows.step_s:g}", "Number of Samples,900", ""]
+    head = [
+        "Start Time,2024-03-01 14:03:11",
+        f"Sample Rate (Hz),{1 / rows.step_s:g}",
+        "Number of Samples,900",
+        "",
+    ]
     return text(folder / "daq.csv", rows, above=head, digits="%.9f")
 
 
@@ -317,7 +426,13 @@ def ni_daqexpress(source: Source, folder: Path) -> Truth:
 def dewesoft_txt(source: Source, folder: Path) -> Truth:
     names = ("Time (s)", "Encoder (°)", "Torque (Nm)", "H1 (°)", "H2 (°)", "H3 (°)", "H4 (°)")
     rows = columns(source, names, ("s", "deg", "nm", "deg", "deg", "deg", "deg"), decimals=9)
-    head = ["File name: rig_0001.dxd", "Start time: 01/03/2024 14:03:11.123", f"Sample rate: {1 / rows.step_s:g}", "Data description", ""]
+    head = [
+        "File name: rig_0001.dxd",
+        "Start time: 01/03/2024 14:03:11.123",
+        f"Sample rate: {1 / rows.step_s:g}",
+        "Data description",
+        "",
+    ]
     return text(folder / "dewesoft.txt", rows, "\t", above=head, digits="%.9f")
 
 
@@ -369,7 +484,11 @@ def openpyxl_second_sheet(source: Source, folder: Path) -> Truth:
 def scipy_mat(source: Source, folder: Path) -> Truth:
     import scipy.io
 
-    rows = columns(source, ("t", "q_base", "Mz", "q_1", "q_2", "q_3", "q_4"), ("s", "rad", "nmm", "rad", "rad", "rad", "rad"))
+    rows = columns(
+        source,
+        ("t", "q_base", "Mz", "q_1", "q_2", "q_3", "q_4"),
+        ("s", "rad", "nmm", "rad", "rad", "rad", "rad"),
+    )
     scipy.io.savemat(folder / "run.mat", dict(zip(rows.names, rows.values.T[:, :, None], strict=True)))
     return Truth((folder / "run.mat",), rows.channels, rows.step_s)
 
@@ -381,7 +500,11 @@ def scipy_mat_struct_with_units(source: Source, folder: Path) -> Truth:
     names = ("time", "motor", "torque", "hall_1", "hall_2", "hall_3", "hall_4")
     rows = columns(source, names, PLAIN_UNITS)
     units = dict(zip(names, ("s", "deg", "Nmm", "deg", "deg", "deg", "deg"), strict=True))
-    scipy.io.savemat(folder / "run.mat", {"log": {**dict(zip(names, rows.values.T, strict=True)), "units": units}, "operator": "lab"}, do_compression=True)
+    scipy.io.savemat(
+        folder / "run.mat",
+        {"log": {**dict(zip(names, rows.values.T, strict=True)), "units": units}, "operator": "lab"},
+        do_compression=True,
+    )
     return Truth((folder / "run.mat",), rows.channels, rows.step_s)
 
 
@@ -389,11 +512,17 @@ def scipy_mat_struct_with_units(source: Source, folder: Path) -> Truth:
 def simulink_structure_with_time(source: Source, folder: Path) -> Truth:
     import scipy.io
 
-    rows = columns(source, ("time", "base_angle_deg", "torque_Nmm", "angle_1_deg", "angle_2_deg", "angle_3_deg", "angle_4_deg"), PLAIN_UNITS)
+    rows = columns(
+        source,
+        ("time", "base_angle_deg", "torque_Nmm", "angle_1_deg", "angle_2_deg", "angle_3_deg", "angle_4_deg"),
+        PLAIN_UNITS,
+    )
     signals = np.zeros(6, dtype=[("values", object), ("dimensions", object), ("label", object)])
     for k, name in enumerate(rows.names[1:]):
         signals[k] = (rows.values[:, k + 1][:, None], 1.0, name)
-    scipy.io.savemat(folder / "sim.mat", {"out": {"time": rows.values[:, 0], "signals": signals, "blockName": "rig/Scope"}})
+    scipy.io.savemat(
+        folder / "sim.mat", {"out": {"time": rows.values[:, 0], "signals": signals, "blockName": "rig/Scope"}}
+    )
     channels = {role: (f"signals/{name}/values", f, s) for role, (name, f, s) in rows.channels.items()}
     return Truth((folder / "sim.mat",), channels, rows.step_s)
 
@@ -409,10 +538,17 @@ def matlab_73(source: Source, folder: Path) -> Truth:
         group.attrs["MATLAB_class"] = np.bytes_("struct")
         for name, values in zip(names, rows.values.T, strict=True):
             group.create_dataset(name, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
-        note = group.create_dataset("comment", data=np.frombuffer("série".encode("utf-16-le"), dtype=np.uint16)[:, None])
+        note = group.create_dataset(
+            "comment", data=np.frombuffer("série".encode("utf-16-le"), dtype=np.uint16)[:, None]
+        )
         note.attrs["MATLAB_class"] = np.bytes_("char")
     with (folder / "run.mat").open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Fri Mar  1 14:03:11 2024 HDF5 schema 1.00 .".ljust(124) + b"\x00\x02IM")
+        file.write(
+            b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Fri Mar  1 14:03:11 2024 HDF5 schema 1.00 .".ljust(
+                124
+            )
+            + b"\x00\x02IM"
+        )
     return Truth((folder / "run.mat",), rows.channels, rows.step_s)
 
 
@@ -423,12 +559,16 @@ def matlab_73_rate_alone(source: Source, folder: Path) -> Truth:
     rows = columns(source, ("t", "motor", "torque", "h1", "h2", "h3", "h4"), PLAIN_UNITS)
     units = ("deg", "N*mm", "deg", "deg", "deg", "deg")
     with h5py.File(folder / "run.mat", "w", userblock_size=512) as file:
-        file.create_dataset("fs", data=np.array([[1 / rows.step_s]])).attrs["MATLAB_class"] = np.bytes_("double")
+        file.create_dataset("fs", data=np.array([[1 / rows.step_s]])).attrs["MATLAB_class"] = np.bytes_(
+            "double"
+        )
         told = file.create_group("units")
         told.attrs["MATLAB_class"] = np.bytes_("struct")
         for name, unit, values in zip(rows.names[1:], units, rows.values.T[1:], strict=True):
             file.create_dataset(name, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
-            word = told.create_dataset(name, data=np.frombuffer(unit.encode("utf-16-le"), dtype=np.uint16)[:, None])
+            word = told.create_dataset(
+                name, data=np.frombuffer(unit.encode("utf-16-le"), dtype=np.uint16)[:, None]
+            )
             word.attrs["MATLAB_class"] = np.bytes_("char")
     return Truth((folder / "run.mat",), rows.channels, rows.step_s)
 
@@ -437,9 +577,16 @@ def matlab_73_rate_alone(source: Source, folder: Path) -> Truth:
 def h5py_attributes(source: Source, folder: Path) -> Truth:
     import h5py
 
-    rows = columns(source, ("time", "base", "torque", "s1", "s2", "s3", "s4"), ("s", "rad", "nm", "rad", "rad", "rad", "rad"), decimals=9)
+    rows = columns(
+        source,
+        ("time", "base", "torque", "s1", "s2", "s3", "s4"),
+        ("s", "rad", "nm", "rad", "rad", "rad", "rad"),
+        decimals=9,
+    )
     with h5py.File(folder / "run.h5", "w") as file:
-        for name, unit, values in zip(rows.names, ("s", "rad", "N m", "rad", "rad", "rad", "rad"), rows.values.T, strict=True):
+        for name, unit, values in zip(
+            rows.names, ("s", "rad", "N m", "rad", "rad", "rad", "rad"), rows.values.T, strict=True
+        ):
             file.create_dataset(f"daq/{name}", data=values, compression="gzip").attrs["units"] = unit
     channels = {role: (name, f, s) for role, (name, f, s) in rows.channels.items()}
     return Truth((folder / "run.h5",), channels, rows.step_s)
@@ -449,7 +596,9 @@ def h5py_attributes(source: Source, folder: Path) -> Truth:
 def h5py_compound(source: Source, folder: Path) -> Truth:
     import h5py
 
-    rows = columns(source, ("time_s", "drive_deg", "torque_Nmm", "h1_deg", "h2_deg", "h3_deg", "h4_deg"), PLAIN_UNITS)
+    rows = columns(
+        source, ("time_s", "drive_deg", "torque_Nmm", "h1_deg", "h2_deg", "h3_deg", "h4_deg"), PLAIN_UNITS
+    )
     table = np.rec.fromarrays(rows.values.T, names=list(rows.names))
     with h5py.File(folder / "run.h5", "w") as file:
         file.create_dataset("log", data=table)
@@ -466,14 +615,23 @@ def h5py_two_clocks(source: Source, folder: Path) -> Truth:
             file.create_dataset(f"daq/{name}", data=values).attrs["unit"] = unit
         for name, unit, values in zip(("t", "encoder_copy", "h1", "h2", "h3", "h4"), ("s", "deg", "deg", "deg", "deg", "deg"),
                                       rows.values.T[[0, 1, 3, 4, 5, 6]], strict=True):  # fmt: skip
-            file.create_dataset(f"camera/{name}", data=values[::2] if name != "t" else values[::2] + 3.25).attrs["unit"] = unit
-    channels = {role: (("daq/" if role.startswith("base") else "camera/") + name, f, s) for role, (name, f, s) in rows.channels.items()}
+            file.create_dataset(
+                f"camera/{name}", data=values[::2] if name != "t" else values[::2] + 3.25
+            ).attrs["unit"] = unit
+    channels = {
+        role: (("daq/" if role.startswith("base") else "camera/") + name, f, s)
+        for role, (name, f, s) in rows.channels.items()
+    }
     return Truth((folder / "run.h5",), channels, rows.step_s, offset_s={"camera": -3.25})
 
 
 @case
 def numpy_npz(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("time_s", "motor_rad", "torque_nmm", "hall_1_rad", "hall_2_rad", "hall_3_rad", "hall_4_rad"), ("s", "rad", "nmm", "rad", "rad", "rad", "rad"))
+    rows = columns(
+        source,
+        ("time_s", "motor_rad", "torque_nmm", "hall_1_rad", "hall_2_rad", "hall_3_rad", "hall_4_rad"),
+        ("s", "rad", "nmm", "rad", "rad", "rad", "rad"),
+    )
     np.savez_compressed(folder / "run.npz", **dict(zip(rows.names, rows.values.T, strict=True)))
     return Truth((folder / "run.npz",), rows.channels, rows.step_s)
 
@@ -489,7 +647,11 @@ def numpy_structured(source: Source, folder: Path) -> Truth:
 def mcap_json(source: Source, folder: Path) -> Truth:
     from mcap.writer import Writer
 
-    rows = columns(source, ("time", "base_deg", "torque_nmm", "hall_1_deg", "hall_2_deg", "hall_3_deg", "hall_4_deg"), PLAIN_UNITS)
+    rows = columns(
+        source,
+        ("time", "base_deg", "torque_nmm", "hall_1_deg", "hall_2_deg", "hall_3_deg", "hall_4_deg"),
+        PLAIN_UNITS,
+    )
     with (folder / "run.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start()
@@ -523,7 +685,9 @@ def _ros(source: Source, folder: Path, plugin: str) -> Truth:
             angles = np.array([source.base[k], *source.hall[k]])
             message = kinds["sensor_msgs/msg/JointState"](head, names, angles, np.zeros(0), np.zeros(0))
             writer.write(joints, at, store.serialize_cdr(message, "sensor_msgs/msg/JointState"))
-            torque = kinds["geometry_msgs/msg/Wrench"](vector(0.0, 0.0, 0.0), vector(0.0, 0.0, float(-source.torque[k])))
+            torque = kinds["geometry_msgs/msg/Wrench"](
+                vector(0.0, 0.0, 0.0), vector(0.0, 0.0, float(-source.torque[k]))
+            )
             message = kinds["geometry_msgs/msg/WrenchStamped"](head, torque)
             writer.write(wrench, at, store.serialize_cdr(message, "geometry_msgs/msg/WrenchStamped"))
     channels = {"base_angle": ("/joint_states.position.base", 1.0, 1)}
@@ -568,7 +732,19 @@ def encoder_and_camera_files(source: Source, folder: Path) -> Truth:
 
 @case
 def counts_and_volts(source: Source, folder: Path) -> Truth:
-    rows = columns(source, ("Time [s]", "Encoder [counts]", "Torque cell [V]", "Hall 1 [deg]", "Hall 2 [deg]", "Hall 3 [deg]", "Hall 4 [deg]"), PLAIN_UNITS)
+    rows = columns(
+        source,
+        (
+            "Time [s]",
+            "Encoder [counts]",
+            "Torque cell [V]",
+            "Hall 1 [deg]",
+            "Hall 2 [deg]",
+            "Hall 3 [deg]",
+            "Hall 4 [deg]",
+        ),
+        PLAIN_UNITS,
+    )
     rows.values[:, 1] = np.round(rows.values[:, 1] * 4096 / 360)
     rows.values[:, 2] *= 12.5
     truth = text(folder / "raw.csv", rows)

@@ -1,4 +1,5 @@
-"""Damages recordings as laboratories do: wrong units in names, swapped columns, rows cut off, other decimal signs."""
+"""Damages recordings as laboratories do: wrong units in names, swapped columns, rows cut off, other decimal
+signs."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from import_kinds import FACTORS, Truth
 
+UNCHANGED = "as it was"
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".log", ".lvm", ".asc")
 
 
@@ -20,13 +22,21 @@ def moved(truth: Truth, old: Path, new: Path) -> Truth:
 
 def mutated(truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     """Damages one file in place; the kind of damage, and what is true of the file then."""
-    files = [f for t in truth.files for f in ([t] if t.is_file() else sorted(p for p in t.iterdir() if p.is_file()))]
+    files = [
+        f
+        for t in truth.files
+        for f in ([t] if t.is_file() else sorted(p for p in t.iterdir() if p.is_file()))
+    ]
     path = rng.choice(files)
     kinds: list[Callable[[Path, Truth, random.Random], tuple[str, Truth]]] = [_cut, _bits, _emptied, _joined]
     if path.suffix in TEXT and not path.read_bytes().startswith(b"\xff\xfe"):
-        kinds = [*kinds[:2], _unit_word, _unit_word, _unit_word, _scaled, _scaled, _scaled, _lost_field, _word, _decimal, _swapped_names,
-                 _swapped_names, _reversed_time, _second_header]  # fmt: skip
-    return rng.choice(kinds)(path, truth, rng)
+        kinds = [*kinds[:2], *[_unit_word, _scaled] * 3, *[_swapped_names] * 2]
+        kinds += [_lost_field, _word, _decimal, _reversed_time, _second_header]
+    for _ in range(20):
+        kind, then = rng.choice(kinds)(path, truth, rng)
+        if kind != UNCHANGED:
+            return kind, then
+    return UNCHANGED, truth
 
 
 def _cut(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
@@ -65,8 +75,10 @@ def _lines(path: Path) -> tuple[list[bytes], bytes]:
 
 def _body(lines: list[bytes]) -> int:
     """First line of the table."""
-    number = re.compile(rb"^[\s\"]*[-+]?[\d:.,]+[\s;,|\t\"]")
-    return next(k for k in range(len(lines) - 2) if all(number.match(b" " + x + b" ") for x in lines[k : k + 3]))
+    number = re.compile(rb"^[\s\"]*[-+]?[\d:.,eE+-]+[\s;,|\t\"]")
+    return next(
+        k for k in range(len(lines) - 2) if all(number.match(b" " + x + b" ") for x in lines[k : k + 3])
+    )
 
 
 def _unit_word(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
@@ -74,11 +86,12 @@ def _unit_word(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth
     lines, end = _lines(path)
     body = _body(lines)
     head = end.join(lines[:body])
-    words = [(rb"deg", b"rad"), (b"\xb0", b"rad"), ("°".encode(), b"rad"), (rb"rad", b"deg"), (rb"N.?mm|Nmm|mNm|nmm", b"Nm"),
-             (rb"N.m\b|Nm\b", b"Nmm"), (rb"\(s\)|\[s\]", b"[ms]"), (rb"\(ms\)|\[ms\]|_ms", b"[s]")]  # fmt: skip
+    words = [(rb"deg", b"rad"), (b"\xb0", b"rad"), ("°".encode(), b"rad"), (rb"rad", b"deg")]
+    words += [(rb"N.?mm|Nmm|mNm|nmm", b"Nm"), (rb"N.m\b|Nm\b", b"Nmm")]
+    words += [(rb"\(s\)|\[s\]", b"[ms]"), (rb"\(ms\)|\[ms\]|_ms", b"[s]")]
     there = [(p, w) for p, w in words if re.search(p, head)]
     if not there:
-        return "as it was", truth
+        return UNCHANGED, truth
     pattern, word = rng.choice(there)
     once = rng.random() < 0.5
     new = re.sub(pattern, word, head, count=1 if once else 0)
@@ -92,7 +105,7 @@ def _unit_word(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth
 
 
 def _delimiter(lines: list[bytes], body: int) -> bytes:
-    return max((b"\t", b";", b","), key=lines[body].count)
+    return next((by for by in (b"\t", b";") if lines[body].count(by) > 1), b",")
 
 
 def _scaled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
@@ -102,10 +115,10 @@ def _scaled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     by = _delimiter(lines, body)
     comma = by != b"," and b"," in lines[body]
     width = lines[body].count(by) + 1
-    place = rng.randrange(1, min(width, 1 + len(truth.channels)))
+    place = rng.randrange(0, max(1, min(width, 1 + len(truth.channels))))
     names = list(truth.channels)
-    if place - 1 >= len(names) or by not in lines[body]:
-        return "as it was", truth
+    if place < 1 or place - 1 >= len(names) or by not in lines[body]:
+        return UNCHANGED, truth
     role = names[place - 1]
     old, factor, sign = truth.channels[role]
     if role == "base_torque":
@@ -125,7 +138,9 @@ def _scaled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
         lines[k] = by.join(cells)
     path.write_bytes(end.join(lines))
     channels = {**truth.channels, role: (old, factor / by_factor, sign)}
-    return f"{'torque' if role == 'base_torque' else 'angle'} in another unit", dataclasses.replace(truth, channels=channels)
+    return f"{'torque' if role == 'base_torque' else 'angle'} in another unit", dataclasses.replace(
+        truth, channels=channels
+    )
 
 
 def _lost_field(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
@@ -158,7 +173,7 @@ def _decimal(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     if b"," in lines[_body(lines)] and _delimiter(lines, _body(lines)) == b",":
         path.write_bytes(data.replace(b".", b","))
         return "decimal comma among commas", truth
-    return "as it was", truth
+    return UNCHANGED, truth
 
 
 def _swapped_names(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
@@ -169,9 +184,14 @@ def _swapped_names(path: Path, truth: Truth, rng: random.Random) -> tuple[str, T
     at = next((k for k in range(body - 1, -1, -1) if lines[k].count(by) >= 2), None)
     roles = list(truth.channels)
     if at is None or len(roles) < 3 or len(truth.files) > 1:
-        return "as it was", truth
-    if at > 0 and lines[at - 1].count(by) == lines[at].count(by) and not any(
-        n[0].encode("utf-8") in lines[at] or n[0].encode("cp1252", "replace") in lines[at] for n in truth.channels.values()
+        return UNCHANGED, truth
+    if (
+        at > 0
+        and lines[at - 1].count(by) == lines[at].count(by)
+        and not any(
+            n[0].encode("utf-8") in lines[at] or n[0].encode("cp1252", "replace") in lines[at]
+            for n in truth.channels.values()
+        )
     ):
         at -= 1
     cells = lines[at].split(by)

@@ -30,10 +30,10 @@ PICTURE = "import.png"
 def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | None, yes: bool) -> None:
     """Import recordings: text with columns, spreadsheets, MATLAB, HDF5, MCAP, ROS 2 bags, NumPy.
 
-    A mapping (YAML) among FILE says what is what; further files then take the place of those it names. Without
-    one, --guess proposes it: what it can see it takes, what it doubts it asks, and without a terminal it writes
-    OUT.yaml and OUT.png and says which lines to confirm. The mapping that was used is kept in the dataset as
-    import.yaml, with the files' hashes; with it the import can be repeated.
+    A mapping (YAML) among FILE says what is what; further files then take the place of those it names.
+    Without one, --guess proposes it: what it can see it takes, what it doubts it asks, and without a terminal
+    it writes OUT.yaml and OUT.png and says which lines to confirm. The mapping that was used is kept in the
+    dataset as import.yaml, with the files' hashes; with it the import can be repeated.
 
     \b
     needle-rig import log.csv --guess --layout shaft.yaml --out data/mine
@@ -123,7 +123,8 @@ def _to_confirm(mapping: Mapping, folder: Path, out: Path | None, waiting: list[
     if out is None:
         next_step = "correct these lines, remove `doubt` from those that are right, and import again"
     else:
-        next_step = f"confirm or correct these lines in {_keep(mapping, folder, out)} (remove `doubt`), then import it"
+        place = _keep(mapping, folder, out)
+        next_step = f"confirm or correct these lines in {place} (remove `doubt`), then import it"
     return "\n".join([*lines, next_step])
 
 

@@ -28,7 +28,8 @@ class Drawn:
 
 
 def draw_import(channels: Sequence[Drawn], loop: tuple[Array, Array] | None, path: Path) -> Path:
-    """Write the picture: a row a channel over one time axis; `loop` is base angle and torque, each (samples,)."""
+    """Write the picture: a row a channel over one time axis; `loop` is base angle and torque, each
+    (samples,)."""
     rows = len(channels)
     figure = Figure(figsize=(10, 1.6 * rows + (3.2 if loop is not None else 0.4)), layout="constrained")
     FigureCanvasAgg(figure)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.errors import BadInput
+from needle_rig.importing import names
 from needle_rig.importing.header import unique
 from needle_rig.importing.recording import MAX_COLUMNS, Column
 from needle_rig.importing.unit_text import split_name
@@ -22,9 +23,6 @@ RATE_NAME = re.compile(
     r"(fs|rate|freq|sampl\w*_?(rate|freq\w*)|f_?sampl\w*|rate_hz|fs_hz|sampl\w*rate)", re.IGNORECASE
 )
 STEP_NAME = re.compile(r"(dt|ts|delta_?t|sampl\w*_?(time|period|interval)|dt_s)", re.IGNORECASE)
-
-TIME_NAME = re.compile(r"(t|x_?value|.*(time|zeit|stamp|recorded at|datetime|date|uhrzeit|elapsed|clock|sec(onds)?).*)",
-                       re.IGNORECASE)  # fmt: skip
 
 Leaf = tuple[np.ndarray, str]
 """An array and its unit as written."""
@@ -60,14 +58,13 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
     if len(found) > MAX_COLUMNS:
         raise BadInput(f"{shown}: {len(found)} arrays, more than {MAX_COLUMNS}; keep those of the rig")
     common = _common(["/".join(path.split("/")[:-1]) for path, *_ in found])
-    names = unique([path[len(common) :].lstrip("/") for path, *_ in found])
+    shown_names = unique([path[len(common) :].lstrip("/") for path, *_ in found])
     lengths = {parent: {len(v) for _, _, p, v in found if p == parent} for _, _, parent, _ in found}
     many = Counter(parent for _, _, parent, _ in found)
-    timed = {
-        parent for path, _, parent, _ in found if TIME_NAME.fullmatch(split_name(path.rpartition("/")[2])[0])
-    }
-    columns, rates = [], {}
-    for name, (_, unit, parent, array) in zip(names, found, strict=True):
+    timed = {parent for path, _, parent, _ in found if names.says(path.rpartition("/")[2], names.TIME)}
+    columns: list[Column] = []
+    rates: dict[str, float] = {}
+    for name, (_, unit, parent, array) in zip(shown_names, found, strict=True):
         own = parent in timed and len(lengths[parent]) == 1 and many[parent] > 1
         table = parent[len(common) :].lstrip("/") if own else f"{len(array)} rows"
         values = np.asarray(array, dtype=np.float64)

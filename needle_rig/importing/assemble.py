@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ import numpy.typing as npt
 
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
+from needle_rig.dataset.base_path import denoised_base
 from needle_rig.dataset.description import layout_of, needle_of
 from needle_rig.dataset.samples import LeftOut, checked_trial
 from needle_rig.errors import BadInput
@@ -19,7 +23,7 @@ from needle_rig.importing import signals
 from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart, ClockPart, Mapping, found_file
 from needle_rig.importing.plausibility import impossible
 from needle_rig.importing.reader import read_recording
-from needle_rig.importing.recording import Recording
+from needle_rig.importing.recording import Column, Recording
 from needle_rig.importing.unit_text import unit_of
 
 Array = npt.NDArray[np.float64]
@@ -87,7 +91,7 @@ def _recording(
         file = clock.files[number]
         if file.path not in read:
             read[file.path] = read_recording(folder / file.path)
-        found_file(file, folder, read[file.path].sha256, f"clocks.{name}.files")
+        found_file(file, read[file.path].sha256, f"clocks.{name}.files")
     of = {name: read[clock.files[number].path] for name, clock in mapping.clocks.items()}
     base_part = next(c for c in mapping.channels if c.role == BASE)
     source = show_path(of[base_part.clock].path)
@@ -115,7 +119,8 @@ def _recording(
         back = np.flatnonzero(np.diff(time_s) < 0)
         if back.size:
             raise BadInput(
-                f"{show_path(of[part.clock].path)}: the time of {part.clock} goes back after row {int(back[0]) + 1:,}, from "
+                f"{show_path(of[part.clock].path)}: the time of {part.clock} goes back after row "
+                f"{int(back[0]) + 1:,}, from "
                 f"{time_s[back[0]]:g} s to {time_s[back[0] + 1]:g} s; cut the file there"
             )
         keep = np.concatenate(([True], np.diff(time_s) > 0))
@@ -154,11 +159,9 @@ def _recording(
     return trials, length_s + REST_S
 
 
-def _column(recording: Recording, name: str, place: str):  # type: ignore[no-untyped-def]
+def _column(recording: Recording, name: str, place: str) -> Column:
     column = recording.column(name)
     if column is None:
-        import difflib
-
         names = [c.name for c in recording.columns]
         near = difflib.get_close_matches(name, names, 1, 0.6)
         hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names[:12])}"
@@ -183,7 +186,8 @@ def _times(recording: Recording, name: str, clock: ClockPart, number: int, rows:
 
 
 def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
-    """Times of the dataset's rows: the base's samples or an even grid, and every sample of slower channels."""
+    """Times of the dataset's rows: the base's samples or an even grid, and every sample of slower
+    channels."""
     base = channels[BASE].time_s
     rows = base if rate_hz is None else np.arange(0.0, float(base[-1]), 1.0 / rate_hz)
     step = float(np.median(np.diff(rows)))
@@ -204,7 +208,8 @@ def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
 
 
 def _on_rows(channel: _Channel | None, rows_s: Array, base: _Channel, rate_hz: float | None) -> Array:
-    """A channel at the rows: as sampled, averaged over a step, interpolated, or NaN where a slow one has no sample."""
+    """A channel at the rows: as sampled, averaged over a step, interpolated, or NaN where a slow one has no
+    sample."""
     if channel is None:
         return np.full(len(rows_s), math.nan)
     time_s, values = channel.time_s, channel.values
@@ -271,11 +276,13 @@ def _cuts(
         if empty is not None:
             a, b = how.times_s[empty]
             raise BadInput(
-                f"trials.times_s[{empty}]: {a:g} to {b:g} s lies outside of the recording, which is {rows_s[-1]:.4g} s long"
+                f"trials.times_s[{empty}]: {a:g} to {b:g} s lies outside of the recording, which is "
+                f"{rows_s[-1]:.4g} s long"
             )
         return cuts, []
     if how.at == "column":
-        assert how.clock is not None and how.source is not None
+        assert how.clock is not None
+        assert how.source is not None
         column = _column(of[how.clock], how.source, "trials")
         times = (
             _times(of[how.clock], how.clock, mapping.clocks[how.clock], number, len(column.values)) - zero_s
@@ -284,7 +291,7 @@ def _cuts(
         place = np.clip(np.searchsorted(times[known], rows_s, side="right") - 1, 0, None)
         value = column.values[known][place]
         edges = [0, *(np.flatnonzero(np.diff(value)) + 1).tolist(), len(rows_s)]
-        return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)], []
+        return list(pairwise(edges)), []
     si = table.copy()
     _to_si(si, parts, sensors)
     return _at_rests(si)
@@ -295,8 +302,6 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
 
     Friction remembers: where the base came back and the shaft is still wound, the trial goes on.
     """
-    from needle_rig.dataset.base_path import denoised_base
-
     time_s = si[:, 0]
     known = np.isfinite(si[:, 1])
     base = np.interp(time_s, time_s[known], si[known, 1])
@@ -309,7 +314,7 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
         moved_since = moved_since or float(np.ptp(base[last_stop : start + 1])) > math.radians(SAME_ANGLE_DEG)
         last_stop = stop
         rest_s = float(time_s[stop - 1] - time_s[start])
-        inner = 0 < start and stop < len(time_s)
+        inner = start > 0 and stop < len(time_s)
         if (
             not inner
             or rest_s < REST_S
@@ -328,17 +333,16 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
     notes = []
     if wound:
         notes.append(
-            f"{wound} rests at the start's angle find the shaft wound; the recording is not cut there, since friction "
-            "remembers the way"
+            f"{wound} rests at the start's angle find the shaft wound; the recording is not cut there, "
+            "since friction remembers the way"
         )
     cuts.append(len(time_s))
-    return [(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)], notes
+    return list(pairwise(cuts)), notes
 
 
 def _commanded(trials: Sequence[DatasetTrial]) -> list[DatasetTrial]:
-    """Trials with what the base was told, read off its motion; equal within a drive's scatter is a replicate."""
-    import dataclasses
-
+    """Trials with what the base was told, read off its motion; equal within a drive's scatter is a
+    replicate."""
     kinds: list[tuple[Array, float, TrialCommand]] = []
     result = []
     for trial in trials:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import math
 import re
 from collections import Counter
@@ -32,8 +31,10 @@ _DELIMITERS = ("\t", ";", ",", "|", " ")
 _NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "spaces"}
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
-_NULLS = ("", "NaN", "nan", "NAN", "-NaN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--",
-          "1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF", "inf", "-inf", "Inf", "-Inf", "INF", "-INF")  # fmt: skip
+_NULLS = (
+    *("", "NaN", "nan", "NAN", "-NaN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--"),
+    *("1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF", "inf", "-inf", "Inf", "-Inf", "INF", "-INF"),
+)
 _TIME_FORMATS = ("%Y-%m-%d", "%d.%m.%Y", "%m/%d/%Y", "%Y/%m/%d", "%d/%m/%Y")
 
 
@@ -196,8 +197,8 @@ def _cast(frame: Any, path: Path, encoding: str, dialect: _Dialect, shown: str) 
 def _recoded(path: Path, encoding: str, dialect: _Dialect, shown: str) -> bytes:
     if path.stat().st_size > RECODED_BYTES:
         raise BadInput(
-            f"{shown}: has {path.stat().st_size / 1e6:.0f} MB, more than the {RECODED_BYTES / 1e6:.0f} MB that can "
-            "be rewritten in memory; save it as UTF-8 with commas or tabs between columns"
+            f"{shown}: has {path.stat().st_size / 1e6:.0f} MB, more than the {RECODED_BYTES / 1e6:.0f} MB "
+            "that can be rewritten in memory; save it as UTF-8 with commas or tabs between columns"
         )
     data = path.read_bytes()
     if encoding == "utf-16":
@@ -221,7 +222,8 @@ def _whole(frame: Any, path: Path, encoding: str, dialect: _Dialect, shown: str)
     last = frame.get_column(frame.columns[-1])
     if last.null_count() == 0:
         return frame
-    blank = frame.select(_all_null(frame)).to_series()
+    pl = needed("polars", "text with columns")
+    blank = frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     kept = frame.filter(~blank)
     if not kept.height:
         raise BadInput(f"{shown}: the table has no values")
@@ -233,20 +235,16 @@ def _whole(frame: Any, path: Path, encoding: str, dialect: _Dialect, shown: str)
             return kept[:-1]
         if len(row) != dialect.width:
             raise BadInput(
-                f"{shown}:{number}: {len(row)} fields where the table has {dialect.width}; complete or remove the row"
+                f"{shown}:{number}: {len(row)} fields where the table has {dialect.width}; complete or "
+                "remove the row"
             )
     return kept
-
-
-def _all_null(frame: Any) -> Any:
-    pl = needed("polars", "text with columns")
-    return pl.all_horizontal(pl.all().is_null())
 
 
 def _rows(path: Path, encoding: str, dialect: _Dialect) -> Iterator[tuple[int, list[str] | None]]:
     """Line number from 1 and cells of every row that is not blank; None for a last one that is cut off."""
     codec = {"Windows-1252": "cp1252"}.get(encoding, encoding)
-    with io.open(path, encoding=codec, errors="replace", newline="\n") as file:
+    with open(path, encoding=codec, errors="replace", newline="\n") as file:
         for number, line in enumerate(file, 1):
             if number <= dialect.first_line or not line.strip():
                 continue
@@ -269,8 +267,8 @@ def _first_bad(path: Path, encoding: str, dialect: _Dialect, shown: str, error: 
         for k, cell in enumerate(row):
             if not dialect.words[k] and cell not in _NULLS and not number.fullmatch(cell.strip('"')):
                 return (
-                    f"{shown}:{at}: {dialect.header.names[k]}: {cell[:40]!r} is no number; correct it, or leave "
-                    "the field empty when the sample is missing"
+                    f"{shown}:{at}: {dialect.header.names[k]}: {cell[:40]!r} is no number; correct it, or "
+                    "leave the field empty when the sample is missing"
                 )
     return f"{shown}: cannot be read as a table: {error.splitlines()[0][:200]}"
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-
 import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,14 @@ from needle_rig.importing.unit_text import UNITS, Unit, unit_of
 
 Array = npt.NDArray[np.float64]
 
+TORQUE_UNITS = ("N·m", "N·cm", "N·mm", "µN·m")
+"""What torques of needles are written in."""
+UNIT_WITHIN = 5.0
+"""Factor to the torque that is asked for beyond which a written unit is doubted; N·cm for N·mm makes ten."""
+LEAST_TWIST_RAD = math.radians(2.0)
+"""Below it the sensors' noise is the twist."""
+FIRST_DEG = 5.0
+"""Of the base's first motion, before friction lets much of the shaft slip."""
 FASTEST_HZ = 200_000.0
 """Above any data logger of a needle; a millisecond taken for a second, or the reverse, is a factor 1000."""
 SLOWEST_HZ = 0.5
@@ -43,9 +51,11 @@ ROUND = 0.75
 LEAST_RADIANS = 0.6
 """A range without unit that is below it can be radians or turns: 34° or 216°."""
 COMMON = 0.01
-"""Of its span: what differs between two records of one quantity; the loop of a needle that lags is ten times that."""
+"""Of its span: what differs between two records of one quantity; the loop of a needle that lags is ten times
+that."""
 WEAK = 0.4
-"""Correlation of an angle with the base below which its sign is asked; the tip of a needle in much tissue has 0.5."""
+"""Correlation of an angle with the base below which its sign is asked; the tip of a needle in much tissue
+has 0.5."""
 EPOCH_S = 1e8
 """Seconds since 1970 that a clock shows which knows the date; any other counts from its start."""
 
@@ -128,7 +138,6 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
 
 
 def _relative(path: Path, folder: Path) -> str:
-
 
     return os.path.relpath(path, folder)
 
@@ -260,7 +269,9 @@ def _channels(
 ) -> tuple[list[ChannelPart], list[str]]:
     live = [s for s in series if s.span > 0.0 and np.isfinite(s.values).sum() >= 10]
     dead = [s.column.name for s in series if s not in live]
-    angles, torques, loose = [], [], []
+    angles: list[_Series] = []
+    torques: list[_Series] = []
+    loose: list[_Series] = []
     for s in live:
         kind = _kind(s)
         (angles if kind == "angle" else torques if kind == "torque" else loose if kind == "" else []).append(
@@ -323,11 +334,12 @@ def _kind(s: _Series) -> str:
 
 def _base(angles: Sequence[_Series], loose: Sequence[_Series]) -> tuple[_Series, str, str]:
     """The base among the angles: by name, and by what comes first. Why, and what speaks against it."""
-    named = [
-        s
-        for s in angles
-        if names.says(s.column.name, names.BASE) and not names.says(s.column.name, names.SENSOR)
-    ]
+    named: list[_Series] = []
+    for s in sorted(angles, key=lambda s: -len(s.column.values)):
+        if names.is_base(s.column.name) and not any(
+            _is_copy(kept, s) for kept in named if kept.clock != s.clock
+        ):
+            named.append(s)
     leads = sorted(angles, key=lambda s: _leads(s, angles), reverse=True)
     first = leads[0]
     others = [s for s in angles if s is not first]
@@ -351,7 +363,8 @@ def _base(angles: Sequence[_Series], loose: Sequence[_Series]) -> tuple[_Series,
             ""
             if first in named and (clear or len(angles) > len(named)) and not same
             else (
-                f"{', '.join(s.column.name for s in named)} could each be the base; keep what is mounted at it"
+                f"{', '.join(s.column.name for s in named)} could each be the base; keep what is mounted at "
+                "it"
             )
         )
         return first, "name; all other angles come after it" if clear else "name", doubt
@@ -423,7 +436,7 @@ def _split_loose(
     base: _Series, rest: Sequence[_Series], torques: list[_Series]
 ) -> tuple[list[_Series], list[_Series]]:
     """Columns without name and unit: a torque is what relaxes and reverses while angles stay."""
-    angles = []
+    angles: list[_Series] = []
     for s in rest:
         follows = abs(signals.follow_sign(base.values, _on(base, s)))
         (angles if follows > 0.85 else torques).append(s)
@@ -431,8 +444,7 @@ def _split_loose(
 
 
 def _at_start(s: _Series) -> Array:
-    begin = signals.rest_before_motion(s.values)
-    return np.asarray(s.values - np.nanmean(s.values[:begin]), dtype=np.float64)
+    return signals.from_rest(s.values, signals.rest_before_motion(s.values))
 
 
 # ── units of angles ──
@@ -460,7 +472,7 @@ def _base_unit(base: _Series, sensors: Sequence[_Series]) -> _Unit:
         degrees = math.degrees(written.si)
         better = [u for u in rounds if u != written.text]
         if not (1.0 <= peak * degrees <= 2 * LARGEST_DEG) or rate * degrees > FASTEST_DEG_S:
-            likely = (rounds or fitting or [None])[0]
+            likely = next(iter(rounds or fitting), None)
             return _Unit(
                 UNITS[likely] if likely else None,
                 f"unit {base.column.unit!r}",
@@ -506,8 +518,8 @@ def _told(degrees: Array) -> str:
 def _sensor(s: _Series, role: str, base: _Series, base_si: Array | None, why: str, doubt: str) -> ChannelPart:
     values = _on(base, s)
     follow = signals.follow_sign(base.values, values)
-    sign = 1 if follow >= 0 else -1
-    unit = _sensor_unit(s, base, base_si)
+    sign: Literal[1, -1] = 1 if follow >= 0 else -1
+    unit = _sensor_unit(s, base_si)
     turned = "" if sign > 0 else "it falls while the base rises"
     weak = f"it follows the base weakly (correlation {follow:.2f})" if abs(follow) < WEAK else ""
     if sign > 0 and not weak:
@@ -524,7 +536,7 @@ def _sensor(s: _Series, role: str, base: _Series, base_si: Array | None, why: st
     )
 
 
-def _sensor_unit(s: _Series, base: _Series, base_si: Array | None) -> _Unit:
+def _sensor_unit(s: _Series, base_si: Array | None) -> _Unit:
     written = unit_of(s.column.unit)
     if base_si is None:
         angle = written if written is not None and written.dimension == "angle" else None
@@ -550,7 +562,7 @@ def _sensor_unit(s: _Series, base: _Series, base_si: Array | None) -> _Unit:
     strong = [u for u in fit if share[u] > 0.1]
     if len(strong) == 1:
         return _Unit(UNITS[strong[0]], f"{share[strong[0]]:.0%} of the base's motion as {strong[0]}")
-    taken = (strong or fit or [None])[0]
+    taken = next(iter(strong or fit), None)
     return _Unit(
         UNITS[taken] if taken else None, "", "the unit is not written, and its motion does not tell it"
     )
@@ -610,8 +622,7 @@ def _torque(base: _Series, torques: Sequence[_Series], named: bool) -> _Series |
 
 
 def _zeroed(base: _Series, s: _Series) -> Array:
-    values = _on(base, s)
-    return np.asarray(values - np.nanmean(values[: signals.rest_before_motion(base.values)]))
+    return signals.from_rest(_on(base, s), signals.rest_before_motion(base.values))
 
 
 def _torque_channel(
@@ -661,6 +672,26 @@ def expected_torque_nm(twist_rad: float, position_m: float, rigidity_nm2: float)
     return twist_rad * rigidity_nm2 / position_m
 
 
+def _stiffness_unit(s: _Series, written: Unit, base: _Series, base_si: Array, rig: RigPart) -> _Unit | None:
+    """A doubt on a written unit when the torque first rises as no shaft of this length does; None without
+    one."""
+    rigidity = needle_of(rig.needle).torsional_rigidity_nm2
+    slope = signals.first_stiffness(base_si, _zeroed(base, s), math.radians(FIRST_DEG))
+    least, most = rigidity / (rig.needle_length_mm * 1e-3), math.inf
+    if rig.tissue_sections_mm and rig.tissue_sections_mm[0][0] > 0:
+        most = rigidity / (rig.tissue_sections_mm[0][0] * 1e-3)
+    if slope == 0.0 or least / UNIT_WITHIN <= slope * written.si <= most * UNIT_WITHIN:
+        return None
+    fit = [u for u in TORQUE_UNITS if least / 2 < slope * UNITS[u].si < most * 2]
+    meant = UNITS[fit[0]] if fit else None
+    return _Unit(
+        meant,
+        f"unit {s.column.unit!r}",
+        f"in {written.text} it first rises by {slope * written.si * 1e3:.2g} N·mm/rad where the shaft has "
+        f"{least * 1e3:.2g} to {most * 1e3:.2g}" + (f"; taken as {meant.text}" if meant else ""),
+    )
+
+
 def _torque_unit(
     s: _Series,
     base_si: Array | None,
@@ -672,61 +703,57 @@ def _torque_unit(
     written = unit_of(s.column.unit)
     if written is not None and written.dimension == "other":
         return _Unit(None, "", f"its unit is {s.column.unit}; write `unit` and `scale` of its calibration")
-    expected, how, tight = _expected(base_si, sensors, base, channels, rig)
+    expected = _of_twist(base_si, sensors, base, channels, rig)
     if written is not None and written.dimension == "torque":
         why = f"unit {s.column.unit!r}"
         if expected is None:
-            return _Unit(written, why)
-        ratio = s.span * written.si / expected
-        if ratio > 10.0 or (tight and ratio < 0.1):
-            fit = [u for u in ("N·m", "N·mm", "µN·m") if 0.1 < s.span * UNITS[u].si / expected < 10.0]
-            meant = UNITS[fit[0]] if fit else None
-            return _Unit(
-                meant,
-                why,
-                f"in {written.text} it spans {ratio:.3g} times what {how} asks for"
-                + (f"; taken as {meant.text}" if meant else ""),
-            )
-        return _Unit(written, f"{why}, {ratio:.2g} of what {how} asks for")
-    if expected is not None and tight:
-        fit = [u for u in ("N·m", "N·mm", "µN·m") if 1 / 30 < s.span * UNITS[u].si / expected < 30.0]
-        if len(fit) == 1:
-            return _Unit(UNITS[fit[0]], f"{how} asks for {expected * 1e3:.2g} N·mm")
+            doubted = None
+            if rig is not None and base_si is not None:
+                doubted = _stiffness_unit(s, written, base, base_si, rig)
+            return doubted or _Unit(written, why)
+        torque_nm, how = expected
+        ratio = s.span * written.si / torque_nm
+        if 1 / UNIT_WITHIN < ratio < UNIT_WITHIN:
+            return _Unit(written, f"{why}, {ratio:.2g} times what {how} asks for")
+        fit = [u for u in TORQUE_UNITS if 1 / 3 < s.span * UNITS[u].si / torque_nm < 3]
+        meant = UNITS[fit[0]] if fit else None
+        doubt = f"in {written.text} it spans {ratio:.3g} times what {how} asks for"
+        return _Unit(meant, why, doubt + (f"; taken as {meant.text}" if meant else ""))
+    if expected is not None:
+        torque_nm, how = expected
+        # Neighbouring units are a factor ten apart, so no two of them fit.
+        fit = [u for u in TORQUE_UNITS if 1 / 3 < s.span * UNITS[u].si / torque_nm < 3]
+        if fit:
+            return _Unit(UNITS[fit[0]], f"{how} asks for {torque_nm * 1e3:.2g} N·mm")
     return _Unit(None, "", "its unit is not written, and the recording cannot tell it; write `unit`")
 
 
-def _expected(
+def _of_twist(
     base_si: Array | None,
     sensors: Sequence[_Series],
     base: _Series,
     channels: Sequence[ChannelPart],
     rig: RigPart | None,
-) -> tuple[float | None, str, bool]:
-    """Span of the torque that the twist asks for in N·m, how it is known, and whether from below as well."""
+) -> tuple[float, str] | None:
+    """Span of the torque that the twist up to the nearest sensor asks for, N·m, and how it is known."""
     if rig is None or base_si is None:
-        return None, "", False
+        return None
+    places = {p.name: p.position_mm * 1e-3 for p in rig.hall_sensors if p.position_mm > 0}
+    near = [c for c in channels if c.role in places and c.unit is not None]
+    if not near:
+        return None
+    c = min(near, key=lambda c: places[c.role])
+    s = next(x for x in sensors if x.clock == c.clock and x.column.name == c.source)
+    unit = unit_of(c.unit or "")
+    assert unit is not None
+    rest = signals.rest_before_motion(base.values)
+    lag = base_si - c.sign * unit.si * signals.from_rest(_on(base, s), rest)
+    lag = lag[np.isfinite(lag)]
+    twist = float(np.ptp(lag)) if len(lag) else 0.0
+    if twist < LEAST_TWIST_RAD:
+        return None
     rigidity = needle_of(rig.needle).torsional_rigidity_nm2
-    places = {p.name: p.position_mm * 1e-3 for p in rig.hall_sensors}
-    near = [c for c in channels if c.role in places and c.unit is not None and places[c.role] > 0]
-    if near:
-        c = min(near, key=lambda c: places[c.role])
-        s = next(x for x in sensors if x.clock == c.clock and x.column.name == c.source)
-        values = _on(base, s)
-        angle = c.sign * UNITS[unit_of(c.unit or "").text].si * (values - np.nanmean(values[:5]))  # type: ignore[union-attr]
-        twist = float(np.nanmax(base_si - angle) - np.nanmin(base_si - angle))
-        if twist > math.radians(2.0):
-            return expected_torque_nm(twist, places[c.role], rigidity), f"the twist up to {c.role}", True
-    if rig.tissue_sections_mm and rig.tissue_sections_mm[0][0] > 0:
-        twist = float(np.nanmax(base_si) - np.nanmin(base_si))
-        return (
-            expected_torque_nm(twist, rig.tissue_sections_mm[0][0] * 1e-3, rigidity),
-            "the base's angle, were the needle held at its first tissue,",
-            False,
-        )
-    return None, "", False
-
-
-# ── trials, rates, offsets ──
+    return expected_torque_nm(twist, places[c.role], rigidity), f"the twist up to {c.role}"
 
 
 def _trials(series: Sequence[_Series]) -> tuple[TrialsPart, list[_Series], list[str]]:
@@ -801,7 +828,13 @@ def _on_one_clock(
         for a in on_lead:
             for b in own:
                 offset, match = signals.clock_offset_s(a.time_s, np.abs(_rate(a)), b.time_s, np.abs(_rate(b)))
-                left = signals.difference_share(a.time_s, a.values, b.time_s + offset, b.values)
+                slow, fast = (b, a) if len(a.values) > len(b.values) else (a, b)
+                step = float(np.median(np.diff(slow.time_s)))
+                turn = -1.0 if slow is b else 1.0
+                near, left = signals.refined_offset_s(
+                    slow.time_s, slow.values, fast.time_s, fast.values, turn * offset, step
+                )
+                offset = turn * near
                 pairs.append((left, -match, offset, a.column.name, b.column.name))
         left, match, offset, a_name, b_name = min(pairs)
         if left < COMMON:

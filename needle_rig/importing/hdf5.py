@@ -27,7 +27,7 @@ def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
             size = [0]
 
             def visit(name: str, item: Any) -> None:
-                if name.startswith("#refs#") or name.startswith("#subsystem#"):
+                if name.startswith(("#refs#", "#subsystem#")):
                     return
                 for key, value in item.attrs.items():
                     _constant(leaves, name, key, value)
@@ -35,7 +35,8 @@ def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
                     size[0] += item.size * item.dtype.itemsize
                     if size[0] > LIMIT_BYTES:
                         raise BadInput(
-                            f"{shown}: holds more than {LIMIT_BYTES / 1e9:g} GB once unpacked; keep what is of the rig"
+                            f"{shown}: holds more than {LIMIT_BYTES / 1e9:g} GB once unpacked; keep what is "
+                            "of the rig"
                         )
                     _leaf(leaves, name, item)
 

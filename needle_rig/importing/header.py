@@ -36,14 +36,14 @@ class Header:
 def read_header(above: Sequence[Cells], width: int) -> Header:
     """The header in `above` (cells of every row before the table) of a table of `width` columns."""
     rows = [_plain(row, width) for row in above]
-    full = [(n, r) for n, r in enumerate(rows) if _is_names(r, width)]
+    full = [row for row in rows if _is_names(row, width)]
     units = [""] * width
     names: list[str] = []
     if full:
-        at, last = full[-1]
-        if len(full) > 1 and _is_units(last) and not _is_units(full[-2][1]):
+        last = full[-1]
+        if len(full) > 1 and _is_units(last) and not _is_units(full[-2]):
             units = _fitted(last, width)
-            at, last = full[-2]
+            last = full[-2]
         names = _fitted(last, width)
     for row in rows:
         if len(row) > 1 and _UNIT_KEY.fullmatch(row[0]) and any(unit_of(cell) for cell in row[1:]):

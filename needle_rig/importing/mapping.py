@@ -1,4 +1,5 @@
-"""The mapping: what of a recording is what. One YAML file, one line a channel; with it an import is repeated."""
+"""The mapping: what of a recording is what. One YAML file, one line a channel; with it an import is
+repeated."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from needle_rig.config.check import validate
-from needle_rig.config.places import Places, read_yaml, show_path, write_yaml
+from needle_rig.config.places import Places, read_yaml, write_yaml
 from needle_rig.dataset.description import RigPart, layout_of
 from needle_rig.errors import BadInput
 from needle_rig.importing.unit_text import UNITS, Unit, unit_of
@@ -69,7 +70,7 @@ class TrialsPart(_Part):
 class Mapping(_Part):
     """A whole mapping file."""
 
-    format: Literal["needle-rig-import/1"] = FORMAT
+    format: Literal["needle-rig-import/1"] = "needle-rig-import/1"
     name: str
     clocks: dict[str, ClockPart]
     channels: tuple[ChannelPart, ...]
@@ -80,7 +81,8 @@ class Mapping(_Part):
     rig: RigPart | None = None
 
     def doubts(self) -> list[str]:
-        """What is to be confirmed, a sentence for each line that has a doubt or lacks what only a person knows."""
+        """What is to be confirmed, a sentence for each line that has a doubt or lacks what only a person
+        knows."""
         found = [f"clocks.{name}: {clock.doubt}" for name, clock in self.clocks.items() if clock.doubt]
         found += [f"{c.role} ({c.source}): {c.doubt}" for c in self.channels if c.doubt]
         if self.trials.doubt:
@@ -90,7 +92,8 @@ class Mapping(_Part):
     def lacks(self) -> list[str]:
         """What no guess can give and an import needs, a sentence each."""
         found = [
-            f"{c.role} ({c.source}): its unit is not known; write `unit`, and `scale` where one count is not one of it"
+            f"{c.role} ({c.source}): its unit is not known; write `unit`, and `scale` where one count is "
+            "not one of it"
             for c in self.channels
             if c.unit is None
         ]
@@ -107,7 +110,8 @@ class Mapping(_Part):
 
 
 def read_mapping(path: Path) -> tuple[Mapping, Places]:
-    """The mapping at `path`, files in it relative to its folder, and where its parts stand. Raises BadInput."""
+    """The mapping at `path`, files in it relative to its folder, and where its parts stand. Raises
+    BadInput."""
     data, places = read_yaml(path)
     if data.get("format") != FORMAT:
         raise places.error(("format",), f"{data.get('format')!r} is not {FORMAT}; is it a mapping?")
@@ -146,8 +150,6 @@ def _check(mapping: Mapping, places: Places) -> None:
             raise places.error(("channels", k, "role"), f"{channel.role} is none of {choices}")
         if channel.unit is not None:
             _unit(channel.unit, (dimension_of(channel.role),), places, ("channels", k, "unit"))
-        elif "unit" in channel.model_fields_set and channel.zero == "start":
-            continue
     trials = mapping.trials
     if trials.at == "column" and (trials.source is None or trials.clock not in mapping.clocks):
         raise places.error(("trials",), "cut at a column: write its `source` and `clock`")
@@ -178,7 +180,8 @@ def dimension_of(role: str) -> str:
 
 
 def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:
-    """Write the mapping to `path`, with its files, which are relative to `folder`, relative to that of `path`."""
+    """Write the mapping to `path`, with its files, which are relative to `folder`, relative to that of
+    `path`."""
     clocks = {
         name: clock.model_copy(
             update={
@@ -212,7 +215,7 @@ def _short(told: dict[str, object]) -> dict[str, object]:
     return result
 
 
-def found_file(part: FilePart, folder: Path, sha256: str, place: str) -> None:
+def found_file(part: FilePart, sha256: str, place: str) -> None:
     """Raise BadInput when the file is not the one that the mapping was made for."""
     if part.sha256 is not None and part.sha256 != sha256:
         raise BadInput(

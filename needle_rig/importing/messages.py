@@ -53,13 +53,14 @@ def read_mcap(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
                 _add(rows, channel.topic, message.log_time, content, "" if schema is None else schema.name)
     except BadInput:
         raise
-    except Exception as error:  # noqa: BLE001 - a damaged file raises anything, struct's and zlib's errors among them
+    except Exception as error:  # noqa: BLE001 - a damaged file raises anything, down to struct's errors
         raise BadInput(
             f"{shown}: cannot be read as MCAP: {str(error)[:200]}; `mcap recover` may mend it"
         ) from None
     if not rows and unread:
         raise BadInput(
-            f"{shown}: its messages are neither JSON nor ROS 2: {', '.join(sorted(unread)[:4])}; export them as CSV"
+            f"{shown}: its messages are neither JSON nor ROS 2: {', '.join(sorted(unread)[:4])}; export "
+            "them as CSV"
         )
     return "MCAP", _columns(rows, shown), {}
 
@@ -99,7 +100,7 @@ def _add(rows: Rows, topic: str, stamp_ns: int, content: Any, kind: str) -> None
 def _numbers(node: Any, path: str, depth: int) -> Iterator[tuple[str, float]]:
     if depth > 8:
         return
-    if isinstance(node, bool) or isinstance(node, str | bytes):
+    if isinstance(node, bool | str | bytes):
         return
     if isinstance(node, int | float | np.number):
         yield path, float(node)

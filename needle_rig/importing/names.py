@@ -7,7 +7,7 @@ import re
 from needle_rig.importing.unit_text import split_name
 
 TIME = re.compile(
-    r"(t|x_?value|.*(time|zeit|stamp|recorded at|elapsed|clock|uhrzeit|datum|date|secs|seconds|sec|tiempo|temps).*)"
+    r"(t|x_?value|.*(time|zeit|stamp|recorded at|elapsed|clock|uhrzeit|datum|date|secs?|seconds|tiempo).*)"
 )
 TORQUE = re.compile(
     r".*(torque|torsion|moment|effort|load_?cell|futek|drehm|\bmd?z?\b|\btz\b|\btau|m_?z\b|tq|τ|par\b).*"
@@ -16,8 +16,8 @@ ANGLE = re.compile(
     r".*(angle|angular|theta|phi|rot|enc|hall|position|\bpos\b|winkel|yaw|roll|twist|orient|q\d*\b|deg|θ|φ|ϕ|α).*"
 )
 BASE = re.compile(
-    r".*(base|motor|drive|driven|proximal|\bprox|encoder|enc\b|input|spindle|stage|hub|chuck|collet|back.?end|antrieb|\bq1?\b|q_?1\b|"
-    r"joint_?1|actuator|theta_?[0mb]?\b).*"
+    r".*(base|motor|drive|driven|proximal|\bprox|encoder|enc\b|input|spindle|stage|hub|chuck|collet|"
+    r"back.?end|antrieb|\bq1?\b|q_?1\b|joint_?1|actuator|theta_?[0mb]?\b).*"
 )
 SENSOR = re.compile(
     r".*(hall|tip|distal|\bdist|camera|cam\b|marker|needle|sensor|output|front.?end|shaft|imu|spitze|track|probe|"
@@ -49,7 +49,8 @@ def says(name: str, pattern: re.Pattern[str]) -> bool:
 
 
 def is_base(name: str) -> bool:
-    """Whether the name is that of the base, and of no sensor on the needle; its last part before its group."""
+    """Whether the name is that of the base, and of no sensor on the needle; its last part before its
+    group."""
     for text in (re.split(r"[/.]", split_name(name)[0])[-1], name):
         base, sensor = says(text, BASE), says(text, SENSOR)
         if base or sensor:

@@ -25,7 +25,8 @@ Array = npt.NDArray[np.float64]
 SLOWEST_IN_TRIAL_DEG_S = 0.05
 LARGEST_IN_TRIAL_DEG = 3600.0
 TORQUE_WITHIN = 30.0
-"""Factor between the torque and what the twist asks for: friction, a second support and an inexact modulus make
+"""Factor between the torque and what the twist asks for: friction, a second support and an inexact modulus
+make
 a few; a wrong prefix makes a thousand, N·cm for N·mm ten, which this cannot tell."""
 
 
@@ -40,8 +41,8 @@ def impossible(
         work = _weighed([signals.work_share(b, x) for b, x in zip(base, torque, strict=True)], base)
         if work < -CLEAR_WORK:
             found.append(
-                f"base_torque falls while the base winds up: the needle would give {-work:.0%} of the work back; "
-                "turn its sign, or are base_angle and base_torque swapped?"
+                f"base_torque falls while the base winds up: the needle would give {-work:.0%} of the work "
+                "back; turn its sign, or are base_angle and base_torque swapped?"
             )
     for k, name in enumerate(sensors):
         angle = [_from_start(t.hall_rad[:, k], b) for t, b in zip(trials, base, strict=True)]
@@ -59,13 +60,13 @@ def _base(trials: Sequence[DatasetTrial], base: Sequence[Array]) -> Iterator[str
     elif reach > LARGEST_IN_TRIAL_DEG or rate > FASTEST_DEG_S:
         yield (
             f"base_angle reaches {reach:.4g}° at {rate:.4g}°/s, limits are {LARGEST_IN_TRIAL_DEG:g}° and "
-            f"{FASTEST_DEG_S:g}°/s: is it in degrees where the mapping says radians (57.3 times too large), or is its "
-            "clock in milliseconds?"
+            f"{FASTEST_DEG_S:g}°/s: is it in degrees where the mapping says radians (57.3 times too large), "
+            "or is its clock in milliseconds?"
         )
     elif rate < SLOWEST_IN_TRIAL_DEG_S:
         yield (
-            f"base_angle turns at {rate:.2g}°/s at most, limit {SLOWEST_IN_TRIAL_DEG_S:g}°/s: is it in radians where "
-            "the mapping says degrees, or its clock in seconds where it counts milliseconds?"
+            f"base_angle turns at {rate:.2g}°/s at most, limit {SLOWEST_IN_TRIAL_DEG_S:g}°/s: is it in "
+            "radians where the mapping says degrees, or its clock in seconds where it counts milliseconds?"
         )
 
 
@@ -89,20 +90,20 @@ def _sensor(name: str, base: Sequence[Array], angle: Sequence[Array]) -> Iterato
     share = span / travel if travel else 0.0
     if share > MOST_FOLLOWED:
         yield (
-            f"{name} turns {share:.3g} times as far as the base: is it in degrees where the mapping says radians "
-            "(57.3 times), or is another column the base?"
+            f"{name} turns {share:.3g} times as far as the base: is it in degrees where the mapping says "
+            "radians (57.3 times), or is another column the base?"
         )
     elif share < LEAST_FOLLOWED and share > 0:
         yield (
-            f"{name} turns {share:.2g} of what the base does: is it in radians where the mapping says degrees, "
-            "or no angle of the needle?"
+            f"{name} turns {share:.2g} of what the base does: is it in radians where the mapping says "
+            "degrees, or no angle of the needle?"
         )
     elif follow < -0.5:
         yield f"{name} turns against the base; turn its sign"
     elif lag < -CLEAR_LAG:
         yield (
-            f"{name} moves before the base, which lags it by {-lag:.2g} of a loop: are the columns swapped, or the "
-            "clocks off (offset_s)?"
+            f"{name} moves before the base, which lags it by {-lag:.2g} of a loop: are the columns swapped, "
+            "or the clocks off (offset_s)?"
         )
 
 
@@ -142,6 +143,6 @@ def _torque_size(
     least = expected_torque_nm(twist, layout.sensor_positions_m[nearest], rigidity)
     if seen < least / TORQUE_WITHIN:
         yield (
-            f"base_torque spans {seen * 1e3:.3g} N·mm, where the twist asks for {least * 1e3:.2g} N·mm: is it in "
-            "N·m where the mapping says N·mm, or the rigidity wrong?"
+            f"base_torque spans {seen * 1e3:.3g} N·mm, where the twist asks for {least * 1e3:.2g} N·mm: is "
+            "it in N·m where the mapping says N·mm, or the rigidity wrong?"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -83,7 +84,7 @@ def _unpacked(path: Path, shown: str) -> Recording:
                             f"{shown}: unpacks to more than {LIMIT_BYTES / 1e9:g} GB; is it the right file?"
                         )
                     out.write(block)
-        except (OSError, EOFError) as error:
+        except (OSError, EOFError, zlib.error) as error:
             raise BadInput(f"{shown}: cannot be unpacked: {error}; copy it again") from None
         try:
             inner = read_recording(plain)

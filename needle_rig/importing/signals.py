@@ -1,6 +1,7 @@
 """What the motion of a needle tells of its recording: which channel leads, which sign, which unit.
 
-All follows from a passive shaft that starts relaxed: the work done on it is never negative, and what is driven
+All follows from a passive shaft that starts relaxed: the work done on it is never negative, and what is
+driven
 comes after what drives.
 """
 
@@ -19,7 +20,8 @@ LOOKED_AT = 20_000
 """Samples of a recording from which a guess is made; every n-th is taken of longer ones."""
 ROUND_STEP_DEG = 5.0
 ROUND_WITHIN_DEG = 0.2
-"""Commands are multiples of 5°; a drive reaches them to 0.2°. A level at random is that near to one in 8 % of cases."""
+"""Commands are multiples of 5°; a drive reaches them to 0.2°. A level at random is that near to one in 8 %
+of cases."""
 
 
 def work_share(base: Array, torque: Array) -> float:
@@ -35,7 +37,8 @@ def work_share(base: Array, torque: Array) -> float:
 
 
 def lag_share(leader: Array, follower: Array) -> float:
-    """Twice the area by which `follower` comes after `leader`, over the product of their travels; both (samples,).
+    """Twice the area by which `follower` comes after `leader`, over the product of their travels; both
+    (samples,).
 
     The path in the plane of both turns left about a follower: ½∮(x dy − y dx) > 0. Independent of offsets of
     closed paths, of scale, and, as a product of signs, of which way either counts.
@@ -102,8 +105,33 @@ def rest_before_motion(base: Array) -> int:
     return max(1, int(first[0]) * 9 // 10 if first.size else len(base))
 
 
+def from_rest(values: Array, rest: int) -> Array:
+    """`values` less their mean over the first `rest` samples, or over what comes first where those are
+    missing."""
+    known = np.flatnonzero(np.isfinite(values))
+    begin = known[known < rest]
+    zero = float(values[begin if len(begin) else known[:5]].mean()) if len(known) else 0.0
+    return np.asarray(values - zero, dtype=np.float64)
+
+
+def first_stiffness(base: Array, torque: Array, within: float) -> float:
+    """Slope of the torque over the base's angle while that first goes `within` from its start, absolute; 0
+    if unknown.
+
+    Both (samples,), zero at the start. Friction has not yet let the shaft slip then.
+    """
+    known = np.isfinite(base) & np.isfinite(torque)
+    x, y = base[known], torque[known]
+    beyond = np.flatnonzero(np.abs(x) > within)
+    end = int(beyond[0]) if beyond.size else len(x)
+    x, y = x[:end], y[:end]
+    power = float(x @ x)
+    return abs(float(x @ y)) / power if power > 0 else 0.0
+
+
 def peak_rate(time_s: Array, angle: Array) -> float:
-    """The rate that a fiftieth of the steps exceeds, so that no single outlier gives it; unit of `angle` a second."""
+    """The rate that a fiftieth of the steps exceeds, so that no single outlier gives it; unit of `angle` a
+    second."""
     known = np.isfinite(angle) & np.isfinite(time_s)
     steps = np.diff(time_s[known])
     good = steps > 0
@@ -141,7 +169,8 @@ def clock_offset_s(time_a: Array, a: Array, time_b: Array, b: Array) -> tuple[fl
 
 
 def difference_share(time_a: Array, a: Array, time_b: Array, b: Array) -> float:
-    """What is left of `a` when `b`, scaled and shifted, is taken from it: standard deviation over span, 0 to 1.
+    """What is left of `a` when `b`, scaled and shifted, is taken from it: standard deviation over span, 0 to
+    1.
 
     One quantity recorded twice leaves its noise; a needle that lags leaves its loop.
     """
@@ -154,6 +183,21 @@ def difference_share(time_a: Array, a: Array, time_b: Array, b: Array) -> float:
     left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
     span = float(np.ptp(y))
     return float(left.std()) / span if span > 0 else 1.0
+
+
+def refined_offset_s(
+    time_a: Array, a: Array, time_b: Array, b: Array, near_s: float, within_s: float
+) -> tuple[float, float]:
+    """The offset within `within_s` of `near_s` that leaves least of `a` beside `b`, s, and that share."""
+    from scipy.optimize import minimize_scalar
+
+    def left(offset_s: float) -> float:
+        return difference_share(time_a, a, time_b + offset_s, b)
+
+    best = minimize_scalar(
+        left, bounds=(near_s - within_s, near_s + within_s), method="bounded", options={"xatol": 1e-4}
+    )
+    return float(best.x), float(best.fun)
 
 
 def _centred(values: Array) -> Array:

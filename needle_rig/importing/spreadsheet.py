@@ -64,8 +64,8 @@ def _table(rows: list[list[object]], sheet: str, shown: str) -> tuple[list[Colum
             continue
         if bad is not None:
             raise BadInput(
-                f"{shown}:{sheet}, row {first + bad + 1}: {header.names[k]}: {str(cells[bad])[:40]!r} is no number; "
-                "correct the cell, or leave it empty when the sample is missing"
+                f"{shown}:{sheet}, row {first + bad + 1}: {header.names[k]}: {str(cells[bad])[:40]!r} is no "
+                "number; correct the cell, or leave it empty when the sample is missing"
             )
         unit = "s" if isinstance(rows[first][k], datetime.date | datetime.time) else header.units[k]
         columns.append(Column(header.names[k], unit, values, sheet))

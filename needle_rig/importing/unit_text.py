@@ -54,8 +54,12 @@ _WORDS = {
 }  # fmt: skip
 """Other spellings; the German `grad` is a degree and the English one 1/400 of a turn: told by neither."""
 _OTHER = frozenset(
-    "v mv volt volts a ma amp amps ampere n mn kn newton nm/s m mm cm um µm hz khz % °c c degc k kg g "
-    "deg/s °/s rad/s rpm 1/s counts count cts lsb w bar pa kpa mpa m/s mm/s m/s^2 °/s²".split()
+    {
+        *("v", "mv", "volt", "volts", "a", "ma", "amp", "amps", "ampere", "w", "hz", "khz", "%", "lsb"),
+        *("n", "mn", "kn", "newton", "nm/s", "kg", "g", "m", "mm", "cm", "um", "µm", "m/s", "mm/s", "m/s2"),
+        *("°c", "c", "degc", "k", "bar", "pa", "kpa", "mpa", "count", "counts", "cts", "1/s"),
+        *("deg/s", "°/s", "rad/s", "rpm", "°/s2", "rad/s2"),
+    }
 )
 _TORQUE_TEXT = re.compile(r"(n|µ|u|m|k)?n[\s·.*⋅×_-]?(m|c)?m", re.IGNORECASE)
 _IMPERIAL = re.compile(r"(oz|lb|g|kg)f?[\s·.*⋅×_-]?(in|cm)|(in|cm)[\s·.*⋅×_-]?(oz|lb|g|kg)f?", re.IGNORECASE)
