@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
 from needle_rig.workbench.learning.compare import TraceComparison, motion_words, scale_of
-
-Array = npt.NDArray[np.float64]
 
 SHOWN_TRIALS = 4
 SHOWN_SAMPLES = 2000

@@ -8,16 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import Prepared, prepare
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
-
-Array = npt.NDArray[np.float64]
 
 WORST = 8
 NOISE_LIMIT = 3.0

@@ -9,7 +9,7 @@ verdict: effect
 effects: [tissue_elasticity]
 held_out_error: {before: 32.2, after: 0.98}
 noise: {torque_nmm: 0.0008, hall_1_deg: 0.25}
-policy: {significance: 0.01}
+policy: {evidence: {significance: 0.01, …}, …}
 explanations:
   - added: [tissue_elasticity]
     improves_cross_validation: true
@@ -38,22 +38,14 @@ from needle_rig.config.places import DataPath, Places, read_yaml
 from needle_rig.config.schema import Section
 from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.model.files import model_mapping, saved_model, write_whole
+from needle_rig.records import JsonObject
 from needle_rig.version import VERSION
 from needle_rig.workbench.learning.observations import Observations
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer
-from needle_rig.workbench.selection.diagnose import EXPLAINED, REACHED
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE
 from needle_rig.workbench.selection.explanation import Explanation
-from needle_rig.workbench.selection.rivals import CLOSE
 
 FORMAT = "needle-rig-diagnosis/1"
-POLICY = {
-    "significance": SIGNIFICANCE,
-    "explained_fraction": EXPLAINED,
-    "held_out_error": REACHED,
-    "tie": CLOSE,
-}
-"""Thresholds under which the verdict was given."""
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Error = Annotated[float, Field(ge=0)]
@@ -86,7 +78,7 @@ class _File(Section):
     effects: tuple[str, ...]
     held_out_error: _HeldOutError
     noise: dict[str, Error]
-    policy: dict[str, float]
+    policy: JsonObject
     explanations: tuple[_Explanation, ...]
 
 
@@ -102,7 +94,7 @@ class KeptDiagnosis:
     held_out_error_before: float | None
     held_out_error_after: float | None
     noise: Mapping[str, float]
-    policy: Mapping[str, float]
+    policy: JsonObject
     explanations: tuple[Explanation, ...]
     models: tuple[SavedModel, ...]
     """What adopting each explanation gives."""
@@ -148,7 +140,7 @@ def keep(answer: Answer, observed: Observations, saved: SavedModel | None = None
         held_out_error_before=answer.held_out_error_before,
         held_out_error_after=answer.held_out_error_after,
         noise=answer.noise,
-        policy=POLICY,
+        policy=POLICY.as_json(),
         explanations=found,
         models=tuple(step(f, observed.name, saved, name=name) for f in found),
         place=f"the diagnosis of {observed.name}",
