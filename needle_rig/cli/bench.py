@@ -6,9 +6,12 @@ import contextlib
 import signal
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from needle_rig.simulation.bench_lines import Said
 
 _WORDS = """\
 Words that it takes, a line each:
@@ -98,14 +101,14 @@ def command(
         click.echo("bench ended")
 
 
-def _tell(what: dict[str, Any]) -> None:
+def _tell(what: Said) -> None:
     """What happens on the bench, for a person."""
     from needle_rig.records import DriveFault
 
     match what:
         case {"error": text}:
             click.echo(text)
-        case {"event": "drive", "state": state, "faults": faults}:
+        case {"event": "drive", "state": state, "faults": int(faults)}:
             names = (DriveFault(faults).name or "").lower().replace("_", " ").replace("|", ", ")
             click.echo(f"drive node: {state}{f' ({names})' if faults else ''}")
         case {"event": "command", "enable": enable, "clear": clear}:
@@ -120,7 +123,7 @@ def _tell(what: dict[str, Any]) -> None:
             click.echo(f"base: turned by hand by {turn:g}°")
         case {"event": "weigh", "weight_nmm": weight}:
             click.echo(f"load cell: carries {weight:g} N·mm")
-        case {"base_deg": base, "velocity_deg_s": velocity, "drive": drive, "faults": faults}:
+        case {"base_deg": base, "velocity_deg_s": velocity, "drive": drive, "faults": dict(faults)}:
             broken = ", ".join(f"{link} {fault}" for link, fault in faults.items()) or "none"
             click.echo(
                 f"base {base:.3f}°, motor asked for {velocity:.2f}°/s, drive {drive}, link faults: {broken}, "

@@ -9,13 +9,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.recording.journal import SUFFIX, Frames, Journal, journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import RunFile
+from needle_rig.records import JsonObject
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _summary(path: Path) -> RunSummary:
         ending = run.ending()
     except BadInput:
         return RunSummary(path.stem, path, None, "", math.nan, "", "", "unreadable", 0.0, False)
-    known: dict[str, Any] = run.attributes
+    known: JsonObject = run.attributes
     first_s, last_s = ending.span_s
     if ending.result is not None:
         status = str(ending.result.get("status", "cut off"))

@@ -14,10 +14,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, cast
 
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
+from needle_rig.records import JsonObject
 from needle_rig.service.documents import Document, Message, Started, State
 from needle_rig.service.endpoint import private_socket, sockets_for_client
 from needle_rig.service.installation import nobody_answers
@@ -122,7 +123,7 @@ class DaemonClient:
 
     def _ask(
         self, method: str, path: str, content: Message | None = None, *, again_s: float = 0.0
-    ) -> dict[str, Any]:
+    ) -> JsonObject:
         """The daemon's answer; for `again_s` it is asked again when the connection breaks."""
         import httpx
 
@@ -142,7 +143,7 @@ class DaemonClient:
                 if _nobody_there(error) or time.monotonic() > deadline_s:
                     raise self._silent(error) from None
                 time.sleep(_AGAIN_EVERY_S)
-        answer: dict[str, Any] = response.json()
+        answer: JsonObject = response.json()
         if "error" in answer:
             raise failure(answer)
         return answer
@@ -226,7 +227,7 @@ def _wait_until_ready(
             ready, _, _ = select.select([process.stdout], [], [], _START_TIMEOUT_S)
     line = process.stdout.readline() if ready else b""
     if line:
-        told: dict[str, Any] = json.loads(line)
+        told: JsonObject = json.loads(line)
         if "error" in told:
             raise failure(told)
         return

@@ -16,6 +16,7 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.numerics import rounded
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
 from needle_rig.service.api_link import ApiLink
@@ -289,9 +290,9 @@ class Daemon:
         return {
             "count": timing.ticks,
             "missed": timing.missed,
-            "late_p50_ms": report.number(timing.late_p50_s * 1e3),
-            "late_p99_ms": report.number(timing.late_p99_s * 1e3),
-            "late_max_ms": report.number(timing.late_max_s * 1e3),
+            "late_p50_ms": rounded(timing.late_p50_s * 1e3, 4),
+            "late_p99_ms": rounded(timing.late_p99_s * 1e3, 4),
+            "late_max_ms": rounded(timing.late_max_s * 1e3, 4),
             "lost_rows": self._recorder.lost_rows,
         }
 

@@ -15,6 +15,26 @@ Message = Mapping[str, Any]
 """An order before it is judged by the models of `orders`, or an answer: one line between two processes."""
 
 
+class Asked(TypedDict):
+    """What the API's process asks the daemon."""
+
+    number: int
+    order: str
+    content: Message
+    begun_s: float
+    """When the request's first byte came."""
+    lease: str | None
+
+
+class Answered(TypedDict):
+    """The daemon's answer to the question of that number."""
+
+    number: int
+    status: int
+    """The HTTP status of a refusal; 0 when it was done."""
+    content: Message
+
+
 class Rig(TypedDict):
     """What does not change while the daemon lives."""
 

@@ -16,7 +16,7 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.errors import NeedleRigError, RigFault
 from needle_rig.recording import being_written, journal_path, runs_in_journals
 from needle_rig.records import Sample
-from needle_rig.service.recorder_link import Gone, RecorderLink
+from needle_rig.service.recorder_link import Gone, RecorderLink, Reply
 
 log = structlog.get_logger("recorder")
 
@@ -164,7 +164,7 @@ class Recorder:
             self._links.append(await RecorderLink.start(self._fail, self._on_gone))
         return self._links[-1]
 
-    async def _ask(self, *message: Any, work_bytes: int = 0) -> dict[str, Any]:
+    async def _ask(self, *message: Any, work_bytes: int = 0) -> Reply:
         timeout_s = _REPLY_TIMEOUT_S + work_bytes / SLOWEST_DISK_BYTES_S
         async with self._asking:
             return await (await self._linked()).ask(timeout_s, *message)
@@ -176,9 +176,7 @@ class Recorder:
         except NeedleRigError as error:
             self._fail(str(error))
 
-    async def _recover(
-        self, path: Path, text: str, result: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    async def _recover(self, path: Path, text: str, result: Mapping[str, Any] | None = None) -> Reply:
         try:
             size_bytes = journal_path(path).stat().st_size
         except OSError:

@@ -13,7 +13,7 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 
 from needle_rig.config.schema import RecordingSection, RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
@@ -28,6 +28,10 @@ from needle_rig.recording import (
     sample_row,
     unfinished_runs,
 )
+
+if TYPE_CHECKING:
+    from needle_rig.records import JsonObject
+    from needle_rig.service.recorder_link import Reply
 
 _SENTENCE_LETTERS = 2000
 
@@ -52,7 +56,7 @@ class Keeper:
             if number:
                 self._answer(number=number, **answer)
 
-    def begin(self, directory: Path, config: RigConfig, request: dict[str, Any]) -> dict[str, Any]:
+    def begin(self, directory: Path, config: RigConfig, request: JsonObject) -> Reply:
         """Open a new run."""
         self._leave()
         remove_empty_runs(directory)
@@ -76,13 +80,13 @@ class Keeper:
         if self._writer is not None:
             self._writer.event(time_s, kind, text)
 
-    def sync(self) -> dict[str, Any]:
+    def sync(self) -> Reply:
         """Answer when every row is on the disk."""
         if self._writer is not None:
             self._writer.sync()
         return {}
 
-    def finish(self, result: dict[str, Any], time_s: float) -> dict[str, Any]:
+    def finish(self, result: JsonObject, time_s: float) -> Reply:
         """Close the run, whole if no row is missing."""
         writer, self._writer = self._writer, None
         if writer is None:
@@ -98,14 +102,14 @@ class Keeper:
             "unread_bytes": kept.unread_bytes,
         }
 
-    def discard(self) -> dict[str, Any]:
+    def discard(self) -> Reply:
         """Take the run away."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.discard()
         return {}
 
-    def recover(self, path: Path, text: str, result: dict[str, Any] | None) -> dict[str, Any]:
+    def recover(self, path: Path, text: str, result: JsonObject | None) -> Reply:
         """Close the run at `path` that another recorder left; `text` says why it could not close it."""
         if path.exists() and path not in unfinished_runs(path.parent):
             return {"complete": RunFile(path).complete, "text": f"{path} is closed"}

@@ -20,11 +20,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
+
+if TYPE_CHECKING:
+    from needle_rig.simulation.bench_lines import Said
 
 PREFIX = "needle-rig-bench-"
 """Of the temporary folders with the names of a bench's ports."""
@@ -71,7 +74,7 @@ class Bench:
         said = self.wait_for(lambda said: wanted.items() <= said.items(), timeout_s)
         return float(said["time_s"])
 
-    def heard(self, timeout_s: float) -> dict[str, Any] | None:
+    def heard(self, timeout_s: float) -> Said | None:
         """The next thing that the bench says; None when it says nothing for `timeout_s`.
 
         Raises RigFault when the bench is gone.
@@ -89,10 +92,10 @@ class Bench:
                 raise RigFault(f"the simulated rig ended (exit {self._process.wait()})")
             self._text += chunk
         line, _, self._text = self._text.partition(b"\n")
-        said: dict[str, Any] = json.loads(line)
+        said: Said = json.loads(line)
         return said
 
-    def wait_for(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float) -> dict[str, Any]:
+    def wait_for(self, wanted: Callable[[Said], bool], timeout_s: float) -> Said:
         """The next thing said that is `wanted`; others are dropped. Raises TimeoutError."""
         deadline_s = time.monotonic() + timeout_s
         while (said := self.heard(max(deadline_s - time.monotonic(), 0.0))) is not None:
@@ -222,7 +225,7 @@ def main(arguments: list[str] | None = None) -> int:
             say({"error": str(error), "exit_code": error.exit_code})
             return error.exit_code
         stack.callback(loop.close)
-        say(dict(loop.ports))
+        say({"can": loop.ports["can"], "hall": loop.ports["hall"]})
         be_urgent()
         with contextlib.suppress(KeyboardInterrupt):
             loop.run(0, end_with_control=not options.keep)

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.records import Measurement
+from needle_rig.simulation.bench_lines import Said
 from needle_rig.simulation.faults import Faults, over_index
 from needle_rig.simulation.node_set import build_nodes
 from needle_rig.simulation.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
@@ -104,7 +105,7 @@ class BenchLoop:
         config: RigConfig,
         plant: WorldPlant,
         ports: Path,
-        say: Callable[[dict[str, Any]], None],
+        say: Callable[[Said], None],
         interface: str | None = None,
     ) -> None:
         if config.simulation is None:
@@ -387,11 +388,11 @@ def be_urgent(urgent: bool = True) -> None:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
 
 
-def speak(stream_fd: int) -> Callable[[dict[str, Any]], None]:
+def speak(stream_fd: int) -> Callable[[Said], None]:
     """A `say` that writes one JSON line, with the time, or drops it when nobody reads."""
     os.set_blocking(stream_fd, False)
 
-    def say(what: dict[str, Any]) -> None:
+    def say(what: Said) -> None:
         line = json.dumps({**what, "time_s": round(time.monotonic(), 6)}) + "\n"
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(stream_fd, line.encode())
