@@ -58,10 +58,12 @@ def command(
     call changes nothing. Members of the group needle-rig may use the rig. --remove keeps the runs in
     /var/lib/needle-rig, and the rig file as /etc/needle-rig/rig.yaml.removed.
     """
-    from needle_rig.service.install import install_steps, is_active, removal_steps
+    from needle_rig.service.install import install_steps, is_active, refuse_unable, removal_steps
     from needle_rig.service.installation import Installation
 
     place = Installation(root.absolute())
+    if place.root == Path("/") and not dry_run:
+        refuse_unable(os.geteuid())
     if remove:
         _carry_out(removal_steps(place), dry_run)
         click.echo(f"The runs stay in {place.runs}." if not dry_run else "Nothing was done.")

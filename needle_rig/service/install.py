@@ -112,6 +112,14 @@ def removal_steps(place: Installation) -> list[Step]:
     return steps
 
 
+def refuse_unable(user_id: int, systemd: Path = Path("/run/systemd/system")) -> None:
+    """Raise BadInput where a service cannot be set up or taken away, before anything is done."""
+    if not systemd.is_dir():
+        raise BadInput("systemd does not run here, and a service needs it; start by hand: needle-rig daemon")
+    if user_id != 0:
+        raise BadInput("only root may set up a service: sudo needle-rig install-service")
+
+
 def unit_text(program: Path) -> str:
     """The shipped unit with the folder of `program` in its PATH."""
     text = shipped_file(f"service/{UNIT}").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
 from needle_rig.service import install
-from needle_rig.service.install import installed_program, unit_text
+from needle_rig.service.install import installed_program, refuse_unable, unit_text
 from needle_rig.service.installation import Installation
 from needle_rig.service.rig_file import Answers, rig_file_text
 
@@ -183,6 +183,14 @@ def test_an_answer_is_text_whatever_it_looks_like() -> None:
 
 def test_the_unit_runs_the_needle_rig_that_installed_it() -> None:
     assert "Environment=PATH=/srv/venv/bin:/usr/bin:/bin" in unit_text(Path("/srv/venv/bin/needle-rig"))
+
+
+def test_nothing_is_begun_without_systemd_or_without_root(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="systemd does not run here"):
+        refuse_unable(0, tmp_path / "none")
+    with pytest.raises(BadInput, match="sudo needle-rig install-service"):
+        refuse_unable(1000, tmp_path)
+    refuse_unable(0, tmp_path)
 
 
 @pytest.mark.parametrize("prefix", ["/home/anna/venv", "/root/venv"])
