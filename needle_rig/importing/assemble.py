@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
-from needle_rig.dataset.base_path import denoised_base
 from needle_rig.dataset.description import layout_of, needle_of
 from needle_rig.dataset.samples import LeftOut, checked_trial
 from needle_rig.errors import BadInput
@@ -30,6 +29,8 @@ Array = npt.NDArray[np.float64]
 
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""
+STILL_DEG = 0.3
+"""What a base at rest shows of noise and creep; one that passes by at 1°/s shows more."""
 SAME_ANGLE_DEG = 1.0
 """What a dataset takes for the start's angle (`AT_REST_DEG`)."""
 SAME_TORQUE = 0.1
@@ -305,31 +306,21 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
     time_s = si[:, 0]
     known = np.isfinite(si[:, 1])
     base = np.interp(time_s, time_s[known], si[known, 1])
-    path = denoised_base(time_s, base)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], path.holding.view(np.int8), [0]))))
+    near = np.abs(base) <= math.radians(SAME_ANGLE_DEG)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], near.view(np.int8), [0]))))
     spans = np.array([np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in si.T[2:]])
-    cuts, wound, moved_since = [0], 0, False
-    last_stop = 0
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        moved_since = moved_since or float(np.ptp(base[last_stop : start + 1])) > math.radians(SAME_ANGLE_DEG)
-        last_stop = stop
-        rest_s = float(time_s[stop - 1] - time_s[start])
-        inner = start > 0 and stop < len(time_s)
-        if (
-            not inner
-            or rest_s < REST_S
-            or abs(float(np.median(base[start:stop]))) > math.radians(SAME_ANGLE_DEG)
-        ):
+    cuts, wound = [0], 0
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        inside = slice(start + (stop - start) // 4, stop - (stop - start) // 4)
+        moves = math.degrees(float(np.ptp(base[inside]))) > STILL_DEG
+        if start == 0 or stop == len(time_s) or moves or time_s[stop - 1] - time_s[start] < REST_S:
             continue
-        now = [
-            float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else 0.0 for c in si[start:stop, 2:].T
-        ]
+        now = [float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else 0.0 for c in si[inside, 2:].T]
         limits = [SAME_TORQUE * spans[0], *([math.radians(SAME_SENSOR_DEG)] * (len(now) - 1))]
         if any(abs(v) > limit for v, limit in zip(now, limits, strict=True) if limit > 0):
             wound += 1
-        elif moved_since:
-            cuts.append((int(start) + int(stop)) // 2)
-            moved_since = False
+        else:
+            cuts.append((start + stop) // 2)
     notes = []
     if wound:
         notes.append(
