@@ -16,7 +16,7 @@ import numpy.typing as npt
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
 from needle_rig.dataset.description import layout_of, needle_of
-from needle_rig.dataset.samples import LeftOut, checked_trial
+from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.importing import signals
 from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart, ClockPart, Mapping, found_file
@@ -126,6 +126,11 @@ def _recording(
             )
         keep = np.concatenate(([True], np.diff(time_s) > 0))
         channels[part.role] = _Channel(part.role, time_s[keep], values[keep])
+        if len(channels[part.role].time_s) < FEWEST_SAMPLES:
+            raise BadInput(
+                f"{show_path(of[part.clock].path)}: {part.source} has fewer than {FEWEST_SAMPLES} samples at "
+                f"times of their own; is {part.clock} its clock?"
+            )
     length_s = float(channels[BASE].time_s[-1])
     rows_s = _rows(channels, mapping.rate_hz)
     table = np.column_stack(
@@ -176,6 +181,8 @@ def _times(recording: Recording, name: str, clock: ClockPart, number: int, rows:
         assert clock.rate_hz is not None
         return np.arange(rows) / clock.rate_hz + offset_s
     column = _column(recording, clock.source, f"clocks.{name}")
+    if column.labels:
+        raise BadInput(f"clocks.{name}: {clock.source} holds words; name a column of times, or write rate_hz")
     if len(column.values) != rows:
         raise BadInput(
             f"clocks.{name}: {clock.source} has {len(column.values)} rows, a channel on it {rows}; "
@@ -190,6 +197,11 @@ def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
     """Times of the dataset's rows: the base's samples or an even grid, and every sample of slower
     channels."""
     base = channels[BASE].time_s
+    if rate_hz is not None and rate_hz * float(base[-1]) > len(base) + 1:
+        raise BadInput(
+            f"rate_hz: {rate_hz:g} Hz is more than the {len(base) / float(base[-1]):.4g} Hz of base_angle; "
+            "write a smaller one, or leave it out"
+        )
     rows = base if rate_hz is None else np.arange(0.0, float(base[-1]), 1.0 / rate_hz)
     step = float(np.median(np.diff(rows)))
     for channel in channels.values():

@@ -56,6 +56,8 @@ that."""
 WEAK = 0.4
 """Correlation of an angle with the base below which its sign is asked; the tip of a needle in much tissue
 has 0.5."""
+LARGEST_NUMBER = 1e30
+"""In any unit; above it a bit is wrong, and its square overflows."""
 EPOCH_S = 1e8
 """Seconds since 1970 that a clock shows which knows the date; any other counts from its start."""
 
@@ -112,7 +114,9 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
                 if column.labels or names.says(column.name, names.TIME):
                     not_used.append(column.name)
                     continue
-                series.append(_Series(column, label, time_s[::every], column.values[::every]))
+                seen = column.values[::every]
+                seen = np.where(np.abs(seen) < LARGEST_NUMBER, seen, math.nan)
+                series.append(_Series(column, label, time_s[::every], seen))
     if len({len(c.files) for c in clocks.values()}) > 1:
         told = "; ".join(f"{k}: {len(c.files)}" for k, c in clocks.items())
         raise BadInput(
