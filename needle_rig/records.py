@@ -5,6 +5,10 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
+from typing import Any
+
+JsonObject = dict[str, Any]
+"""A mapping as JSON and YAML have it, of keys that whoever passes it on does not know."""
 
 
 class DriveState(enum.IntEnum):

@@ -58,6 +58,14 @@ class Columns:
     step_s: float
 
 
+def _records(rows: Columns) -> Any:
+    """The rows as a structured array, one field a column."""
+    table = np.empty(len(rows.values), dtype=[(name, "f8") for name in rows.names])
+    for name, values in zip(rows.names, rows.values.T, strict=True):
+        table[name] = values
+    return table
+
+
 def columns(
     source: Source, names: Sequence[str], units: Sequence[str], signs: Sequence[int] = (), decimals: int = 6
 ) -> Columns:
@@ -599,7 +607,7 @@ def h5py_compound(source: Source, folder: Path) -> Truth:
     rows = columns(
         source, ("time_s", "drive_deg", "torque_Nmm", "h1_deg", "h2_deg", "h3_deg", "h4_deg"), PLAIN_UNITS
     )
-    table = np.rec.fromarrays(rows.values.T, names=list(rows.names))
+    table = _records(rows)
     with h5py.File(folder / "run.h5", "w") as file:
         file.create_dataset("log", data=table)
     return Truth((folder / "run.h5",), rows.channels, rows.step_s)
@@ -639,7 +647,7 @@ def numpy_npz(source: Source, folder: Path) -> Truth:
 @case
 def numpy_structured(source: Source, folder: Path) -> Truth:
     rows = columns(source, PLAIN, PLAIN_UNITS)
-    np.save(folder / "run.npy", np.rec.fromarrays(rows.values.T, names=list(rows.names)))
+    np.save(folder / "run.npy", _records(rows))
     return Truth((folder / "run.npy",), rows.channels, rows.step_s)
 
 
@@ -661,7 +669,7 @@ def mcap_json(source: Source, folder: Path) -> Truth:
             stamp = 1_709_298_191_000_000_000 + round(row[0] * 1e9)
             data = json.dumps(dict(zip(rows.names[1:], map(float, row[1:]), strict=True))).encode()
             writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=n)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     channels = {role: (f"/rig.{name}", f, s) for role, (name, f, s) in rows.channels.items()}
     return Truth((folder / "run.mcap",), channels, rows.step_s)
 

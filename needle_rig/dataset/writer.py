@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from needle_rig.config.places import show_path, write_yaml
 from needle_rig.dataset.description import FORMAT
 from needle_rig.dataset.records import Dataset, DatasetTrial
 from needle_rig.errors import BadInput
+from needle_rig.records import JsonObject
 
 
 def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
@@ -26,7 +26,7 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
         )
     (target / "trials").mkdir(parents=True, exist_ok=True)
     layout, needle = dataset.layout, dataset.needle
-    trials: list[dict[str, Any]] = []
+    trials: list[JsonObject] = []
     for number, trial in enumerate(dataset.trials, start=1):
         file = f"trials/{number:02d}.csv"
         (target / file).write_text(_csv(trial, dataset.sensor_names), encoding="utf-8")
