@@ -194,8 +194,7 @@ def _times(recording: Recording, name: str, clock: ClockPart, number: int, rows:
 
 
 def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
-    """Times of the dataset's rows: the base's samples or an even grid, and every sample of slower
-    channels."""
+    """Times of the rows: the base's samples or an even grid, and every sample of slower channels."""
     base = channels[BASE].time_s
     if rate_hz is not None and rate_hz * float(base[-1]) > len(base) + 1:
         raise BadInput(
@@ -221,8 +220,7 @@ def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
 
 
 def _on_rows(channel: _Channel | None, rows_s: Array, base: _Channel, rate_hz: float | None) -> Array:
-    """A channel at the rows: as sampled, averaged over a step, interpolated, or NaN where a slow one has no
-    sample."""
+    """At the rows: as sampled, averaged over a step, interpolated; NaN where a slow channel has none."""
     if channel is None:
         return np.full(len(rows_s), math.nan)
     time_s, values = channel.time_s, channel.values
@@ -344,8 +342,7 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
 
 
 def _commanded(trials: Sequence[DatasetTrial]) -> list[DatasetTrial]:
-    """Trials with what the base was told, read off its motion; equal within a drive's scatter is a
-    replicate."""
+    """Trials with the command that their motion shows; equal ones within a drive's scatter are replicates."""
     kinds: list[tuple[Array, float, TrialCommand]] = []
     result = []
     for trial in trials:
