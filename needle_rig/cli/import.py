@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from needle_rig.dataset import Dataset
     from needle_rig.importing import Mapping
 
 MAPPING = "import.yaml"
@@ -62,17 +63,19 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
         waiting = [doubt for doubt in waiting if not click.confirm(f"{doubt}. Is the line right?")]
     if mapping.lacks() or (waiting and not yes):
         raise BadInput(_to_confirm(mapping, folder, None if named else out, waiting))
+    for doubt in waiting:
+        click.echo(f"taken as it is: {doubt}", err=True)
     mapping = _confirmed(mapping)
     try:
         dataset = dataset_of(mapping, folder)
-        _write(mapping, folder, dataset, out)
+        left_out = _write(mapping, folder, dataset, out)
     except BadInput as error:
         if named:
             raise
         place = _keep(mapping, folder, out)
         raise BadInput(f"{error}\nThe mapping is in {place}; correct it there and import it") from None
     samples = sum(len(trial.trial.time_s) for trial in dataset.trials)
-    for note in dataset.notes:
+    for note in (*dataset.notes, *left_out):
         click.echo(note, err=True)
     click.echo(
         f"{out}: {len(dataset.trials)} trials, {len(dataset.replicates)} commands, {samples} samples; "
@@ -140,31 +143,37 @@ def _keep(mapping: Mapping, folder: Path, out: Path) -> Path:
 
 
 def _confirmed(mapping: Mapping) -> Mapping:
-    """The mapping as it is taken, without doubts."""
-    sure = {"doubt": ""}
+    """The mapping as it is taken; its doubts become a part of the reasons."""
+
+    def taken(why: str, doubt: str) -> dict[str, str]:
+        return {"doubt": "", "why": "; ".join(filter(None, (why, doubt and f"confirmed: {doubt}")))}
+
     return mapping.model_copy(
         update={
-            "clocks": {name: clock.model_copy(update=sure) for name, clock in mapping.clocks.items()},
-            "channels": tuple(channel.model_copy(update=sure) for channel in mapping.channels),
-            "trials": mapping.trials.model_copy(update=sure),
+            "clocks": {n: c.model_copy(update=taken(c.why, c.doubt)) for n, c in mapping.clocks.items()},
+            "channels": tuple(c.model_copy(update=taken(c.why, c.doubt)) for c in mapping.channels),
+            "trials": mapping.trials.model_copy(update=taken(mapping.trials.why, mapping.trials.doubt)),
         }
     )
 
 
-def _write(mapping: Mapping, folder: Path, dataset: object, out: Path) -> None:
-    """The dataset, its mapping and its picture; what cannot be read back is removed. Raises BadInput."""
-    from needle_rig.dataset import Dataset, read_dataset, write_dataset
+def _write(mapping: Mapping, folder: Path, dataset: Dataset, out: Path) -> list[str]:
+    """The dataset, its mapping and its picture; which trials its reader leaves out, a sentence each.
+
+    What cannot be read back is removed. Raises BadInput.
+    """
+    from needle_rig.dataset import read_dataset, write_dataset
     from needle_rig.importing import write_mapping
 
-    assert isinstance(dataset, Dataset)
     try:
         write_dataset(dataset, out)
-        read_dataset(out)
+        left_out = [note for note in read_dataset(out).notes if "left out" in note]
         write_mapping(mapping, out / MAPPING, folder)
         _draw(mapping, folder, out / PICTURE)
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)
         raise
+    return left_out
 
 
 def _draw(mapping: Mapping, folder: Path, path: Path) -> None:

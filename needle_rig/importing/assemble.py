@@ -15,9 +15,8 @@ import numpy.typing as npt
 
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
-from needle_rig.dataset.base_path import denoised_base
 from needle_rig.dataset.description import layout_of, needle_of
-from needle_rig.dataset.samples import LeftOut, checked_trial
+from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.importing import signals
 from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart, ClockPart, Mapping, found_file
@@ -30,6 +29,8 @@ Array = npt.NDArray[np.float64]
 
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""
+STILL_DEG = 0.3
+"""What a base at rest shows of noise and creep; one that passes by at 1°/s shows more."""
 SAME_ANGLE_DEG = 1.0
 """What a dataset takes for the start's angle (`AT_REST_DEG`)."""
 SAME_TORQUE = 0.1
@@ -125,6 +126,11 @@ def _recording(
             )
         keep = np.concatenate(([True], np.diff(time_s) > 0))
         channels[part.role] = _Channel(part.role, time_s[keep], values[keep])
+        if len(channels[part.role].time_s) < FEWEST_SAMPLES:
+            raise BadInput(
+                f"{show_path(of[part.clock].path)}: {part.source} has fewer than {FEWEST_SAMPLES} samples at "
+                f"times of their own; is {part.clock} its clock?"
+            )
     length_s = float(channels[BASE].time_s[-1])
     rows_s = _rows(channels, mapping.rate_hz)
     table = np.column_stack(
@@ -175,6 +181,8 @@ def _times(recording: Recording, name: str, clock: ClockPart, number: int, rows:
         assert clock.rate_hz is not None
         return np.arange(rows) / clock.rate_hz + offset_s
     column = _column(recording, clock.source, f"clocks.{name}")
+    if column.labels:
+        raise BadInput(f"clocks.{name}: {clock.source} holds words; name a column of times, or write rate_hz")
     if len(column.values) != rows:
         raise BadInput(
             f"clocks.{name}: {clock.source} has {len(column.values)} rows, a channel on it {rows}; "
@@ -186,9 +194,13 @@ def _times(recording: Recording, name: str, clock: ClockPart, number: int, rows:
 
 
 def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
-    """Times of the dataset's rows: the base's samples or an even grid, and every sample of slower
-    channels."""
+    """Times of the rows: the base's samples or an even grid, and every sample of slower channels."""
     base = channels[BASE].time_s
+    if rate_hz is not None and rate_hz * float(base[-1]) > len(base) + 1:
+        raise BadInput(
+            f"rate_hz: {rate_hz:g} Hz is more than the {len(base) / float(base[-1]):.4g} Hz of base_angle; "
+            "write a smaller one, or leave it out"
+        )
     rows = base if rate_hz is None else np.arange(0.0, float(base[-1]), 1.0 / rate_hz)
     step = float(np.median(np.diff(rows)))
     for channel in channels.values():
@@ -208,8 +220,7 @@ def _rows(channels: dict[str, _Channel], rate_hz: float | None) -> Array:
 
 
 def _on_rows(channel: _Channel | None, rows_s: Array, base: _Channel, rate_hz: float | None) -> Array:
-    """A channel at the rows: as sampled, averaged over a step, interpolated, or NaN where a slow one has no
-    sample."""
+    """At the rows: as sampled, averaged over a step, interpolated; NaN where a slow channel has none."""
     if channel is None:
         return np.full(len(rows_s), math.nan)
     time_s, values = channel.time_s, channel.values
@@ -305,31 +316,21 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
     time_s = si[:, 0]
     known = np.isfinite(si[:, 1])
     base = np.interp(time_s, time_s[known], si[known, 1])
-    path = denoised_base(time_s, base)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], path.holding.view(np.int8), [0]))))
+    near = np.abs(base) <= math.radians(SAME_ANGLE_DEG)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], near.view(np.int8), [0]))))
     spans = np.array([np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in si.T[2:]])
-    cuts, wound, moved_since = [0], 0, False
-    last_stop = 0
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        moved_since = moved_since or float(np.ptp(base[last_stop : start + 1])) > math.radians(SAME_ANGLE_DEG)
-        last_stop = stop
-        rest_s = float(time_s[stop - 1] - time_s[start])
-        inner = start > 0 and stop < len(time_s)
-        if (
-            not inner
-            or rest_s < REST_S
-            or abs(float(np.median(base[start:stop]))) > math.radians(SAME_ANGLE_DEG)
-        ):
+    cuts, wound = [0], 0
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        inside = slice(start + (stop - start) // 4, stop - (stop - start) // 4)
+        moves = math.degrees(float(np.ptp(base[inside]))) > STILL_DEG
+        if start == 0 or stop == len(time_s) or moves or time_s[stop - 1] - time_s[start] < REST_S:
             continue
-        now = [
-            float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else 0.0 for c in si[start:stop, 2:].T
-        ]
+        now = [float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else 0.0 for c in si[inside, 2:].T]
         limits = [SAME_TORQUE * spans[0], *([math.radians(SAME_SENSOR_DEG)] * (len(now) - 1))]
         if any(abs(v) > limit for v, limit in zip(now, limits, strict=True) if limit > 0):
             wound += 1
-        elif moved_since:
-            cuts.append((int(start) + int(stop)) // 2)
-            moved_since = False
+        else:
+            cuts.append((start + stop) // 2)
     notes = []
     if wound:
         notes.append(
@@ -341,8 +342,7 @@ def _at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
 
 
 def _commanded(trials: Sequence[DatasetTrial]) -> list[DatasetTrial]:
-    """Trials with what the base was told, read off its motion; equal within a drive's scatter is a
-    replicate."""
+    """Trials with the command that their motion shows; equal ones within a drive's scatter are replicates."""
     kinds: list[tuple[Array, float, TrialCommand]] = []
     result = []
     for trial in trials:

@@ -43,19 +43,20 @@ SMALLEST_DEG = 3.0
 LEAST_FOLLOWED, MOST_FOLLOWED = 0.02, 1.3
 """Share of the base's travel that a sensor on the needle sees; above 1 by noise and overshoot alone."""
 CLEAR_LAG = 0.004
-"""Of the product of travels: 0.2° of 45°; noise and rounding stay below it."""
-CLEAR_WORK = 0.1
-"""Share of the work; a torque that is noise alone stays below it in a recording of 100 samples."""
+"""Of the product of travels: two records of one angle with 0.25° of noise differ by 0.002, the angles of the
+practice needles come 0.13 and more after their base (test_thresholds)."""
+CLEAR_WORK = 0.15
+"""Share of the work: noise alone gives some 1.8/√samples, the practice needles 0.23 and more."""
 ROUND = 0.75
 """Share of levels at multiples of 5°; two of two at random are one in 150."""
 LEAST_RADIANS = 0.6
 """A range without unit that is below it can be radians or turns: 34° or 216°."""
 COMMON = 0.01
-"""Of its span: what differs between two records of one quantity; the loop of a needle that lags is ten times
-that."""
+"""Of its span: what differs between two records of one quantity; a practice needle's loop leaves 0.09."""
 WEAK = 0.4
-"""Correlation of an angle with the base below which its sign is asked; the tip of a needle in much tissue
-has 0.5."""
+"""Correlation of an angle with the base below which its sign is asked; noise has some 1/√samples."""
+LARGEST_NUMBER = 1e30
+"""In any unit; above it a bit is wrong, and its square overflows."""
 EPOCH_S = 1e8
 """Seconds since 1970 that a clock shows which knows the date; any other counts from its start."""
 
@@ -112,7 +113,9 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
                 if column.labels or names.says(column.name, names.TIME):
                     not_used.append(column.name)
                     continue
-                series.append(_Series(column, label, time_s[::every], column.values[::every]))
+                seen = column.values[::every]
+                seen = np.where(np.abs(seen) < LARGEST_NUMBER, seen, math.nan)
+                series.append(_Series(column, label, time_s[::every], seen))
     if len({len(c.files) for c in clocks.values()}) > 1:
         told = "; ".join(f"{k}: {len(c.files)}" for k, c in clocks.items())
         raise BadInput(
@@ -673,8 +676,7 @@ def expected_torque_nm(twist_rad: float, position_m: float, rigidity_nm2: float)
 
 
 def _stiffness_unit(s: _Series, written: Unit, base: _Series, base_si: Array, rig: RigPart) -> _Unit | None:
-    """A doubt on a written unit when the torque first rises as no shaft of this length does; None without
-    one."""
+    """A doubt on a written unit when the torque first rises as no shaft of this length does, else None."""
     rigidity = needle_of(rig.needle).torsional_rigidity_nm2
     slope = signals.first_stiffness(base_si, _zeroed(base, s), math.radians(FIRST_DEG))
     least, most = rigidity / (rig.needle_length_mm * 1e-3), math.inf

@@ -1,5 +1,4 @@
-"""The mapping: what of a recording is what. One YAML file, one line a channel; with it an import is
-repeated."""
+"""The mapping: what of a recording is what. One YAML file, a line a channel; it repeats an import."""
 
 from __future__ import annotations
 
@@ -81,8 +80,7 @@ class Mapping(_Part):
     rig: RigPart | None = None
 
     def doubts(self) -> list[str]:
-        """What is to be confirmed, a sentence for each line that has a doubt or lacks what only a person
-        knows."""
+        """What is to be confirmed, a sentence for each line that has a doubt."""
         found = [f"clocks.{name}: {clock.doubt}" for name, clock in self.clocks.items() if clock.doubt]
         found += [f"{c.role} ({c.source}): {c.doubt}" for c in self.channels if c.doubt]
         if self.trials.doubt:
@@ -110,8 +108,7 @@ class Mapping(_Part):
 
 
 def read_mapping(path: Path) -> tuple[Mapping, Places]:
-    """The mapping at `path`, files in it relative to its folder, and where its parts stand. Raises
-    BadInput."""
+    """The mapping at `path`, its files relative to its folder, and its places. Raises BadInput."""
     data, places = read_yaml(path)
     if data.get("format") != FORMAT:
         raise places.error(("format",), f"{data.get('format')!r} is not {FORMAT}; is it a mapping?")
@@ -180,8 +177,7 @@ def dimension_of(role: str) -> str:
 
 
 def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:
-    """Write the mapping to `path`, with its files, which are relative to `folder`, relative to that of
-    `path`."""
+    """Write the mapping; its files, relative to `folder`, become relative to the folder of `path`."""
     clocks = {
         name: clock.model_copy(
             update={

@@ -49,8 +49,7 @@ def says(name: str, pattern: re.Pattern[str]) -> bool:
 
 
 def is_base(name: str) -> bool:
-    """Whether the name is that of the base, and of no sensor on the needle; its last part before its
-    group."""
+    """Whether the name is that of the base; its last part counts before the group that it stands in."""
     for text in (re.split(r"[/.]", split_name(name)[0])[-1], name):
         base, sensor = says(text, BASE), says(text, SENSOR)
         if base or sensor:

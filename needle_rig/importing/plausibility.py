@@ -26,8 +26,7 @@ SLOWEST_IN_TRIAL_DEG_S = 0.05
 LARGEST_IN_TRIAL_DEG = 3600.0
 TORQUE_WITHIN = 30.0
 """Factor between the torque and what the twist asks for: friction, a second support and an inexact modulus
-make
-a few; a wrong prefix makes a thousand, N·cm for N·mm ten, which this cannot tell."""
+make a few; a wrong prefix makes a thousand, N·cm for N·mm ten, which this cannot tell."""
 
 
 def impossible(

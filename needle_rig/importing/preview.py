@@ -19,8 +19,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shown:
-    """One channel of the first recording in the unit that the mapping gives it, or as in the file without
-    one."""
+    """One channel of the first recording in the unit of its mapping, or as in the file without one."""
 
     role: str
     source: str

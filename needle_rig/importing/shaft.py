@@ -14,8 +14,7 @@ from needle_rig.errors import BadInput
 
 
 def read_rig(path: Path) -> RigPart:
-    """The shaft in a file with the keys of `rig` in dataset.yaml, by themselves or below `rig`. Raises
-    BadInput."""
+    """The shaft in a file with the keys of `rig` in dataset.yaml, alone or below `rig`. Raises BadInput."""
     file = path / "dataset.yaml" if os.path.isdir(path) else path
     if not os.path.lexists(file):
         raise BadInput(f"{show_path(file)}: there is no such layout; name a YAML file or a dataset")

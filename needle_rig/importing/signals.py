@@ -1,8 +1,7 @@
 """What the motion of a needle tells of its recording: which channel leads, which sign, which unit.
 
 All follows from a passive shaft that starts relaxed: the work done on it is never negative, and what is
-driven
-comes after what drives.
+driven comes after what drives.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ LOOKED_AT = 20_000
 """Samples of a recording from which a guess is made; every n-th is taken of longer ones."""
 ROUND_STEP_DEG = 5.0
 ROUND_WITHIN_DEG = 0.2
-"""Commands are multiples of 5°; a drive reaches them to 0.2°. A level at random is that near to one in 8 %
-of cases."""
+"""Commands are multiples of 5° and drives reach them; 8 % of levels at random are that near to one."""
 
 
 def work_share(base: Array, torque: Array) -> float:
@@ -37,8 +35,7 @@ def work_share(base: Array, torque: Array) -> float:
 
 
 def lag_share(leader: Array, follower: Array) -> float:
-    """Twice the area by which `follower` comes after `leader`, over the product of their travels; both
-    (samples,).
+    """Area by which `follower` comes after `leader`, over the product of their spans; both (samples,).
 
     The path in the plane of both turns left about a follower: ½∮(x dy − y dx) > 0. Independent of offsets of
     closed paths, of scale, and, as a product of signs, of which way either counts.
@@ -106,8 +103,7 @@ def rest_before_motion(base: Array) -> int:
 
 
 def from_rest(values: Array, rest: int) -> Array:
-    """`values` less their mean over the first `rest` samples, or over what comes first where those are
-    missing."""
+    """`values` less their mean over the first `rest` samples, or over the first known ones."""
     known = np.flatnonzero(np.isfinite(values))
     begin = known[known < rest]
     zero = float(values[begin if len(begin) else known[:5]].mean()) if len(known) else 0.0
@@ -130,8 +126,7 @@ def first_stiffness(base: Array, torque: Array, within: float) -> float:
 
 
 def peak_rate(time_s: Array, angle: Array) -> float:
-    """The rate that a fiftieth of the steps exceeds, so that no single outlier gives it; unit of `angle` a
-    second."""
+    """The rate that a fiftieth of the steps exceeds, in the unit of `angle` a second: no outlier gives it."""
     known = np.isfinite(angle) & np.isfinite(time_s)
     steps = np.diff(time_s[known])
     good = steps > 0
@@ -169,8 +164,7 @@ def clock_offset_s(time_a: Array, a: Array, time_b: Array, b: Array) -> tuple[fl
 
 
 def difference_share(time_a: Array, a: Array, time_b: Array, b: Array) -> float:
-    """What is left of `a` when `b`, scaled and shifted, is taken from it: standard deviation over span, 0 to
-    1.
+    """What is left of `a` when `b`, scaled and shifted, is taken from it: standard deviation over span.
 
     One quantity recorded twice leaves its noise; a needle that lags leaves its loop.
     """

@@ -247,6 +247,37 @@ def test_a_row_that_lost_a_field_does_not_shift_the_others(tmp_path: Path, table
         read_recording(path)
 
 
+def test_a_guess_taken_with_its_doubts_says_so_and_keeps_them(
+    tmp_path: Path, table: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = table.copy()
+    wrong[:, 3] *= math.pi / 180
+    log = written(tmp_path / "log.csv", wrong)
+    out = tmp_path / "mine"
+    assert (
+        command(["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out), "--yes"]) == 0
+    )
+    assert "taken as it is: hall_1" in capsys.readouterr().err
+    mapping, _ = read_mapping(out / "import.yaml")
+    assert "confirmed: in deg it would turn" in next(c.why for c in mapping.channels if c.role == "hall_1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"rate_hz": 1e9}, "is more than the"),
+        ({"trials": {"at": "times", "times_s": [[900, 950]]}}, "lies outside"),
+    ],
+)
+def test_a_mapping_that_asks_for_what_is_not_there_is_refused(
+    changes: dict[str, object], said: str, tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table), rig)
+    asked = Mapping.model_validate({**mapping.model_dump(), **changes})
+    with pytest.raises(BadInput, match=said):
+        dataset_of(asked, Path())
+
+
 def test_a_library_that_is_not_installed_is_a_sentence() -> None:
     with pytest.raises(BadInput, match=r"pip install 'needle-rig\[import\]'"):
         needed("no_such_reader", "a file")
