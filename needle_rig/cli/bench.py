@@ -34,6 +34,7 @@ Ctrl-C ends it."""
 @click.option(
     "--ports", type=click.Path(path_type=Path, file_okay=False), help="Where to put the port names."
 )
+@click.option("--can", "interface", help="Put the nodes on this CAN interface, such as vcan0, not on slcan.")
 def command(
     config: str | None,
     image: bool,
@@ -43,6 +44,7 @@ def command(
     pages: str | None,
     free: bool,
     ports: Path | None,
+    interface: str | None,
 ) -> None:
     """Run the plant behind the nodes' real firmware, on ports that a daemon opens like a rig's.
 
@@ -72,19 +74,25 @@ def command(
         folder = ports or stack.enter_context(temporary_folder(PREFIX))
         folder.mkdir(parents=True, exist_ok=True)
         click.echo("building plant and firmware …", err=True)
-        loop = BenchLoop(rig, build_plant(rig), folder, _tell)
+        loop = BenchLoop(rig, build_plant(rig), folder, _tell, interface)
         stack.callback(loop.close)
         links = rig.links
         named = links.model_copy(
             update={
-                "can": links.can.model_copy(update={"interface": "slcan", "channel": loop.ports["can"]}),
+                "can": links.can.model_copy(
+                    update={
+                        "interface": "slcan" if interface is None else "socketcan",
+                        "channel": loop.ports["can"],
+                    }
+                ),
                 "hall": links.hall.model_copy(update={"port": loop.ports["hall"]}),
             }
         )
         file = folder / "rig.yaml"
         file.write_text(rig_config_text(rig.model_copy(update={"links": named})), encoding="utf-8")
         stack.callback(file.unlink, missing_ok=True)
-        click.echo(f"CAN (slcan)  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
+        kind = "slcan" if interface is None else "socketcan"
+        click.echo(f"CAN ({kind})  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
         click.echo(f"nodes        {'Cortex-M images under the emulator' if image else 'firmware library'}")
         click.echo(f"drive it     needle-rig compensate --config {file} --target 45\n{_WORDS}")
         be_urgent()

@@ -292,8 +292,8 @@ def _title(run: RunFile) -> str:
     known, result = run.attributes, run.result or {}
     target = _number(known.get("target_deg"))
     parts = [f"{known.get('strategy', 'run')} to {target:g}°" if np.isfinite(target) else run.name]
-    if known.get("parameters"):
-        parts.append(str(known["parameters"]))
+    if run.simulated:
+        parts.append(f"simulated {known.get('parameters') or 'rig'}")
     parts.append(str(result.get("status", "cut off")).replace("_", " "))
     final = result.get("final")
     if isinstance(final, dict) and isinstance(final.get("tip_lag_deg"), int | float):

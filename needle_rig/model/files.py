@@ -59,6 +59,19 @@ def load_model(path: str | os.PathLike[str], *, effects: Iterable[str | Path] = 
 
 def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
     """Write a model file, whole or not at all; `load_model` gives back an equal one."""
+    write_whole(path, model_mapping(saved))
+
+
+def write_whole(path: str | os.PathLike[str], data: JsonObject) -> None:
+    """Write `data` as a YAML file, whole or not at all."""
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.new")
+    temporary.write_text(write_yaml(data), encoding="utf-8")
+    temporary.replace(target)
+
+
+def model_mapping(saved: SavedModel) -> JsonObject:
+    """What stands in a model file; `saved_model` gives back an equal one."""
     model = saved.model
     values = model.values()
 
@@ -85,7 +98,7 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
                 items = [f"{place}[{i}]" for i in range(model.count(info))]
                 fields[name] = fitted_list(items, info.unit)
     layout = model.layout
-    data = {
+    return {
         "format": MODEL_FORMAT,
         "name": model.name,
         "starts_from": saved.starts_from,
@@ -98,10 +111,6 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
         "effects": effects,
         "history": [entry.model_dump(mode="json", exclude_none=True) for entry in saved.history],
     }
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.new")
-    temporary.write_text(write_yaml(data), encoding="utf-8")
-    temporary.replace(target)
 
 
 def _tidy(length_m: float) -> float:

@@ -91,6 +91,11 @@ class RunFile:
         return tuple(events)
 
     @property
+    def simulated(self) -> bool:
+        """Whether no real needle was turned."""
+        return self.attributes.get("kind") == "simulated"
+
+    @property
     def complete(self) -> bool:
         """Whether its writer closed it; False while it is written and after a kill."""
         return self.ending().complete

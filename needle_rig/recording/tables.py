@@ -115,7 +115,8 @@ def run_attributes(
 ) -> JsonObject:
     """What every run says of itself: the request, the whole effective config, versions and the start.
 
-    `parameters` names the simulated needle, or is empty on hardware; `more` are text, numbers or arrays.
+    `parameters` names the simulated needle, or is empty on hardware; `more` are text, numbers or arrays, and
+    stand in for what the config says.
     """
     return {
         "strategy": strategy,

@@ -21,6 +21,8 @@ from needle_rig.folders import temporary_folder
 from needle_rig.records import JsonObject
 from needle_rig.service.documents import Document, Message, Started, State
 from needle_rig.service.endpoint import private_socket, sockets_for_client
+from needle_rig.service.installation import nobody_answers
+from needle_rig.service.systemd import LOG
 
 _DAEMON = (sys.executable, "-m", "needle_rig", "daemon")
 _PREFIX = "needle-rig-daemon-"
@@ -107,11 +109,17 @@ class DaemonClient:
         try:
             connections = [connect()]
         except (OSError, InvalidHandshake, EOFError) as error:
-            raise RigFault(f"{self.path}: the daemon does not answer ({error}); look at its log") from None
+            raise self._silent(error) from None
         try:
             yield documents()
         finally:
             connections[-1].close()
+
+    def _silent(self, error: Exception) -> RigFault:
+        said = str(error) or type(error).__name__
+        return RigFault(
+            f"{self.path}: the daemon does not answer ({said}); look at its log, of a service: {LOG}"
+        )
 
     def _ask(
         self, method: str, path: str, content: Message | None = None, *, again_s: float = 0.0
@@ -133,9 +141,7 @@ class DaemonClient:
                 break
             except httpx.TransportError as error:
                 if _nobody_there(error) or time.monotonic() > deadline_s:
-                    raise RigFault(
-                        f"{self.path}: the daemon does not answer ({error}); look at its log"
-                    ) from None
+                    raise self._silent(error) from None
                 time.sleep(_AGAIN_EVERY_S)
         answer: JsonObject = response.json()
         if "error" in answer:
@@ -179,8 +185,7 @@ def the_daemon(path: Path | None = None) -> DaemonClient:
     """The running daemon; RigFault says where was looked when there is none."""
     found = find_daemon(path)
     if found is None:
-        places = " or ".join(str(place) for place in (sockets_for_client() if path is None else [path]))
-        raise RigFault(f"no daemon answers at {places}; start one: needle-rig daemon")
+        raise nobody_answers(sockets_for_client() if path is None else [path])
     return found
 
 

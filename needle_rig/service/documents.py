@@ -39,6 +39,7 @@ class Rig(TypedDict):
     """What does not change while the daemon lives."""
 
     name: str
+    simulated: bool
     parameters: str | None
     """Of the simulated needle; None on a real rig."""
     tick_hz: float
@@ -121,6 +122,7 @@ class Result(TypedDict):
     status: Status
     target_deg: float | None
     strategy: str
+    simulated: bool
     parameters: str | None
     lag_deg: float | None
     motions: list[Motion]
@@ -187,8 +189,14 @@ class Whole(Standing):
     last: Told | None
     """How the last run of this daemon ended."""
     warnings: list[str]
+    starting: bool
+    since_utc: str
+    before: str | None
+    """How the daemon before this one ended."""
     unfinished: list[dict[str, str]]
     """Runs that an earlier daemon could not close."""
+    rates_hz: dict[str, float]
+    """Readings of each node in the last second, a second."""
     lease: str | None
     """Who commands."""
     motions: int

@@ -33,6 +33,8 @@ class Reply(TypedDict, total=False):
     opened: str
     closed: str
     complete: bool
+    removed: list[str]
+    unread_bytes: int
     text: str
 
 

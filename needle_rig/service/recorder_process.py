@@ -15,13 +15,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 
-from needle_rig.config.schema import RigConfig
+from needle_rig.config.schema import RecordingSection, RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording import (
     RunFile,
     RunWriter,
     new_run,
     remove_empty_runs,
+    retain,
     run_attributes,
     run_tables,
     sample_row,
@@ -41,6 +42,7 @@ class Keeper:
     def __init__(self, replies: TextIO) -> None:
         self._replies = replies
         self._writer: RunWriter | None = None
+        self._section = RecordingSection()
         self._broken: str | None = None
         """Why rows of the open run are missing."""
 
@@ -58,6 +60,7 @@ class Keeper:
         """Open a new run."""
         self._leave()
         remove_empty_runs(directory)
+        self._section = config.recording
         tables = run_tables(len(config.layout.hall_sensors))
         self._writer = new_run(directory, run_attributes(config, **request), tables)
         self._broken = None
@@ -92,7 +95,12 @@ class Keeper:
             writer.close(result, time_s=time_s)
         else:
             writer.close_unfinished(self._broken, result)
-        return {"closed": str(writer.path)}
+        kept = retain(writer.path.parent, self._section.keep_days, self._section.keep_gb)
+        return {
+            "closed": str(writer.path),
+            "removed": [run.name for run in kept.removed],
+            "unread_bytes": kept.unread_bytes,
+        }
 
     def discard(self) -> Reply:
         """Take the run away."""

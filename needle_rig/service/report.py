@@ -22,10 +22,11 @@ def _degrees(angles_rad: tuple[float, ...]) -> list[float | None]:
     return [_deg(angle) for angle in angles_rad]
 
 
-def rig_document(config: RigConfig) -> documents.Rig:
+def rig_document(config: RigConfig, *, simulated: bool) -> documents.Rig:
     """What does not change: the rig's name, its parameters when simulated, and its layout."""
     return {
         "name": config.name,
+        "simulated": simulated,
         "parameters": config.simulation.parameters if config.simulation else None,
         "tick_hz": config.tick_hz,
         "needle_length_mm": config.needle.length_mm,
@@ -96,14 +97,15 @@ def settled_document(motion: SettledMotion) -> documents.Settled:
 
 
 def result_document(
-    outcome: Outcome, settled: tuple[SettledMotion, ...], parameters: str | None, run: str
+    outcome: Outcome, settled: tuple[SettledMotion, ...], rig: documents.Rig, run: str
 ) -> documents.Result:
     """The result of a run: the object that `needle-rig compensate --json` prints."""
     return {
         "status": outcome.status,
         "target_deg": _deg(outcome.target_rad),
         "strategy": outcome.strategy,
-        "parameters": parameters,
+        "simulated": rig["simulated"],
+        "parameters": rig["parameters"],
         "lag_deg": _deg(outcome.lag_rad),
         "motions": [
             {
