@@ -46,7 +46,7 @@ class TrialCommand:
     other: tuple[tuple[str, str], ...] = ()
     """Further keys of the trial in dataset.yaml, as written, by name."""
 
-    def told(self) -> JsonObject:
+    def file_keys(self) -> JsonObject:
         """The keys that dataset and protocol files write for this command."""
         keys = {
             "target_deg": self.target_deg,

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 MOST_POINTS = 4000
 """More than pixels across; of longer channels every n-th sample is drawn."""

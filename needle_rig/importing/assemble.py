@@ -11,7 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
@@ -24,8 +23,7 @@ from needle_rig.importing.plausibility import impossible
 from needle_rig.importing.reader import read_recording
 from needle_rig.importing.recording import Column, Recording
 from needle_rig.importing.unit_text import unit_of
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""

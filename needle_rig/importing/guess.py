@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.places import show_path
 from needle_rig.dataset.description import RigPart, needle_of
@@ -20,8 +19,7 @@ from needle_rig.importing import names, signals
 from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart, ClockPart, FilePart, Mapping, TrialsPart
 from needle_rig.importing.recording import Column, Recording
 from needle_rig.importing.unit_text import UNITS, Unit, unit_of
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 TORQUE_UNITS = ("N·m", "N·cm", "N·mm", "µN·m")
 """What torques of needles are written in."""

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset.records import DatasetTrial, Needle
 from needle_rig.importing import signals
@@ -18,9 +17,8 @@ from needle_rig.importing.guess import (
     MOST_FOLLOWED,
     expected_torque_nm,
 )
+from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
-
-Array = npt.NDArray[np.float64]
 
 SLOWEST_IN_TRIAL_DEG_S = 0.05
 LARGEST_IN_TRIAL_DEG = 3600.0

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.importing import signals
 from needle_rig.importing.mapping import BASE, TORQUE, Mapping
 from needle_rig.importing.reader import read_recording
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import unit_of
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 
 @dataclass(frozen=True)

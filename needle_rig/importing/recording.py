@@ -6,10 +6,7 @@ import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 LIMIT_BYTES = 4_000_000_000
 """A hundred million rows of four columns; what is larger does not fit into a laptop's memory as numbers."""

@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset.base_path import denoised_base
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 LOOKED_AT = 20_000
 """Samples of a recording from which a guess is made; every n-th is taken of longer ones."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.model import ChannelErrors
+from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.published.fit import SettledFit, SettledProblem, held_out_error
 from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS, Explanation, spread_of_values
-
-Array = npt.NDArray[np.float64]
 
 
 def explanation(problem: SettledProblem, root: SettledFit, found: SettledFit) -> Explanation:

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput
 from needle_rig.model import ChannelErrors
+from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, per_100mm
@@ -23,8 +23,6 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.noise import covariance
-
-Array = npt.NDArray[np.float64]
 
 IN_NOISE_UNITS = "noise_units"
 """Name of the errors over all channels, in units of the noise."""
