@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.rod import Indices, Rod
 
-Array = npt.NDArray[np.float64]
 PerItem: TypeAlias = float | tuple[float, ...]
 """Value of a field that has one number for each sensor or section; a single one serves for all."""
 
@@ -35,7 +34,7 @@ class ParameterInfo:
     smallest: float
     """Smallest size that matters: below it an effect is called negligible.
 
-    Built-in ones move an angle by 0.5° or the torque by 0.002 N·mm (0.5° of lag) in the 45° sequence on the
+    Built-in ones move an angle by 0.5° or the torque by 0.002 N·mm (`SizePolicy`) in the 45° sequence on the
     experiment's layout with a friction of 0.1 N·mm per 100 mm: in its settled states, or, for effects that
     leave no trace there, on the way.
     """

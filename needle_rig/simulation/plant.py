@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.schema import SimulationSection
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import RodState
@@ -25,7 +25,6 @@ from needle_rig.units import nm, rad
 if TYPE_CHECKING:
     from needle_rig.physics.needle_model import NeedleModel
 
-Array = npt.NDArray[np.float64]
 REMEMBERED = 64
 """Readings kept for effects on the sensors that look back (a stream that is late)."""
 _LINKS = {

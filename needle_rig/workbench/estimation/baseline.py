@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
@@ -21,8 +21,7 @@ from needle_rig.workbench.estimation.posterior import start_point
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.noise import measure_noise, with_replicate_scatter
-
-Array = npt.NDArray[np.float64]
+from needle_rig.workbench.policy import POLICY
 
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 COARSE_M = 4e-3
@@ -145,7 +144,8 @@ def _notes(problem: Problem) -> list[str]:
     notes = []
     if not problem.noise.replicates:
         notes.append(
-            "No command was repeated, so that the scatter from trial to trial is assumed (2.5 % of friction),"
+            f"No command was repeated, so that the scatter from trial to trial is assumed"
+            f" ({100 * POLICY.noise.scatter:g} % of friction),"
             " not measured: take the verdict as a ranking, and repeat one command three times."
         )
     if len(problem.groups) < 2:

@@ -15,22 +15,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
+from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Whitener
+from needle_rig.workbench.policy import POLICY
 
-Array = npt.NDArray[np.float64]
 Key = tuple[int, int, bool]
 """(channel, motion, moving) of one fact."""
-
-SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class LackOfFit:
     @property
     def significant(self) -> bool:
         """Whether the model lacks something that replicates share."""
-        return self.p < SIGNIFICANCE
+        return self.p < POLICY.verdict.lack_of_fit
 
     def sentence(self) -> str:
         """In words."""
