@@ -1,7 +1,7 @@
 """Every threshold that can change what a diagnosis says: value, reason, source, and the test that guards it.
 
-Tolerances of iterations and steps of derivatives are not here: they stand where they are used, and change an
-answer by less than its stated uncertainty.
+Tolerances of iterations, steps of derivatives, numbers of random draws and what only decides how much is told
+are not here: they stand where they are used, and change an answer by less than its stated uncertainty.
 """
 
 from __future__ import annotations
