@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import matplotlib.image
 import numpy as np
@@ -16,7 +17,7 @@ from needle_rig.recording import RunFile, RunWriter, run_tables
 
 
 @pytest.fixture
-def figures(monkeypatch):
+def figures(monkeypatch: pytest.MonkeyPatch):
     """Every figure that is saved."""
     saved: list[Figure] = []
     save = Figure.savefig
@@ -29,7 +30,7 @@ def figures(monkeypatch):
     return saved
 
 
-def rewritten(path, run_path, change, *, end=None, raw=True):
+def rewritten(path, run_path, change, *, end=None, raw: bool = True):
     """A copy of a run with its ticks changed; `end` is the status it ended with, None leaves it cut off."""
     whole = RunFile(run_path)
     attributes = {name: value for name, value in whole.attributes.items() if name != "result"}
@@ -50,7 +51,7 @@ def labels(axes):
     return axes.get_legend_handles_labels()[1]
 
 
-def test_motions_are_found_where_the_waypoint_changes(run_path):
+def test_motions_are_found_where_the_waypoint_changes(run_path: Path) -> None:
     ticks = RunFile(run_path).table("ticks")
     motions = find_motions(ticks)
     assert [motion.name for motion in motions] == ["rotate", "overshoot", "back", "forward", "final"]
@@ -64,7 +65,7 @@ def test_motions_are_found_where_the_waypoint_changes(run_path):
     np.testing.assert_allclose(settled[0], [45.0, 31.0, 25.0, 21.0, 19.0], atol=0.15)
 
 
-def test_the_picture_of_a_whole_run(tmp_path, run_path, figures):
+def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures) -> None:
     path = draw_run(RunFile(run_path), tmp_path / "new" / "run.png")
     pixels = matplotlib.image.imread(path)
     assert pixels.shape[1] == 1500
@@ -86,7 +87,7 @@ def test_the_picture_of_a_whole_run(tmp_path, run_path, figures):
     assert picture.get_ydata()[-1] == pytest.approx(19.0, abs=0.1)
 
 
-def test_a_run_cut_off_says_so(tmp_path, run_path, figures):
+def test_a_run_cut_off_says_so(tmp_path: Path, run_path: Path, figures) -> None:
     run, writer = rewritten(tmp_path / "cut.h5", run_path, lambda ticks: ticks[: len(ticks) // 2])
     draw_run(run, tmp_path / "cut.png")
     writer.close()
@@ -98,7 +99,7 @@ def test_a_run_cut_off_says_so(tmp_path, run_path, figures):
 
 
 @pytest.mark.parametrize("status", ["aborted", "fault"])
-def test_a_stopped_run_says_why(tmp_path, run_path, figures, status):
+def test_a_stopped_run_says_why(tmp_path: Path, run_path: Path, figures, status: str) -> None:
     def stopped(ticks):
         ticks = ticks[: len(ticks) // 2].copy()
         ticks["phase"][-5:] = status.encode()
@@ -113,7 +114,7 @@ def test_a_stopped_run_says_why(tmp_path, run_path, figures, status):
     assert len(cell.get_ydata()) == len(run.table("ticks"))
 
 
-def test_many_short_motions_keep_their_own_colours(tmp_path, run_path, figures):
+def test_many_short_motions_keep_their_own_colours(tmp_path: Path, run_path: Path, figures) -> None:
     def stepped(ticks):
         ticks = ticks.copy()
         ticks["motion"] = [f"step_{1 + number * 20 // len(ticks)}".encode() for number in range(len(ticks))]
@@ -126,7 +127,7 @@ def test_many_short_motions_keep_their_own_colours(tmp_path, run_path, figures):
     assert len(marks) == 20
 
 
-def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path, run_path):
+def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path: Path, run_path: Path) -> None:
     def gappy(ticks):
         ticks = ticks.copy()
         ticks["hall_rad"][100:200, 2] = np.nan
@@ -137,7 +138,7 @@ def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path, run_path):
     assert draw_run(run, tmp_path / "gaps.png").stat().st_size > 20_000
 
 
-def test_nothing_to_draw_and_nowhere_to_draw_it(tmp_path, run_path):
+def test_nothing_to_draw_and_nowhere_to_draw_it(tmp_path: Path, run_path: Path) -> None:
     run, _ = rewritten(tmp_path / "empty.h5", run_path, lambda ticks: ticks[:0], end="aborted")
     with pytest.raises(BadInput, match="holds no tick"):
         draw_run(run, tmp_path / "empty.png")
@@ -146,7 +147,9 @@ def test_nothing_to_draw_and_nowhere_to_draw_it(tmp_path, run_path):
         draw_run(RunFile(run_path), tmp_path / "file" / "run.png")
 
 
-def test_export_draws_the_picture_once(tmp_path, monkeypatch, run_path, capsys):
+def test_export_draws_the_picture_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert needle_rig(["export", str(run_path), "--png"]) == 0
     assert capsys.readouterr().out == f"{run_path.stem}.png\n"

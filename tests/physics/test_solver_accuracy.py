@@ -27,11 +27,11 @@ def layered(**options):
     )
 
 
-def bend(parameters, angle_rad, rate_rad_s, time_s, position_m):
+def bend(parameters, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float):
     return parameters[0] * np.sin(angle_rad - parameters[1])
 
 
-def bent(steady=False, **options):
+def bent(steady: bool = False, **options):
     plain = rod(**options)
     law = TorqueLaw(bend, np.array([0.03e-2, 0.5]), plain.tissue_length_m, steady)
     return replace(plain, laws=(law,))
@@ -71,7 +71,7 @@ CASES = (
 
 @pytest.mark.parametrize("finer", [4, pytest.param(16, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CASES)
-def test_default_settings_meet_a_much_finer_run(name, finer):
+def test_default_settings_meet_a_much_finer_run(name, finer: int) -> None:
     make = CASES[name]
     time, base = path(compensation())
     fine = refined(time, base, finer)
@@ -81,7 +81,7 @@ def test_default_settings_meet_a_much_finer_run(name, finer):
     assert torque_nmm < WORST_NMM
 
 
-def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue():
+def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue() -> None:
     """Angles hardly differ there while torques do."""
     time, base = path([10.0, -5.0], settle_s=1.0)
     plain = rod(creep=(0.3, 1.0))
@@ -92,7 +92,7 @@ def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue():
 
 
 @pytest.mark.parametrize("inertia", [False, True])
-def test_the_papers_explicit_scheme_agrees(inertia):
+def test_the_papers_explicit_scheme_agrees(inertia: bool) -> None:
     """An independent implementation: Karnopp friction with static = kinetic, explicit steps."""
     viscous = 0.06
     disks = KarnoppRod(EXPERIMENT, JG, 0.0996e-2, 0.0996e-2, viscous * 1e-2, 1e-9)
@@ -106,7 +106,7 @@ def test_the_papers_explicit_scheme_agrees(inertia):
     assert np.abs(ours.torque_nm - explicit.torque_nm).max() * 1e3 < WORST_NMM
 
 
-def test_the_papers_literal_law_depends_on_an_unstated_velocity_band():
+def test_the_papers_literal_law_depends_on_an_unstated_velocity_band() -> None:
     """No kinetic level: inside the band the 0.45 N·mm hold the tip at 0°, below it the tip nearly follows."""
     assert largest_stable_step_s(paper_literal(MODEL)) == pytest.approx(5.6e-5, rel=0.01)
     time, base = path([45.0], settle_s=20.0)

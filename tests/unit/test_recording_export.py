@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -22,7 +23,7 @@ from needle_rig.workbench.observations.runs import runs_as_dataset
 
 
 @pytest.fixture
-def runs(tmp_path, monkeypatch, run_path):
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path):
     """A working folder whose runs/ holds one whole run."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
@@ -30,7 +31,7 @@ def runs(tmp_path, monkeypatch, run_path):
     return tmp_path / "runs"
 
 
-def test_runs_are_listed(runs, capsys):
+def test_runs_are_listed(runs, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["runs"]) == 0
     header, line = capsys.readouterr().out.splitlines()
     assert header.split() == [
@@ -48,7 +49,7 @@ def test_runs_are_listed(runs, capsys):
     assert "  45°  reed2008  rig_rigid" in line
 
 
-def test_runs_as_json_name_the_broken_ones_too(runs, capsys):
+def test_runs_as_json_name_the_broken_ones_too(runs, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "broken.h5").write_bytes(b"nothing")
     with h5py.File(runs / "foreign.h5", "w"):
         pass
@@ -64,7 +65,9 @@ def test_runs_as_json_name_the_broken_ones_too(runs, capsys):
     assert listed[2]["duration_s"] > 5.0
 
 
-def test_no_runs_say_how_to_make_one(tmp_path, monkeypatch, capsys):
+def test_no_runs_say_how_to_make_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert needle_rig(["runs"]) == 0
     assert "needle-rig compensate --target 45" in capsys.readouterr().out
@@ -72,7 +75,9 @@ def test_no_runs_say_how_to_make_one(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err.startswith("last: no run in runs; make one with: needle-rig")
 
 
-def test_csv_has_one_file_a_source_in_degrees(runs, tmp_path, capsys):
+def test_csv_has_one_file_a_source_in_degrees(
+    runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert needle_rig(["export", "last", "--csv", "--out", "out"]) == 0
     assert capsys.readouterr().out == "out\n"
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
@@ -96,7 +101,7 @@ def test_csv_has_one_file_a_source_in_degrees(runs, tmp_path, capsys):
     assert capsys.readouterr().err == "out: exists already; name another place with --out\n"
 
 
-def test_mcap_has_every_row_with_its_schema(runs, tmp_path, capsys):
+def test_mcap_has_every_row_with_its_schema(runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["export", "last", "--mcap"]) == 0
     path = tmp_path / "2026-01-01_12-00-00Z_reed2008.mcap"
     assert capsys.readouterr().out == f"{path.name}\n"
@@ -123,7 +128,9 @@ def test_mcap_has_every_row_with_its_schema(runs, tmp_path, capsys):
         export_mcap(run, path)
 
 
-def test_a_run_becomes_a_dataset_that_is_read_back(runs, tmp_path, capsys):
+def test_a_run_becomes_a_dataset_that_is_read_back(
+    runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert needle_rig(["export", "last", "--dataset", "--out", "trial"]) == 0
     dataset = read_dataset("trial")
     run = RunFile(next(runs.glob("*.h5")))
@@ -142,7 +149,7 @@ def test_a_run_becomes_a_dataset_that_is_read_back(runs, tmp_path, capsys):
     np.testing.assert_allclose(trial.torque_nm, direct.trials[0].torque_nm, atol=1e-9)
 
 
-def test_runs_that_cannot_be_a_trial_are_refused(tmp_path, run_path):
+def test_runs_that_cannot_be_a_trial_are_refused(tmp_path: Path, run_path: Path) -> None:
     whole = RunFile(run_path)
     tables = run_tables(sensors=4)
     attributes = {
@@ -167,7 +174,7 @@ def test_runs_that_cannot_be_a_trial_are_refused(tmp_path, run_path):
         runs_as_dataset([whole, RunFile(tmp_path / "other.h5")])
 
 
-def test_an_empty_run_still_exports(tmp_path):
+def test_an_empty_run_still_exports(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "empty.h5", {"strategy": "reed2008"}, run_tables(sensors=2)):
         pass
     run = RunFile(tmp_path / "empty.h5")
@@ -178,7 +185,7 @@ def test_an_empty_run_still_exports(tmp_path):
     assert export_mcap(run, tmp_path / "empty.mcap").stat().st_size > 0
 
 
-def test_a_run_without_end_is_exported_with_a_word(runs, capsys):
+def test_a_run_without_end_is_exported_with_a_word(runs, capsys: pytest.CaptureFixture[str]) -> None:
     writer = RunWriter(runs / "live.h5", {"strategy": "reed2008"}, run_tables(sensors=4))
     writer.append("torque", [(1.0, 1.0, 0, 1e-4)])
     assert needle_rig(["export", "live", "--csv", "--out", "live"]) == 0
@@ -186,6 +193,6 @@ def test_a_run_without_end_is_exported_with_a_word(runs, capsys):
     writer.close()
 
 
-def test_a_format_must_be_named(runs, capsys):
+def test_a_format_must_be_named(runs, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["export", "last"]) == 2
     assert "Say which format: --csv, --mcap, --png or --dataset" in capsys.readouterr().err

@@ -69,7 +69,7 @@ LEGAL = {
 
 
 @pytest.mark.parametrize(("phase", "event"), list(itertools.product(Phase, Event)))
-def test_every_phase_and_event(phase, event):
+def test_every_phase_and_event(phase, event) -> None:
     expected = LEGAL.get((phase.value, event.value))
     if expected is None:
         with pytest.raises(ValueError, match=f"event {event} does not belong to phase {phase}"):
@@ -79,13 +79,13 @@ def test_every_phase_and_event(phase, event):
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_a_fault_is_reached_from_every_phase_at_once_and_an_abort_from_all_but_a_fault(phase):
+def test_a_fault_is_reached_from_every_phase_at_once_and_an_abort_from_all_but_a_fault(phase) -> None:
     assert after(phase, Event.FAULT) is Phase.FAULT
     assert after(phase, Event.ABORT) is (Phase.FAULT if phase is Phase.FAULT else Phase.ABORTED)
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_every_phase_can_come_back_to_rest(phase):
+def test_every_phase_can_come_back_to_rest(phase) -> None:
     seen, frontier = {phase}, [phase]
     while frontier:
         for following in TRANSITIONS[frontier.pop()].values():
@@ -123,7 +123,7 @@ TICK_S = 0.01
 class Bench:
     """Steps a sequence with a base that does what the test says."""
 
-    def __init__(self, strategy=None, task=TASK, think=think_at_once):
+    def __init__(self, strategy=None, task=TASK, think=think_at_once) -> None:
         self.sequence = Sequence(
             task, strategy or There(), still_rad=rad(0.1), window_s=0.5, timeout_s=5.0, think=think
         )
@@ -132,7 +132,7 @@ class Bench:
         self.base_deg = 0.0
         self.torque_nm = 0.0
 
-    def step(self, dt_s=TICK_S):
+    def step(self, dt_s: float = TICK_S):
         self.time_s += dt_s
         halls = (rad(self.base_deg) / 2,) * 4
         measurement = Measurement(self.time_s, rad(self.base_deg), self.torque_nm, halls)
@@ -141,7 +141,7 @@ class Bench:
             self.phase = after(self.phase, event)
         return event
 
-    def until(self, phase, limit_s=60.0):
+    def until(self, phase, limit_s: float = 60.0):
         start = self.time_s
         while self.phase is not phase:
             self.step()
@@ -149,7 +149,7 @@ class Bench:
         return self.time_s - start
 
 
-def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time():
+def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time() -> None:
     bench = Bench()
     assert bench.until(Phase.MOVING) == pytest.approx(0.5, abs=2 * TICK_S)
     assert bench.sequence.setpoint_rad == rad(30.0)
@@ -163,7 +163,7 @@ def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time():
     assert bench.until(Phase.DONE) == pytest.approx(0.5, abs=2 * TICK_S)
 
 
-def test_the_torque_is_the_mean_over_the_window_and_nothing_before_it():
+def test_the_torque_is_the_mean_over_the_window_and_nothing_before_it() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg, bench.torque_nm = 30.0, 5.0
@@ -183,7 +183,7 @@ def test_the_torque_is_the_mean_over_the_window_and_nothing_before_it():
     assert settled.time_s == pytest.approx(bench.time_s)
 
 
-def test_the_mean_weighs_ticks_by_their_length():
+def test_the_mean_weighs_ticks_by_their_length() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -195,7 +195,7 @@ def test_the_mean_weighs_ticks_by_their_length():
     assert bench.sequence.history[1].torque_nm == pytest.approx(0.8e-4)
 
 
-def test_the_rest_before_the_first_motion_is_the_first_of_the_history():
+def test_the_rest_before_the_first_motion_is_the_first_of_the_history() -> None:
     bench = Bench()
     bench.torque_nm = 3e-5
     bench.until(Phase.MOVING)
@@ -204,7 +204,7 @@ def test_the_rest_before_the_first_motion_is_the_first_of_the_history():
     assert rest.torque_nm == pytest.approx(3e-5)
 
 
-def test_a_base_that_still_creeps_does_not_settle():
+def test_a_base_that_still_creeps_does_not_settle() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 29.95
@@ -216,7 +216,7 @@ def test_a_base_that_still_creeps_does_not_settle():
     assert bench.until(Phase.MEASURING) == pytest.approx(0.5, abs=3 * TICK_S)
 
 
-def test_a_base_that_moves_while_the_torque_is_read_goes_back_to_settling():
+def test_a_base_that_moves_while_the_torque_is_read_goes_back_to_settling() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -229,7 +229,7 @@ def test_a_base_that_moves_while_the_torque_is_read_goes_back_to_settling():
     assert bench.sequence.history[1].torque_nm == pytest.approx(7e-5)
 
 
-def test_a_base_that_never_becomes_still_is_told_after_the_timeout():
+def test_a_base_that_never_becomes_still_is_told_after_the_timeout() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -244,7 +244,7 @@ def test_a_base_that_never_becomes_still_is_told_after_the_timeout():
     assert "limit 0.1° (sequence.still_deg)" in bench.sequence.overdue()
 
 
-def test_a_base_that_never_arrives_is_told_too():
+def test_a_base_that_never_arrives_is_told_too() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     while bench.sequence.overdue() is None:
@@ -252,7 +252,7 @@ def test_a_base_that_never_arrives_is_told_too():
     assert bench.phase is Phase.MOVING
 
 
-def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torque_stands_for():
+def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torque_stands_for() -> None:
     waypoint = Waypoint(rad(30.0), "back", reason=Reason.MODEL_DOUBTED)
     means = {"base_angle_rad": 0.5, "torque_nm": 1e-4, "hall_rad": (0.4, 0.3)}
     motion = settled_motion(TASK, waypoint, index=2, moved_s=1.0, time_s=4.0, **means)
@@ -266,7 +266,7 @@ def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torqu
     assert math.isnan(rest.tip_lag_rad)
 
 
-def test_a_waypoint_has_its_own_speed_and_settling_time():
+def test_a_waypoint_has_its_own_speed_and_settling_time() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "step_1", speed_rad_s=0.2, settle_s=0.7),)))
     assert bench.sequence.speed_rad_s == TASK.speed_rad_s
     bench.until(Phase.MOVING)
@@ -277,13 +277,13 @@ def test_a_waypoint_has_its_own_speed_and_settling_time():
 
 
 @pytest.mark.parametrize("angle", [rad(90.1), -rad(90.1), math.nan, math.inf])
-def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle):
+def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle) -> None:
     bench = Bench(There((Waypoint(angle, "step_1"),)))
     with pytest.raises(BadInput, match=r"motion step_1, outside ±90°"):
         bench.until(Phase.MOVING)
 
 
-def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_arrived():
+def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_arrived() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "rotate", dither=Dither(rad(2.0), 2.0)),)))
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -296,7 +296,7 @@ def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_
     assert abs(offsets[-1]) <= rad(0.1)
 
 
-def test_the_dither_s_velocity_is_the_slope_of_its_angle():
+def test_the_dither_s_velocity_is_the_slope_of_its_angle() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "rotate", dither=Dither(rad(2.0), 2.0)),)))
     bench.until(Phase.MOVING)
     small = 1e-5
@@ -307,7 +307,7 @@ def test_the_dither_s_velocity_is_the_slope_of_its_angle():
         assert (bench.sequence.setpoint_rad - before) / small == pytest.approx(slope, abs=1e-3)
 
 
-def test_progress_runs_from_nothing_to_one_and_never_falls():
+def test_progress_runs_from_nothing_to_one_and_never_falls() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "a"), Waypoint(rad(-10.0), "b"))))
     told = [bench.sequence.progress(bench.phase)]
     while bench.phase is not Phase.DONE:
@@ -321,7 +321,7 @@ def test_progress_runs_from_nothing_to_one_and_never_falls():
     assert all(after_ - before < 0.3 for before, after_ in itertools.pairwise(told))
 
 
-def test_every_active_phase_says_what_it_waits_for_and_counts_down():
+def test_every_active_phase_says_what_it_waits_for_and_counts_down() -> None:
     bench = Bench()
     seen = {}
     while bench.phase is not Phase.DONE:
@@ -338,7 +338,7 @@ def test_every_active_phase_says_what_it_waits_for_and_counts_down():
         assert lefts == sorted(lefts, reverse=True)
 
 
-def test_the_base_holds_while_a_strategy_thinks():
+def test_the_base_holds_while_a_strategy_thinks() -> None:
     asked: list[Future] = []
 
     def think(strategy, task, history):
@@ -360,7 +360,7 @@ def test_the_base_holds_while_a_strategy_thinks():
     assert len(asked) == 1
 
 
-def test_what_a_strategy_raises_comes_out_where_it_was_asked():
+def test_what_a_strategy_raises_comes_out_where_it_was_asked() -> None:
     def think(strategy, task, history):
         answer = Future()
         answer.set_exception(BadInput("no plan"))
@@ -371,7 +371,7 @@ def test_what_a_strategy_raises_comes_out_where_it_was_asked():
         bench.until(Phase.MOVING)
 
 
-def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence():
+def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence() -> None:
     @dataclass(frozen=True)
     class Broken(There):
         def next(self, task, history):
@@ -382,7 +382,7 @@ def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence():
         bench.until(Phase.MOVING)
 
 
-def test_a_strategy_that_never_answers_is_told_by_name():
+def test_a_strategy_that_never_answers_is_told_by_name() -> None:
     bench = Bench(think=lambda *_: Future())
     while bench.sequence.overdue() is None:
         bench.step()

@@ -24,7 +24,7 @@ TASK = Task(
 )
 
 
-def settled(index, time_s, base_deg, torque_nm):
+def settled(index, time_s: float, base_deg: float, torque_nm: float):
     base = rad(base_deg)
     return SettledMotion(index, "", time_s - 4.0, time_s, base, base, torque_nm, (0.0,), 0.0, 0.0)
 
@@ -44,13 +44,13 @@ class WhoAmI(Strategy):
 
 @dataclass(frozen=True)
 class Refuses(WhoAmI):
-    def next(self, task, history):
+    def next(self, task, history) -> None:
         raise BadInput("no plan for this")
 
 
 @dataclass(frozen=True)
 class Dies(WhoAmI):
-    def next(self, task, history):
+    def next(self, task, history) -> None:
         os._exit(1)
 
 
@@ -62,26 +62,26 @@ def thinker() -> Iterator[Thinker]:
     thinker.close()
 
 
-def test_quick_strategies_answer_at_once(thinker):
+def test_quick_strategies_answer_at_once(thinker: Thinker) -> None:
     answer = thinker(NoCompensation(), TASK, HISTORY[:1])
     assert answer.done()
     assert answer.result() == Waypoint(rad(45.0), "rotate")
 
 
-def test_slow_strategies_think_in_one_other_process(thinker):
+def test_slow_strategies_think_in_one_other_process(thinker: Thinker) -> None:
     first, second = (thinker(WhoAmI(), TASK, HISTORY).result(60).name for _ in range(2))
     assert first == second != str(os.getpid())
     with pytest.raises(BadInput, match="no plan for this"):
         thinker(Refuses(), TASK, HISTORY).result(60)
 
 
-def test_a_child_that_died_is_replaced(thinker):
+def test_a_child_that_died_is_replaced(thinker: Thinker) -> None:
     first = thinker(WhoAmI(), TASK, HISTORY).result(60).name
     assert thinker(Dies(), TASK, HISTORY).exception(60) is not None
     assert thinker(WhoAmI(), TASK, HISTORY).result(60).name != first
 
 
-def test_the_estimator_and_a_model_cross_to_the_other_process_unharmed(thinker):
+def test_the_estimator_and_a_model_cross_to_the_other_process_unharmed(thinker: Thinker) -> None:
     from dataclasses import replace
 
     task = replace(TASK, model=load_parameters("rig_elastic"))

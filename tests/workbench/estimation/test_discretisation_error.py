@@ -21,7 +21,7 @@ from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
 
 
-def test_our_own_error_is_a_direction_of_every_fit():
+def test_our_own_error_is_a_direction_of_every_fit() -> None:
     data = dataset(seed=21)
     prepared = prepare(data, None, few())
     problem, found = prepared.problem, prepared.present
@@ -40,7 +40,7 @@ def test_our_own_error_is_a_direction_of_every_fit():
     assert again.nuisance[0] > found.nuisance[0] + 0.5
 
 
-def test_a_claim_under_three_times_our_own_error_is_refused():
+def test_a_claim_under_three_times_our_own_error_is_refused() -> None:
     data = dataset(seed=22)
     prepared = prepare(data, None, few())
     problem, parent = prepared.problem, prepared.present
@@ -59,7 +59,7 @@ def test_a_claim_under_three_times_our_own_error_is_refused():
     assert not may_be_ours(problem, parent, steadied)
 
 
-def test_a_finer_solver_leaves_less_of_our_own_error():
+def test_a_finer_solver_leaves_less_of_our_own_error() -> None:
     data = dataset(seed=23)
     problem = prepare(data, None, few()).problem
     found = fit(problem, (), prepare(data, None, few()).present.point)
@@ -88,7 +88,7 @@ def ageing():
 
 
 @pytest.mark.slow
-def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
+def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample() -> None:
     """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
     data, prepared, coarse = ageing()
     errors = solver_error(prepared.problem, coarse, data.trials, prepared.fine_m)
@@ -103,7 +103,7 @@ def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
 
 
 @pytest.mark.slow
-def test_a_comparison_drives_an_adopted_model_as_finely():
+def test_a_comparison_drives_an_adopted_model_as_finely() -> None:
     data, prepared, coarse = ageing()
     problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
     length_m = load_parameters("rig_rigid").element_length_m
@@ -111,7 +111,7 @@ def test_a_comparison_drives_an_adopted_model_as_finely():
     assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
 
 
-def slipping(encoder_deg):
+def slipping(encoder_deg: float):
     """(data, problem, fit at the true values) of friction that weakens as soon as it slips."""
     hidden = effect("stribeck", static_excess=0.3)
     noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)
@@ -122,7 +122,7 @@ def slipping(encoder_deg):
     return data, prepared.problem, found
 
 
-def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison():
+def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison() -> None:
     """A path off by 0.01° slips a sample sooner or later: true values would leave more than the noise."""
     data, problem, found = slipping(encoder_deg=0.02)
     wider, again = by_every_sample(problem, found, data.trials)
@@ -135,7 +135,7 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     )
 
 
-def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch):
+def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     data, problem, found = slipping(encoder_deg=0.02)
     met = []
     monkeypatch.setattr(own_error, "over_shapes", lambda _, found, steps: met.append(found) or found)
@@ -152,13 +152,13 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch)
     assert np.all(np.abs(again.point.positions - [1.0, 0.0, 0.0]) < 3.0 * again.position_error)
 
 
-def test_an_encoder_without_noise_adds_none():
+def test_an_encoder_without_noise_adds_none() -> None:
     data, problem, found = slipping(encoder_deg=0.0)
     wider, _ = by_every_sample(problem, found, data.trials)
     assert all(not b.from_encoder.any() for b in wider.trials)
 
 
-def test_directions_of_other_nuisances_outlast_a_change_of_the_noise():
+def test_directions_of_other_nuisances_outlast_a_change_of_the_noise() -> None:
     data, problem, found = slipping(encoder_deg=0.02)
     raw = [np.cos(3.0 * b.base_rad) + np.zeros_like(b.mean) for b in problem.trials]
     kept = tuple(
@@ -171,7 +171,7 @@ def test_directions_of_other_nuisances_outlast_a_change_of_the_noise():
 
 
 @pytest.mark.parametrize("seed", [31, 32])
-def test_a_sloppy_solver_is_not_an_effect(seed):
+def test_a_sloppy_solver_is_not_an_effect(seed: int) -> None:
     """Data from cells and tolerances eight times coarser hold a numerical error, and no effect."""
     model = load_parameters("rig_rigid")
     sloppy = dataclasses.replace(

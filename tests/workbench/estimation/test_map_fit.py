@@ -25,7 +25,7 @@ EVERY = find_effects()
 
 
 @given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
-def test_positions_and_values_are_inverse(name, strength):
+def test_positions_and_values_are_inverse(name, strength) -> None:
     axes = coordinates(EVERY, [name], dataset().layout)
     positions = np.array(
         [
@@ -38,7 +38,7 @@ def test_positions_and_values_are_inverse(name, strength):
 
 
 @pytest.mark.parametrize("name", sorted(EVERY))
-def test_off_is_the_origin(name):
+def test_off_is_the_origin(name) -> None:
     axes = coordinates(EVERY, [name], dataset().layout)
     made = make_effects(EVERY, axes, np.zeros(len(axes)))[0]
     assert made.is_off()
@@ -50,7 +50,7 @@ def test_off_is_the_origin(name):
             assert 0 < axis.smallest < 1.2
 
 
-def test_the_null_model_finds_friction_and_the_noise():
+def test_the_null_model_finds_friction_and_the_noise() -> None:
     prepared = prepare(dataset(), None, few())
     friction = np.exp(prepared.present.point.log_friction)
     assert friction * 100 == pytest.approx(0.0996, rel=0.03)
@@ -59,7 +59,7 @@ def test_the_null_model_finds_friction_and_the_noise():
     assert 0.7 < prepared.present.chi2 / prepared.problem.size < 1.15
 
 
-def test_a_hidden_stiffness_is_found_within_its_error():
+def test_a_hidden_stiffness_is_found_within_its_error() -> None:
     prepared = prepare(
         dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
     )
@@ -71,7 +71,7 @@ def test_a_hidden_stiffness_is_found_within_its_error():
     assert held_gain(prepared.held, found.held) > 0
 
 
-def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
+def test_a_trend_of_friction_over_a_few_trials_is_no_evidence() -> None:
     parent = prepare(dataset(), None, few()).present
     gain = 2.0 * parent.scatter_dof * math.log(2.0)
     seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
@@ -82,21 +82,21 @@ def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
     assert chance(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
 
 
-def test_a_child_is_never_worse_than_its_parent():
+def test_a_child_is_never_worse_than_its_parent() -> None:
     prepared = prepare(dataset(), None, few())
     for name in few():
         found = try_effect(prepared.problem, prepared.present, name).fit
         assert found.objective < prepared.present.objective + 1.0
 
 
-def test_held_out_prediction_needs_a_second_command():
+def test_held_out_prediction_needs_a_second_command() -> None:
     data = dataset()
     one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
     prepared = prepare(one, None, few())
     assert held_out(prepared.problem, prepared.present).error == float("inf")
 
 
-def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
+def test_strengths_that_can_only_grow_one_way_have_one_sided_axes() -> None:
     one_sided = {
         "tissue_elasticity",
         "tissue_viscoelasticity",
@@ -112,7 +112,7 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
 
 
 @pytest.mark.parametrize("name", ["tip_friction", "guide_friction", "platform_friction"])
-def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
+def test_a_trial_s_own_friction_scales_lumped_friction_too(name: str) -> None:
     """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
     quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
     prepared = prepare(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
@@ -131,12 +131,12 @@ def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
     ("names", "lumped"),
     [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
 )
-def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
+def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped: bool) -> None:
     problem = prepare(dataset(), None, few(*names) if names else few()).problem
     assert problem.lumps_friction(problem.axes(names)) is lumped
 
 
-def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
+def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation() -> None:
     data = dataset(effect("tip_friction", torque_nmm=0.03))
     prepared = prepare(data, None, few("tip_friction"))
     problem = prepared.problem
@@ -151,7 +151,7 @@ def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
     assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
 
 
-def test_commands_left_out_are_foretold_at_their_own_friction():
+def test_commands_left_out_are_foretold_at_their_own_friction() -> None:
     """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
     prepared = prepare(data, None, few("tip_friction"))
@@ -198,7 +198,7 @@ def left_out_and_fitted_again(problem, found):
         (effect("chuck_backlash", play_deg=3.0), 0.05, 10),
     ],
 )
-def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, seed):
+def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter: float, seed: int) -> None:
     data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
     prepared = prepare(data, None, few(hidden.name()))
     found = try_effect(prepared.problem, prepared.present, hidden.name())
@@ -207,7 +207,7 @@ def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, 
     assert found.held.error == pytest.approx(exact, rel=0.01)
 
 
-def test_leaving_a_command_out_may_take_several_steps():
+def test_leaving_a_command_out_may_take_several_steps() -> None:
     """From a place where the other commands would not leave the parameters, one linear step is not enough."""
     data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     prepared = prepare(data, None, few())
@@ -223,7 +223,7 @@ def test_leaving_a_command_out_may_take_several_steps():
     "hidden",
     [effect("torque_bias", bias_nmm=0.012), effect("layered_friction", factor=(1.6, 0.8, 1.2, 1.2))],
 )
-def test_the_predictive_density_is_that_of_a_linear_model(hidden):
+def test_the_predictive_density_is_that_of_a_linear_model(hidden) -> None:
     """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
     data = dataset(hidden, noise=Noise(friction_scatter=0.01))
     prepared = prepare(data, None, few(hidden.name()))
@@ -254,7 +254,7 @@ def test_the_predictive_density_is_that_of_a_linear_model(hidden):
     assert held_out(problem, found).loss == pytest.approx(loss, abs=1.0)
 
 
-def test_wear_that_one_command_shows_foretells_better_than_scatter():
+def test_wear_that_one_command_shows_foretells_better_than_scatter() -> None:
     data = dataset(effect("friction_wear", loss_per_turn=0.5))
     prepared = prepare(data, None, few("friction_wear"))
     found = try_effect(prepared.problem, prepared.present, "friction_wear")
@@ -262,7 +262,7 @@ def test_wear_that_one_command_shows_foretells_better_than_scatter():
     assert held_gain(prepared.held, found.held) > 5.0
 
 
-def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
+def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart() -> None:
     """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
     noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
     data = dataset(effect("friction_wear", loss_per_turn=0.06), noise=noise, seed=3)
@@ -272,7 +272,7 @@ def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
     assert found.point.positions[0] == pytest.approx(1.0, abs=0.1)
 
 
-def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
+def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean() -> None:
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
     prepared = prepare(data, None, few("tip_friction"))
     found = try_effect(prepared.problem, prepared.present, "tip_friction").fit
@@ -282,7 +282,7 @@ def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
     assert abs(found.axes[0].value(found.point.positions[0]) - 0.035) < 0.035 * 3 * mean
 
 
-def test_factors_of_sections_count_against_their_mean():
+def test_factors_of_sections_count_against_their_mean() -> None:
     """What all sections share is friction, to the last digit: only their ratios can be known, and are."""
     given = np.array([1.6, 0.8, 1.2, 1.2])
     prepared = prepare(
@@ -299,7 +299,9 @@ def test_factors_of_sections_count_against_their_mean():
     assert held_out(prepared.problem, found).error < 1.1
 
 
-def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(monkeypatch):
+def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(
         prepared.present.point, positions=np.zeros(len(EVERY["stribeck"].parameters()))
@@ -320,7 +322,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
     assert spread[1:] == pytest.approx(found.position_error[1:], rel=1e-6)
 
 
-def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest():
+def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest() -> None:
     prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(prepared.present.point, positions=np.array([0.9, -0.6, 0.0]))
     stuck = fit(prepared.problem, ["stribeck"], start)

@@ -22,7 +22,7 @@ def problem_of(data):
 
 
 @pytest.fixture
-def solved(monkeypatch):
+def solved(monkeypatch: pytest.MonkeyPatch):
     """How many rods each call solved."""
     counts, solve = [], simulator_module.solve_batch
 
@@ -34,7 +34,7 @@ def solved(monkeypatch):
     return counts
 
 
-def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved):
+def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved) -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     first = problem.predict((), point)
@@ -47,7 +47,7 @@ def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved):
     assert all(np.ptp((b - a)[0]) < 1e-12 < abs((b - a)[0, 0]) for a, b in zip(first, biased, strict=True))
 
 
-def test_another_path_of_the_same_trial_is_solved_again(solved):
+def test_another_path_of_the_same_trial_is_solved_again(solved) -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     before = problem.predict((), point)
@@ -65,7 +65,7 @@ def test_another_path_of_the_same_trial_is_solved_again(solved):
         assert not np.allclose(seen, old)
 
 
-def test_other_means_and_noise_share_what_was_solved(solved):
+def test_other_means_and_noise_share_what_was_solved(solved) -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     means = problem.predict((), point)
@@ -79,7 +79,7 @@ def test_other_means_and_noise_share_what_was_solved(solved):
     assert louder.whiteners is not problem.whiteners
 
 
-def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_solved():
+def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_solved() -> None:
     problem = problem_of(dataset())
     size = len(pickle.dumps(problem))
     point = start_point(problem, np.log(1e-3))
@@ -91,7 +91,7 @@ def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_
         problem.noise = None  # type: ignore[misc]
 
 
-def test_only_so_much_is_kept(monkeypatch):
+def test_only_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulator_module, "CACHE_ENTRIES", 7)
     problem = problem_of(dataset())
     for friction_n in (1e-3, 2e-3, 4e-3):
@@ -99,7 +99,7 @@ def test_only_so_much_is_kept(monkeypatch):
     assert len(problem.simulator._kept) == 7 < CACHE_ENTRIES
 
 
-def test_a_needle_that_takes_too_many_solves_is_not_followed_even_when_it_is_known():
+def test_a_needle_that_takes_too_many_solves_is_not_followed_even_when_it_is_known() -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     problem.predict((), point)

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -24,7 +25,7 @@ TWO = (
 )
 
 
-def test_the_error_falls_step_by_step_and_steps_can_be_taken_back():
+def test_the_error_falls_step_by_step_and_steps_can_be_taken_back() -> None:
     data = Traces(dataset(*TWO))
     one = adopt(data, "tissue_elasticity", few(), today="2026-01-01", name="mine")
     two = adopt(data, "torque_bias", few(), one, today="2026-01-02")
@@ -48,7 +49,7 @@ def test_the_error_falls_step_by_step_and_steps_can_be_taken_back():
         undo(undo(back))
 
 
-def test_an_effect_that_foretells_nothing_is_refused():
+def test_an_effect_that_foretells_nothing_is_refused() -> None:
     data = Traces(dataset(seed=5))
     with pytest.raises(Refused, match="--force"):
         adopt(data, "torque_bias", few())
@@ -56,7 +57,9 @@ def test_an_effect_that_foretells_nothing_is_refused():
     assert "force" in forced.history[-1].note
 
 
-def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeypatch):
+def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     solved = []
 
     def once(*given):
@@ -72,7 +75,7 @@ def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeyp
     assert one.history[0].errors[IN_NOISE_UNITS].held_out_after < 1.1
 
 
-def test_unknown_and_double_effects_are_refused():
+def test_unknown_and_double_effects_are_refused() -> None:
     data = Traces(dataset(*TWO))
     with pytest.raises(BadInput, match="no such effect"):
         adopt(data, "glue", few())
@@ -81,7 +84,7 @@ def test_unknown_and_double_effects_are_refused():
         adopt(data, "tissue_elasticity", few(), one)
 
 
-def test_one_command_alone_is_fitted_and_said_to_prove_nothing(tmp_path):
+def test_one_command_alone_is_fitted_and_said_to_prove_nothing(tmp_path: Path) -> None:
     data = dataset(*TWO)
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
     folder = write_dataset(one, tmp_path / "data")
@@ -94,7 +97,7 @@ def test_one_command_alone_is_fitted_and_said_to_prove_nothing(tmp_path):
     assert "error on commands left out — × the noise" in " ".join(shown.stdout.split())
 
 
-def test_the_commands_write_show_and_undo(tmp_path, monkeypatch):
+def test_the_commands_write_show_and_undo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = write_dataset(dataset(*TWO), tmp_path / "data")
     model = tmp_path / "mine.yaml"
     run = CliRunner().invoke

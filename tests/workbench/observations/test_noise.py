@@ -14,7 +14,7 @@ def measured(data):
     return measure_noise(data.trials, binned), binned
 
 
-def test_white_noise_is_what_was_put_in():
+def test_white_noise_is_what_was_put_in() -> None:
     noise, _ = measured(dataset())
     assert noise.white[0] == pytest.approx(nm(0.0008), rel=0.06)
     assert noise.white[1:] == pytest.approx(rad(0.25), rel=0.06)
@@ -22,7 +22,7 @@ def test_white_noise_is_what_was_put_in():
     assert noise.replicates == 2
 
 
-def test_correlated_noise_is_seen_as_correlated():
+def test_correlated_noise_is_seen_as_correlated() -> None:
     data = dataset()
     random = np.random.default_rng(3)
     trials = []
@@ -41,7 +41,7 @@ def test_correlated_noise_is_seen_as_correlated():
     assert noise.correlated[0] == 0.0
 
 
-def test_offsets_from_trial_to_trial_are_seen_at_rest():
+def test_offsets_from_trial_to_trial_are_seen_at_rest() -> None:
     data = dataset()
     shifts = rad(np.array([1.0, -1.0, 0.5, 1.5, -2.0]))
     trials = tuple(
@@ -53,7 +53,7 @@ def test_offsets_from_trial_to_trial_are_seen_at_rest():
     assert np.all(noise.offset[1:] < rad(3.0))
 
 
-def test_outliers_and_holes_do_not_move_bin_means():
+def test_outliers_and_holes_do_not_move_bin_means() -> None:
     data = dataset()
     clean = bin_trial(data.trials[0])
     hall = data.trials[0].hall_rad.copy()
@@ -65,14 +65,14 @@ def test_outliers_and_holes_do_not_move_bin_means():
     assert np.nanmax(np.abs(spoiled.mean[1] - clean.mean[1])) < rad(0.25)
 
 
-def test_a_slow_ramp_has_no_outliers():
+def test_a_slow_ramp_has_no_outliers() -> None:
     random = np.random.default_rng(0)
     values = np.linspace(0, 90, 2000) + 0.25 * random.standard_normal(2000)
     _, _, outlier = set_aside(values)
     assert outlier.sum() <= 2
 
 
-def test_whitened_noise_is_white():
+def test_whitened_noise_is_white() -> None:
     noise, binned = measured(dataset())
     use, matrix = covariance(noise, binned[0], 2)
     lower = np.linalg.cholesky(matrix)
@@ -85,6 +85,6 @@ def test_whitened_noise_is_white():
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
 
 
-def test_replicates_are_trials_of_one_command():
+def test_replicates_are_trials_of_one_command() -> None:
     data = dataset()
     assert replicate_groups([t.command for t in data.trials]) == [[0, 1, 4], [2], [3]]

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 from click.testing import CliRunner
 
@@ -18,7 +19,7 @@ def fits():
     return prepared.problem, *(try_effect(prepared.problem, prepared.present, n).fit for n in NAMES)
 
 
-def test_candidates_are_ranked_by_what_a_minute_of_them_tells():
+def test_candidates_are_ranked_by_what_a_minute_of_them_tells() -> None:
     problem, tip, play = fits()
     ranked = proposals(problem, tip, play, ("hall_1", "hall_2", "hall_3", "hall_4"))
     assert len(ranked) > 6
@@ -30,13 +31,13 @@ def test_candidates_are_ranked_by_what_a_minute_of_them_tells():
     assert expected_power(problem, tip, play, ranked[0].command, 3) > one > 0
 
 
-def test_commands_keep_to_the_rig_s_limits():
+def test_commands_keep_to_the_rig_s_limits() -> None:
     for planned in commands(20.0, 100.0):
         assert planned.speed_deg_s <= 20.0
         assert max(abs(s) for s in (*planned.steps_deg, planned.target_deg or 0.0)) <= 100.0
 
 
-def test_the_command_writes_a_protocol_that_can_be_run(tmp_path):
+def test_the_command_writes_a_protocol_that_can_be_run(tmp_path: Path) -> None:
     folder = write_dataset(dataset(effect("tip_friction", torque_nmm=0.02)), tmp_path / "data")
     out = tmp_path / "decide.yaml"
     result = CliRunner().invoke(command, [str(folder), "--between", *NAMES, "--out", str(out), "--json"])

@@ -19,15 +19,15 @@ from tests.workbench.hidden import dataset, few
     ],
 )
 def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_them(
-    loss, error, relieved_sigmas, speaks_for
-):
+    loss: float, error: float, relieved_sigmas: float, speaks_for: bool
+) -> None:
     child = prepare(dataset(seed=21), None, few()).present
     child = dataclasses.replace(child, pull_rigidity=0.0)
     parent = dataclasses.replace(child, pull_rigidity=relieved_sigmas)
     assert foretells(parent, HeldOut(1.20, 100.0, ()), child, HeldOut(error, loss, ())) is speaks_for
 
 
-def test_nothing_is_foretold_where_nothing_was_left_out():
+def test_nothing_is_foretold_where_nothing_was_left_out() -> None:
     found = prepare(dataset(seed=21), None, few()).present
     parent = dataclasses.replace(found, pull_rigidity=5.0)
     child = dataclasses.replace(found, pull_rigidity=0.0)
