@@ -6,7 +6,11 @@ import itertools
 
 import pytest
 
+from needle_rig.config.schema import RigConfig
+from needle_rig.control.reports import BrainState
+from needle_rig.records import Sample
 from needle_rig.units import deg, nmm
+from tests.closed_loop.conftest import Align
 
 
 def test_the_rigid_rig_lags_by_26_degrees_and_ends_aligned(align: Align) -> None:
@@ -68,7 +72,7 @@ def test_a_second_run_learns_its_extra_turn_from_the_first(config: RigConfig) ->
     ("gain", "delay_ms", "load_nmm"), list(itertools.product((0.7, 1.3), (0.0, 10.0), (-0.5, 0.5)))
 )
 def test_the_base_neither_overshoots_nor_stays_away_at_any_corner_of_the_drive(
-    config: RigConfig, gain, delay_ms, load_nmm
+    config: RigConfig, gain: float, delay_ms: float, load_nmm: float
 ) -> None:
     import random
 
@@ -85,7 +89,7 @@ def test_the_base_neither_overshoots_nor_stays_away_at_any_corner_of_the_drive(
     ticks = (0.005 * random_ticks.uniform(0.7, 1.3) for _ in itertools.count())
     way: dict[str, list[tuple[float, float]]] = {}
 
-    def follow(sample, state) -> None:
+    def follow(sample: Sample, state: BrainState) -> None:
         if state.waypoint_rad is not None:
             way.setdefault(sample.motion, []).append((deg(plant.motor.angle_rad), deg(state.waypoint_rad)))
 

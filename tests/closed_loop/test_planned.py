@@ -122,7 +122,7 @@ def test_a_rigid_uniform_needle_ends_on_the_two_front_optimum() -> None:
     assert ours.cost_rad <= closed_form.cost_rad + rad(0.05)
 
 
-def _run_history(model: NeedleModel, task: Task):  # type: ignore[no-untyped-def]
+def _run_history(model: NeedleModel, task: Task) -> Any:  # type: ignore[no-untyped-def]
     run = run_settled(model, make_strategy("none", {}), task, np.random.default_rng(0), NO_NOISE)
     return run.history[:1]
 

@@ -4,14 +4,17 @@ import asyncio
 import dataclasses
 import math
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
+from needle_rig.config.schema import RigConfig, SimulationSection
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.model import load_parameters
-from needle_rig.records import Command, DriveFault, DriveState
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.records import Command, DriveFault, DriveState, Sample
 from needle_rig.simulation.drive_guard import DriveGuard
 from needle_rig.simulation.motor import Motor, MotorSettings
 from needle_rig.simulation.plant import Plant
@@ -20,11 +23,11 @@ from needle_rig.units import deg, nm, nmm, rad
 
 
 @pytest.fixture(scope="module")
-def elastic():
+def elastic() -> NeedleModel:
     return load_parameters("rig_elastic")
 
 
-def awake(model, settings, **options):
+def awake(model: NeedleModel, settings: SimulationSection, **options: Any) -> Plant:
     plant = Plant(model, settings, **options)
     for command in (Command(), Command(clear=True), *[Command()] * 5):
         plant.write(command)
@@ -33,7 +36,7 @@ def awake(model, settings, **options):
     return plant
 
 
-def turned(plant, velocity_rad_s: float, seconds, tick_s: float = 0.005):
+def turned(plant: Plant, velocity_rad_s: float, seconds: float, tick_s: float = 0.005) -> Plant:
     for _ in range(round(seconds / tick_s)):
         plant.write(Command(velocity_rad_s, enable=True))
         plant.advance(tick_s)
@@ -41,9 +44,9 @@ def turned(plant, velocity_rad_s: float, seconds, tick_s: float = 0.005):
 
 
 def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_not(
-    config: RigConfig, elastic
+    config: RigConfig, elastic: NeedleModel
 ) -> None:
-    def rows(seed: int):
+    def rows(seed: int) -> tuple[Sample, ...]:
         settings = config.simulation.model_copy(update={"seed": seed})
         run = run_virtual(Brain(config), Plant(elastic, settings), Request(0.5, "none", settle_s=0.5))
         return run.samples
@@ -52,7 +55,7 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_n
     assert rows(3) != rows(4)
 
 
-def test_the_tick_does_not_change_what_the_needle_does(config: RigConfig, elastic) -> None:
+def test_the_tick_does_not_change_what_the_needle_does(config: RigConfig, elastic: NeedleModel) -> None:
     quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
     ends = []
     for tick_s in (0.002, 0.005, 0.010):
@@ -64,7 +67,7 @@ def test_the_tick_does_not_change_what_the_needle_does(config: RigConfig, elasti
 
 
 def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path(
-    config: RigConfig, elastic
+    config: RigConfig, elastic: NeedleModel
 ) -> None:
     from needle_rig.physics.effect import Trial
 
@@ -81,7 +84,7 @@ def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path
     assert plant.shaft_rad()[-1] == pytest.approx(whole.tip_rad[-1], abs=rad(0.02))
 
 
-def test_sensors_are_quantised_and_as_noisy_as_stated(config: RigConfig, elastic) -> None:
+def test_sensors_are_quantised_and_as_noisy_as_stated(config: RigConfig, elastic: NeedleModel) -> None:
     settings = config.simulation
     plant = Plant(elastic, settings)
     torque, hall = [], []
@@ -100,7 +103,9 @@ def test_sensors_are_quantised_and_as_noisy_as_stated(config: RigConfig, elastic
     assert abs(np.mean(hall)) < 0.02
 
 
-def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(config: RigConfig, elastic) -> None:
+def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
     from needle_rig.physics.effects.torque_bias import TorqueBias
 
     quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
@@ -114,7 +119,7 @@ def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(config
     assert difference == pytest.approx(0.02, abs=2e-4)
 
 
-def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elastic) -> None:
+def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elastic: NeedleModel) -> None:
     from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 
     (field,) = ChuckBacklash.parameters()
@@ -131,7 +136,7 @@ def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elast
     assert plant.hall_rad[0] < wound[0] - rad(1.0)
 
 
-def test_raw_readings_come_with_counters_and_times(config: RigConfig, elastic) -> None:
+def test_raw_readings_come_with_counters_and_times(config: RigConfig, elastic: NeedleModel) -> None:
     rows = []
     plant = Plant(elastic, config.simulation, raw=lambda source, row: rows.append((source, row)))
     for _ in range(3):
@@ -143,7 +148,7 @@ def test_raw_readings_come_with_counters_and_times(config: RigConfig, elastic) -
     assert [len(row) for source, row in rows if source == "drive"] == [6] * 4
 
 
-def test_it_opens_and_closes_as_a_rig(config: RigConfig, elastic) -> None:
+def test_it_opens_and_closes_as_a_rig(config: RigConfig, elastic: NeedleModel) -> None:
     async def use() -> None:
         plant = Plant(elastic, config.simulation)
         await plant.open()
@@ -163,7 +168,7 @@ class Guarded:
         self.step(Command())
         self.step(Command())
 
-    def step(self, command=None, torque_nm: float = 0.0):
+    def step(self, command: Command | None = None, torque_nm: float = 0.0) -> float:
         if command is not None:
             self.said += 1
             self.guard.receive(self.now_us, command, self.said % 16, self.said)
@@ -174,16 +179,16 @@ class Guarded:
         self.now_us += 1000
         return velocity
 
-    def rest(self, milliseconds) -> None:
+    def rest(self, milliseconds: int) -> None:
         for _ in range(milliseconds):
             self.step(Command())
 
     @property
-    def state(self):
+    def state(self) -> tuple[DriveState, DriveFault]:
         return self.guard.state, self.guard.faults
 
 
-def running():
+def running() -> Guarded:
     guarded = Guarded()
     guarded.step(Command(clear=True))
     guarded.rest(20)
@@ -219,7 +224,9 @@ class TestDriveGuard:
         ("torque", "velocity", "bit"),
         [(nm(2.1), 0.5, DriveFault.TORQUE_TRIP), (0.0, rad(91.0), DriveFault.VELOCITY)],
     )
-    def test_latching_faults_want_rest_before_a_clear(self, torque, velocity, bit: DriveFault) -> None:
+    def test_latching_faults_want_rest_before_a_clear(
+        self, torque: float, velocity: float, bit: DriveFault
+    ) -> None:
         guarded = running()
         assert guarded.step(Command(velocity, enable=True), torque) == 0.0
         assert guarded.state == (DriveState.FAULT, bit)
@@ -290,7 +297,7 @@ class TestMotor:
         assert motor.angle_rad == pytest.approx(-0.1)
 
 
-def test_a_whole_run_is_many_times_faster_than_the_rig(config: RigConfig, elastic) -> None:
+def test_a_whole_run_is_many_times_faster_than_the_rig(config: RigConfig, elastic: NeedleModel) -> None:
     brain, plant = Brain(config), Plant(elastic, config.simulation)
     start = time.process_time()
     run = run_virtual(brain, plant, Request(rad(45.0)))
@@ -299,7 +306,7 @@ def test_a_whole_run_is_many_times_faster_than_the_rig(config: RigConfig, elasti
     assert spent < run.time_s / 4.0
 
 
-def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config: RigConfig, elastic) -> None:
+def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config: RigConfig, elastic: NeedleModel) -> None:
     plant = turned(awake(elastic, config.simulation), 0.5, 0.5)
     assert plant.read().drive_state is DriveState.RUNNING
     for _ in range(80):

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from needle_rig.config.schema import RigConfig
 from needle_rig.control.lag import lag_rad
 from needle_rig.control.reports import SettledMotion
 from needle_rig.control.strategies.decay import Decay
@@ -17,10 +18,11 @@ from needle_rig.control.strategies.reed2008 import Reed2008
 from needle_rig.control.strategies.reed2008_elastic import Reed2008Elastic
 from needle_rig.control.strategies.relax import Relax
 from needle_rig.control.strategies.tip_friction import TipFriction
-from needle_rig.control.strategy import Task, find_strategies, make_strategy
+from needle_rig.control.strategy import Strategy, Task, find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
 from needle_rig.units import deg, nmm, rad
+from tests.closed_loop.conftest import Align
 
 ALL = {
     "base_equals_tip",
@@ -47,14 +49,14 @@ TASK = Task(
 )
 
 
-def settled(index, base_deg: float, torque_nm: float, tip_deg: float = 0.0):
+def settled(index: int, base_deg: float, torque_nm: float, tip_deg: float = 0.0) -> SettledMotion:
     lag = lag_rad(torque_nm, MODEL_LAYOUT, 62.56e-6)
     base = rad(base_deg)
     halls = (rad(tip_deg),)
     return SettledMotion(index, "", 0.0, 0.0, base, base, torque_nm, halls, lag, base - halls[0])
 
 
-def played(strategy, torques_nm: float, task=TASK):
+def played(strategy: Strategy, torques_nm: float, task: Task = TASK) -> list[tuple[float, str]]:
     """Waypoints in degrees and names, the base obeying and the torque as given."""
     history, told = (settled(0, 0.0, 0.0),), []
     for torque in torques_nm:

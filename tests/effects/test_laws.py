@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
@@ -20,7 +21,7 @@ TURNED = path((0, 0), (2, 90), (3, 90))
 JG_NMM2 = 62.56
 
 
-def settled(model, trial=TURNED):
+def settled(model: NeedleModel, trial: Trial = TURNED) -> tuple[float, Array]:
     """Torque (N·mm) and angles (°) at the end of a trial."""
     reading = model.predict(trial)
     return reading.torque_nm[-1] * 1e3, np.degrees(reading.hall_rad[-1])
@@ -180,7 +181,7 @@ def test_the_standard_linear_solid_relaxes_as_its_law_says() -> None:
 
 
 @given(play_deg=st.floats(0, 20), targets=st.lists(st.integers(-90, 90), min_size=1, max_size=6))
-def test_play_follows_at_half_its_width(play_deg, targets) -> None:
+def test_play_follows_at_half_its_width(play_deg: float, targets: list[int]) -> None:
     trial = path(*[(float(i), t) for i, t in enumerate([0.0, *targets])])
     play = LIBRARY["chuck_backlash"](play_deg)
     held_rad = play.drive(trial)

@@ -13,17 +13,18 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.compiled import compiled_torque
 from needle_rig.physics.effect_text import parse_effects
 from needle_rig.physics.library import built_in_effects, find_effects
+from needle_rig.physics.needle_model import NeedleModel
 from tests.effects.common import LIBRARY, SHORT, USERS
 
 GOOD = (USERS / "slit_membrane.py").read_text()
 
 
 @pytest.fixture
-def folder(tmp_path: Path):
+def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def broken(folder, text: str, name: str = "mine") -> str:
+def broken(folder: Path, text: str, name: str = "mine") -> str:
     (folder / f"{name}.py").write_text(text)
     with pytest.raises(BadInput) as caught:
         find_effects([folder])
@@ -37,18 +38,18 @@ def line_of(text: str, part: str) -> int:
     return text[: text.index(part)].count("\n") + 1
 
 
-def test_a_dropped_file_is_found_by_its_name(folder) -> None:
+def test_a_dropped_file_is_found_by_its_name(folder: Path) -> None:
     shutil.copy(USERS / "slit_membrane.py", folder / "my_membrane.py")
     found = find_effects([folder])
     assert set(found) == {*built_in_effects(), "my_membrane"}
     assert found["my_membrane"].name() == "my_membrane"
 
 
-def test_a_missing_folder_is_an_empty_one(folder) -> None:
+def test_a_missing_folder_is_an_empty_one(folder: Path) -> None:
     assert set(find_effects([folder / "nothing"])) == set(built_in_effects())
 
 
-def test_an_edited_file_is_read_again(folder) -> None:
+def test_an_edited_file_is_read_again(folder: Path) -> None:
     file = folder / "mine.py"
     file.write_text(GOOD)
     assert find_effects([folder])["mine"].parameters()["torque_nmm"].typical == 0.03
@@ -56,7 +57,7 @@ def test_an_edited_file_is_read_again(folder) -> None:
     assert find_effects([folder])["mine"].parameters()["torque_nmm"].typical == 0.04
 
 
-def test_files_that_start_with_an_underscore_are_helpers(folder) -> None:
+def test_files_that_start_with_an_underscore_are_helpers(folder: Path) -> None:
     (folder / "_shared.py").write_text("1 +")
     assert set(find_effects([folder])) == set(built_in_effects())
 
@@ -85,7 +86,7 @@ def test_other_values_need_no_compilation(model: NeedleModel) -> None:
     [("2.0 * angle_rad", True), ("rate_rad_s", False), ("angle_rad + time_s", False)],
 )
 def test_a_law_is_steady_unless_it_reads_rate_or_time(
-    model: NeedleModel, folder, law: str, steady: bool
+    model: NeedleModel, folder: Path, law: str, steady: bool
 ) -> None:
     assert "2.0 * angle_rad" in GOOD
     (folder / "mine.py").write_text(GOOD.replace("2.0 * angle_rad", law))
@@ -93,12 +94,12 @@ def test_a_law_is_steady_unless_it_reads_rate_or_time(
     assert model.with_effects(mine).rod(SHORT).laws[0].steady is steady
 
 
-def test_taking_the_name_of_a_built_in_effect(folder) -> None:
+def test_taking_the_name_of_a_built_in_effect(folder: Path) -> None:
     sentence = broken(folder, GOOD, "tip_friction")
     assert "the name tip_friction is taken by a built-in effect; rename the file" in sentence
 
 
-def test_the_same_name_in_two_folders(folder) -> None:
+def test_the_same_name_in_two_folders(folder: Path) -> None:
     for name in ("a", "b"):
         (folder / name).mkdir()
         (folder / name / "mine.py").write_text(GOOD)
@@ -135,14 +136,16 @@ def test_the_same_name_in_two_folders(folder) -> None:
         ("(Effect)", "(object)", "", "0 classes derive from Effect"),
     ],
 )
-def test_a_broken_file_is_named_with_its_line(folder, old: str, new: str, line: str, words: str) -> None:
+def test_a_broken_file_is_named_with_its_line(
+    folder: Path, old: str, new: str, line: str, words: str
+) -> None:
     assert old in GOOD
     sentence = broken(folder, GOOD.replace(old, new, 1))
     assert words in sentence
     assert int(re.match(r".*?\.py:(\d+):", sentence)[1]) == (line_of(GOOD, line) if line else 1)
 
 
-def test_two_effects_in_one_file(folder) -> None:
+def test_two_effects_in_one_file(folder: Path) -> None:
     second = GOOD[GOOD.index("@dataclass") :].replace("class SlitMembrane", "class Another")
     assert "2 classes derive from Effect" in broken(folder, GOOD + "\n\n" + second)
 
@@ -160,7 +163,7 @@ def test_two_effects_in_one_file(folder) -> None:
     ],
 )
 def test_a_torque_that_cannot_be_compiled_is_named_with_its_line(
-    folder, model: NeedleModel, law: str, words: str
+    folder: Path, model: NeedleModel, law: str, words: str
 ) -> None:
     text = GOOD[: GOOD.index("        if abs(position_m")] + f"        {law}\n"
     (folder / "mine.py").write_text(text)
@@ -174,7 +177,7 @@ def test_a_torque_that_cannot_be_compiled_is_named_with_its_line(
     assert line in (line_of(text, law), line_of(text, "    def torque("))
 
 
-def test_a_torque_with_a_value_per_sensor_is_refused(folder, model: NeedleModel) -> None:
+def test_a_torque_with_a_value_per_sensor_is_refused(folder: Path, model: NeedleModel) -> None:
     (folder / "mine.py").write_text(GOOD.replace('unit="N·mm",', 'unit="N·mm",\n        per="sensor",'))
     with pytest.raises(BadInput, match="torque_nmm has one value per sensor; the torque hook takes single"):
         model.with_effects(find_effects([folder])["mine"].at_strength(1.0)).rod(SHORT)
@@ -193,7 +196,7 @@ def test_a_torque_with_a_value_per_sensor_is_refused(folder, model: NeedleModel)
         (["hall_eccentricity:cosine_deg=1,2,3,4"], {"sine_deg": 0, "cosine_deg": (1, 2, 3, 4)}),
     ],
 )
-def test_effects_as_written_on_a_command_line(texts: list[str], values) -> None:
+def test_effects_as_written_on_a_command_line(texts: list[str], values: dict[str, object]) -> None:
     (effect,) = parse_effects(texts, LIBRARY)
     assert {name: getattr(effect, name) for name in values} == values
 

@@ -21,6 +21,7 @@ from needle_rig.model import (
     parameter_sets,
     save_model,
 )
+from needle_rig.physics.needle_model import NeedleModel
 from tests.effects.common import LIBRARY, SHORT, USERS
 
 SETS = ("figure_3", "paper_literal", "rig_elastic", "rig_rigid", "stiff_needle")
@@ -37,7 +38,7 @@ def test_the_published_sets_are_there_with_their_sources() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SETS if name != "paper_literal"])
-def test_a_set_becomes_a_model_in_the_layout_asked_for(name) -> None:
+def test_a_set_becomes_a_model_in_the_layout_asked_for(name: str) -> None:
     model = load_parameters(name)
     assert model.layout == EXPERIMENT_LAYOUT
     assert load_parameters(name, layout=MODEL_LAYOUT, element_length_m=1e-3).layout == MODEL_LAYOUT
@@ -84,7 +85,7 @@ def saved() -> SavedModel:
     return SavedModel(model, "rig_rigid", uncertainties, (history,))
 
 
-def close(one, other) -> bool:
+def close(one: NeedleModel, other: NeedleModel) -> bool:
     return one.effects == other.effects and one.values() == pytest.approx(other.values(), rel=1e-12)
 
 

@@ -41,7 +41,7 @@ def test_replaced_sets_by_name_and_leaves_the_rest(coarse: NeedleModel) -> None:
 
 
 @given(scaled=st.floats(-5, 5), name=st.sampled_from(sorted(LIBRARY)))
-def test_scales_go_forth_and_back(scaled, name) -> None:
+def test_scales_go_forth_and_back(scaled: float, name: str) -> None:
     for info in (*LIBRARY[name].parameters().values(), *BASE_PARAMETERS.values()):
         if info.scale == "linear" or scaled:
             assert info.to_scale(info.from_scale(scaled)) == pytest.approx(scaled)
@@ -72,7 +72,7 @@ def test_needle_constants_are_known_to_two_per_cent() -> None:
         ({"hall_offset.offset_deg[0]": 1.0}, "no parameter hall_offset"),
     ],
 )
-def test_values_that_cannot_be(coarse: NeedleModel, change, words: str) -> None:
+def test_values_that_cannot_be(coarse: NeedleModel, change: dict[str, float], words: str) -> None:
     with pytest.raises(BadInput, match=words):
         coarse.with_effects(LIBRARY["tip_friction"](0.01)).replaced(change)
 

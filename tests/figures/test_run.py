@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needle_rig.cli.main import run as needle_rig
@@ -17,12 +20,12 @@ from needle_rig.recording import RunFile, RunWriter, run_tables
 
 
 @pytest.fixture
-def figures(monkeypatch: pytest.MonkeyPatch):
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """Every figure that is saved."""
     saved: list[Figure] = []
     save = Figure.savefig
 
-    def keep(self, *arguments, **options):
+    def keep(self: Figure, *arguments: Any, **options: Any) -> None:
         saved.append(self)
         return save(self, *arguments, **options)
 
@@ -30,7 +33,14 @@ def figures(monkeypatch: pytest.MonkeyPatch):
     return saved
 
 
-def rewritten(path, run_path, change, *, end=None, raw: bool = True):
+def rewritten(
+    path: Path,
+    run_path: Path,
+    change: Callable[[np.ndarray], np.ndarray],
+    *,
+    end: str | None = None,
+    raw: bool = True,
+) -> tuple[RunFile, RunWriter]:
     """A copy of a run with its ticks changed; `end` is the status it ended with, None leaves it cut off."""
     whole = RunFile(run_path)
     attributes = {name: value for name, value in whole.attributes.items() if name != "result"}
@@ -43,11 +53,11 @@ def rewritten(path, run_path, change, *, end=None, raw: bool = True):
     return RunFile(path), writer
 
 
-def texts(axes):
+def texts(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
 
-def labels(axes):
+def labels(axes: Axes) -> list[str]:
     return axes.get_legend_handles_labels()[1]
 
 
@@ -65,7 +75,7 @@ def test_motions_are_found_where_the_waypoint_changes(run_path: Path) -> None:
     np.testing.assert_allclose(settled[0], [45.0, 31.0, 25.0, 21.0, 19.0], atol=0.15)
 
 
-def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures) -> None:
+def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures: list[Figure]) -> None:
     path = draw_run(RunFile(run_path), tmp_path / "new" / "run.png")
     pixels = matplotlib.image.imread(path)
     assert pixels.shape[1] == 1500
@@ -87,7 +97,7 @@ def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures) -> 
     assert picture.get_ydata()[-1] == pytest.approx(19.0, abs=0.1)
 
 
-def test_a_run_cut_off_says_so(tmp_path: Path, run_path: Path, figures) -> None:
+def test_a_run_cut_off_says_so(tmp_path: Path, run_path: Path, figures: list[Figure]) -> None:
     run, writer = rewritten(tmp_path / "cut.h5", run_path, lambda ticks: ticks[: len(ticks) // 2])
     draw_run(run, tmp_path / "cut.png")
     writer.close()
@@ -99,8 +109,8 @@ def test_a_run_cut_off_says_so(tmp_path: Path, run_path: Path, figures) -> None:
 
 
 @pytest.mark.parametrize("status", ["aborted", "fault"])
-def test_a_stopped_run_says_why(tmp_path: Path, run_path: Path, figures, status: str) -> None:
-    def stopped(ticks):
+def test_a_stopped_run_says_why(tmp_path: Path, run_path: Path, figures: list[Figure], status: str) -> None:
+    def stopped(ticks: np.ndarray) -> np.ndarray:
         ticks = ticks[: len(ticks) // 2].copy()
         ticks["phase"][-5:] = status.encode()
         return ticks
@@ -114,8 +124,10 @@ def test_a_stopped_run_says_why(tmp_path: Path, run_path: Path, figures, status:
     assert len(cell.get_ydata()) == len(run.table("ticks"))
 
 
-def test_many_short_motions_keep_their_own_colours(tmp_path: Path, run_path: Path, figures) -> None:
-    def stepped(ticks):
+def test_many_short_motions_keep_their_own_colours(
+    tmp_path: Path, run_path: Path, figures: list[Figure]
+) -> None:
+    def stepped(ticks: np.ndarray) -> np.ndarray:
         ticks = ticks.copy()
         ticks["motion"] = [f"step_{1 + number * 20 // len(ticks)}".encode() for number in range(len(ticks))]
         return ticks
@@ -128,7 +140,7 @@ def test_many_short_motions_keep_their_own_colours(tmp_path: Path, run_path: Pat
 
 
 def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path: Path, run_path: Path) -> None:
-    def gappy(ticks):
+    def gappy(ticks: np.ndarray) -> np.ndarray:
         ticks = ticks.copy()
         ticks["hall_rad"][100:200, 2] = np.nan
         ticks["torque_nm"][300:310] = np.nan

@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from tests.physics.rods import EXPERIMENT, JG
         ((math.nan, (), ()), "must be above 0"),
     ],
 )
-def test_impossible_layouts_are_refused(arguments, message: str) -> None:
+def test_impossible_layouts_are_refused(arguments: tuple[Any, Any, Any], message: str) -> None:
     with pytest.raises(BadInput, match=message):
         Layout(*arguments)
 
@@ -44,7 +45,7 @@ def test_impossible_layouts_are_refused(arguments, message: str) -> None:
         ({"element_length_m": 1e-9}, "more than"),
     ],
 )
-def test_impossible_constants_are_refused(change, message: str) -> None:
+def test_impossible_constants_are_refused(change: dict[str, float], message: str) -> None:
     arguments = {"torsional_rigidity_nm2": JG, "friction_n": 1e-3, "element_length_m": 0.5e-3} | change
     with pytest.raises(BadInput, match=message):
         build_rod(EXPERIMENT, **arguments)
@@ -65,7 +66,7 @@ def test_a_negative_coefficient_names_its_node(name: str) -> None:
 
 
 @st.composite
-def layouts(draw: DrawFn):
+def layouts(draw: DrawFn) -> Layout:
     """Any layout: up to four sections, touching or apart, sensors anywhere, coincident with ends or not."""
     cuts = sorted(draw(st.lists(st.integers(0, 80), min_size=2, max_size=8, unique=True)))
     pairs = list(zip(cuts[::2], cuts[1::2], strict=False))
@@ -80,7 +81,7 @@ def layouts(draw: DrawFn):
 
 
 @given(layouts(), st.floats(0.3e-3, 20e-3))
-def test_a_rod_holds_its_layout_whatever_the_mesh(layout, element_length_m) -> None:
+def test_a_rod_holds_its_layout_whatever_the_mesh(layout: Layout, element_length_m: float) -> None:
     rod = build_rod(layout, JG, 1e-3, element_length_m)
     _ = rod.coefficients
     position = rod.position_m

@@ -12,6 +12,7 @@ from needle_rig.physics.effect import Trial
 from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 from needle_rig.physics.effects.torque_bias import TorqueBias
 from needle_rig.physics.effects.viscous_slip import ViscousSlip
+from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import nm, rad
 
@@ -20,7 +21,7 @@ BASE_RAD = np.interp(TIME_S, [0.0, 1.0, 2.0, 4.0, 5.0], rad(np.array([0.0, 70.0,
 CUTS = (0, 45, 46, 90, len(TIME_S))
 
 
-def in_pieces(model):
+def in_pieces(model: NeedleModel) -> list[SettledNeedle]:
     """The needle after each piece of the path; every piece begins where the one before it ended."""
     needles = [SettledNeedle.relaxed(model)]
     for start, stop in pairwise(CUTS):
@@ -30,7 +31,7 @@ def in_pieces(model):
 
 
 @pytest.mark.parametrize("effect", [None, ChuckBacklash(6.0)])
-def test_pieces_of_a_path_end_where_the_whole_does_to_the_bit(effect) -> None:
+def test_pieces_of_a_path_end_where_the_whole_does_to_the_bit(effect: ChuckBacklash | None) -> None:
     model = load_parameters("rig_elastic")
     model = model if effect is None else model.with_effects(effect)
     whole = model.truth(Trial(TIME_S, BASE_RAD), shaft=True)

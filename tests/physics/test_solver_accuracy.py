@@ -1,12 +1,13 @@
 """Default settings against runs with finer samples, steps and cells, for every kind of coefficient."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from needle_rig.physics.reference import KarnoppRod, largest_stable_step_s, paper_literal, simulate
-from needle_rig.physics.rod import TorqueLaw
+from needle_rig.physics.rod import Rod, TorqueLaw
 from needle_rig.physics.solver import solve
 from tests.physics.rods import EXPERIMENT, JG, MODEL, compensation, errors, lumped, path, refined, rod
 
@@ -14,12 +15,12 @@ WORST_DEG = 0.02
 WORST_NMM = 2e-4
 
 
-def one_sided(**options):
+def one_sided(**options: Any) -> Rod:
     plain = rod(**options)
     return replace(plain, slip_plus_nm=1.3 * plain.slip_plus_nm)
 
 
-def layered(**options):
+def layered(**options: Any) -> Rod:
     plain = rod(**options)
     factor = np.array([0.5, 1.5, 0.2, 1.8, 0.0])[plain.section]
     return replace(
@@ -27,11 +28,13 @@ def layered(**options):
     )
 
 
-def bend(parameters, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float):
+def bend(
+    parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
     return parameters[0] * np.sin(angle_rad - parameters[1])
 
 
-def bent(steady: bool = False, **options):
+def bent(steady: bool = False, **options: Any) -> Rod:
     plain = rod(**options)
     law = TorqueLaw(bend, np.array([0.03e-2, 0.5]), plain.tissue_length_m, steady)
     return replace(plain, laws=(law,))
@@ -71,7 +74,7 @@ CASES = (
 
 @pytest.mark.parametrize("finer", [4, pytest.param(16, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CASES)
-def test_default_settings_meet_a_much_finer_run(name, finer: int) -> None:
+def test_default_settings_meet_a_much_finer_run(name: str, finer: int) -> None:
     make = CASES[name]
     time, base = path(compensation())
     fine = refined(time, base, finer)

@@ -1,6 +1,7 @@
 """Against closed forms: rigid tissue, uniform friction, one section."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ FREE, TISSUE = 0.175, 0.1
 UPSILON = 0.0582e-2
 
 
-def turned(*targets_rad, **options):
+def turned(*targets_rad: float, **options: Any) -> tuple[np.ndarray, np.ndarray]:
     """Base torque and tip angle after turning the relaxed figure-3 rod through `targets_rad`."""
     base = np.array([0.0, *targets_rad])
     solution = solve(rod(friction=0.0582, layout=MODEL, **options), np.arange(len(base), dtype=float), base)
@@ -25,7 +26,7 @@ def turned(*targets_rad, **options):
 
 
 @given(st.floats(0.02, 0.99))
-def test_a_first_turn_follows_the_virgin_curve(part) -> None:
+def test_a_first_turn_follows_the_virgin_curve(part: float) -> None:
     full = closed_form.virgin_base_angle_rad(UPSILON * TISSUE, FREE, UPSILON, JG)
     torque, tip = turned(part * full)
     exact = closed_form.virgin_torque_nm(part * full, FREE, TISSUE, UPSILON, JG)
@@ -38,7 +39,7 @@ def test_a_first_turn_follows_the_virgin_curve(part) -> None:
 
 
 @given(st.floats(0.3, 3.0), st.floats(0.02, 0.98))
-def test_a_reversal_is_the_virgin_curve_twice_as_large(start_rad, part) -> None:
+def test_a_reversal_is_the_virgin_curve_twice_as_large(start_rad: float, part: float) -> None:
     wound = UPSILON * TISSUE
     full = closed_form.reversal_angle_rad(2 * wound, FREE, UPSILON, JG)
     torque, _ = turned(start_rad, start_rad - part * full)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.physics.rod import TorqueLaw
-from needle_rig.physics.solver import relaxed, solve, solve_batch
+from needle_rig.physics.rod import Layout, Rod, TorqueLaw
+from needle_rig.physics.solver import Solution, relaxed, solve, solve_batch
 from tests.physics.rods import EXPERIMENT, MODEL, compensation, errors, lumped, path, refined, rod
 from tests.physics.test_rod import layouts
 
@@ -24,8 +24,11 @@ excesses = st.sampled_from([0.0, 0.3])
 
 @st.composite
 def any_rod(
-    draw: DrawFn, layout=EXPERIMENT, element_length_m: float = 2e-3, weakenings: tuple[float, ...] = (1.0,)
-):
+    draw: DrawFn,
+    layout: Layout = EXPERIMENT,
+    element_length_m: float = 2e-3,
+    weakenings: tuple[float, ...] = (1.0,),
+) -> Rod:
     """Any coefficients. By default no needle here comes near a snap, whose instant depends on the steps."""
     return rod(
         friction=draw(st.sampled_from([0.0, 0.02, 0.0996, 0.45])),
@@ -43,7 +46,7 @@ def any_rod(
 
 @settings(max_examples=60, deadline=None)
 @given(any_rod(), paths)
-def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle, targets) -> None:
+def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle: Rod, targets: list[float]) -> None:
     time, base = path(targets, settle_s=0.5)
     one, other = solve(needle, time, base), solve(needle, time, -base)
     assert one.sensor_rad == pytest.approx(-other.sensor_rad, abs=1e-9)
@@ -52,7 +55,7 @@ def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle, targets) -> N
 
 @settings(max_examples=60, deadline=None)
 @given(any_rod(), paths)
-def test_energy_is_never_created(needle, targets) -> None:
+def test_energy_is_never_created(needle: Rod, targets: list[float]) -> None:
     needle = replace(needle, base_compliance_rad_per_nm=0.0)
     time, base = refined(*path(targets, settle_s=0.5), 4)
     solution = solve(needle, time, base, shaft=True, tolerance_rad=1e-4)
@@ -68,7 +71,7 @@ def test_energy_is_never_created(needle, targets) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(any_rod(), paths, st.integers(1, 10_000))
-def test_going_on_from_a_state_equals_one_run(needle, targets, cut) -> None:
+def test_going_on_from_a_state_equals_one_run(needle: Rod, targets: list[float], cut: int) -> None:
     time, base = path(targets, settle_s=0.5)
     middle = 1 + cut % (len(time) - 1)
     whole = solve(needle, time, base)
@@ -87,7 +90,9 @@ def test_going_on_from_a_state_equals_one_run(needle, targets, cut) -> None:
 
 
 @given(st.floats(-60.0, 60.0), st.floats(0.05, 0.95), st.floats(0.05, 0.95), stiffnesses)
-def test_a_closed_loop_of_reversals_is_forgotten(start, depth, inner, stiffness) -> None:
+def test_a_closed_loop_of_reversals_is_forgotten(
+    start: float, depth: float, inner: float, stiffness: float
+) -> None:
     """Return-point memory: an inner excursion that comes back leaves no trace."""
     outer = start - 40.0 * depth * np.sign(start or 1.0)
     turn = outer + (start - outer) * inner
@@ -103,7 +108,7 @@ def test_a_closed_loop_of_reversals_is_forgotten(start, depth, inner, stiffness)
 
 
 @given(st.floats(60.0, 170.0), st.floats(0.02, 0.98), stiffnesses)
-def test_masing_holds_in_elastic_tissue_too(wound, part, stiffness) -> None:
+def test_masing_holds_in_elastic_tissue_too(wound: float, part: float, stiffness: float) -> None:
     """After full slip the branch of a reversal is the first turn, twice as large in both directions."""
     needle = rod(stiffness=stiffness, layout=MODEL)
     turn = 40.0 * part
@@ -113,7 +118,9 @@ def test_masing_holds_in_elastic_tissue_too(wound, part, stiffness) -> None:
 
 
 @given(paths, stiffnesses, st.integers(2, 9))
-def test_without_rates_the_number_of_steps_changes_nothing(targets, stiffness, times) -> None:
+def test_without_rates_the_number_of_steps_changes_nothing(
+    targets: list[float], stiffness: float, times: int
+) -> None:
     time, base = path(targets, settle_s=0.2, sample_hz=10)
     fine = refined(time, base, times)
     angle, torque = errors(
@@ -126,7 +133,7 @@ def test_without_rates_the_number_of_steps_changes_nothing(targets, stiffness, t
 @settings(max_examples=30)
 @given(paths, stiffnesses, st.floats(0.2e-3, 3e-3))
 def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(
-    targets, stiffness, element_length_m
+    targets: list[float], stiffness: float, element_length_m: float
 ) -> None:
     time, base = path(targets, settle_s=0.2, sample_hz=10)
     coarse = solve(rod(stiffness=stiffness, element_length_m=element_length_m), time, base)
@@ -138,7 +145,7 @@ def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(
     assert full.torque_nm[-1] == pytest.approx(0.0996e-3, rel=1e-7)
 
 
-def node_torques(needle, solution):
+def node_torques(needle: Rod, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Torque of the tissue on every node, shape (samples, nodes), and what rounding makes of it, (nodes,)."""
     angle = solution.shaft_rad
     pull = np.zeros_like(angle)
@@ -155,7 +162,7 @@ def node_torques(needle, solution):
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_random_layouts_are_solved_and_obey_their_limits(data) -> None:
+def test_random_layouts_are_solved_and_obey_their_limits(data: st.DataObject) -> None:
     layout = data.draw(layouts())
     needle = data.draw(any_rod(layout=layout, element_length_m=5e-3, weakenings=(0.5, 0.02)))
     solution = solve(needle, *path(data.draw(paths), settle_s=0.3), shaft=True)
@@ -180,7 +187,7 @@ def test_random_layouts_are_solved_and_obey_their_limits(data) -> None:
         lumped("sensors", 0.004, viscous=0.2, creep=(0.3, 1.0)),
     ],
 )
-def test_no_dry_node_is_ever_above_its_limit(needle) -> None:
+def test_no_dry_node_is_ever_above_its_limit(needle: Rod) -> None:
     """Not at the end of a step, where the error of the step was extrapolated away, and not inside one."""
     solution = solve(needle, *path(compensation()), shaft=True)
     pull, rounding = node_torques(needle, solution)
@@ -205,7 +212,7 @@ def test_a_limit_that_falls_with_slip_is_obeyed_in_every_final_state() -> None:
 @pytest.mark.parametrize(
     "needle", [rod(), rod(stiffness=0.278), rod(viscous=0.05), rod(static_excess=0.3, viscous=0.05)]
 )
-def test_nothing_drifts_in_an_hour_of_rest(needle) -> None:
+def test_nothing_drifts_in_an_hour_of_rest(needle: Rod) -> None:
     time, base = path([*compensation(), 50.0])
     moved = solve(needle, time, base)
     settled = solve(needle, np.array([0.0, 600.0]), base[-1:].repeat(2), state=moved.state)
@@ -235,7 +242,9 @@ def test_a_batch_gives_what_single_runs_give() -> None:
         assert np.array_equal(alone.torque_nm, solution.torque_nm)
 
 
-def pull_up(parameters, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float):
+def pull_up(
+    parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
     return parameters[0] * np.sin(angle_rad - parameters[1]) - parameters[2] * rate_rad_s
 
 
@@ -244,7 +253,7 @@ def test_a_torque_law_acts_and_its_parameters_need_no_compilation() -> None:
     time, base = path([45.0])
     plain = solve(needle, time, base)
 
-    def with_law(*values):
+    def with_law(*values: float) -> Solution:
         law = TorqueLaw(pull_up, np.array(values), needle.tissue_length_m)
         return solve(replace(needle, laws=(law,)), time, base)
 
@@ -266,7 +275,9 @@ def test_two_laws_add() -> None:
     assert errors(twice, once)[0] < 1e-6
 
 
-def runaway(parameters, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float):
+def runaway(
+    parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
     return parameters[0] * angle_rad**3
 
 
@@ -289,7 +300,7 @@ def test_a_law_without_balance_is_a_clear_error() -> None:
         ([[0.0, 1.0]], [[0.0, 1.0]], "same length"),
     ],
 )
-def test_impossible_paths_are_refused(time, base, message: str) -> None:
+def test_impossible_paths_are_refused(time: list[float], base: list[float], message: str) -> None:
     with pytest.raises(BadInput, match=message):
         solve(rod(), np.array(time), np.array(base))
     with pytest.raises(BadInput, match=message):
@@ -314,7 +325,7 @@ def test_a_state_of_another_rod_is_refused() -> None:
         {"static_excess": 0.3, "viscous": 0.05, "weakening_rad": 0.2},
     ],
 )
-def test_limits_with_memory_are_found_in_few_solves(memory) -> None:
+def test_limits_with_memory_are_found_in_few_solves(memory: dict[str, float]) -> None:
     """By substitution alone the hardest of these takes more than four solves a step."""
     solution = solve(rod(**memory), *path(compensation()))
     assert solution.solves < 2.5 * solution.steps

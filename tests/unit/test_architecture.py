@@ -31,7 +31,7 @@ def test_every_room_imports_only_what_is_below_it() -> None:
 
 
 @pytest.fixture
-def house(tmp_path: Path):
+def house(tmp_path: Path) -> Path:
     shutil.copytree(
         ROOT / "needle_rig", tmp_path / "needle_rig", ignore=shutil.ignore_patterns("__pycache__")
     )
@@ -39,7 +39,7 @@ def house(tmp_path: Path):
     return tmp_path
 
 
-def test_every_contract_notices_a_breach(house) -> None:
+def test_every_contract_notices_a_breach(house: Path) -> None:
     for file, breach in {
         "needle_rig/control/pid.py": "import time",
         "needle_rig/physics/rod.py": "import needle_rig.recording",
@@ -58,7 +58,7 @@ def test_every_contract_notices_a_breach(house) -> None:
     assert broken(done.stdout) == contracts, done.stdout
 
 
-def test_a_new_room_must_be_given_its_place(house) -> None:
+def test_a_new_room_must_be_given_its_place(house: Path) -> None:
     (house / "needle_rig" / "attic.py").write_text('"""A room nobody placed."""\n')
     done = lint(house)
     assert done.returncode != 0

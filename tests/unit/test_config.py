@@ -171,7 +171,7 @@ def test_a_file_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_file_without_read_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*_given) -> None:
+    def forbidden(*_given: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     (tmp_path / "rig.yaml").write_text("a: 1\n")
@@ -228,12 +228,12 @@ trees = st.recursive(
 
 
 @given(st.dictionaries(keys, trees, max_size=5))
-def test_what_is_written_is_read_back_equal(data) -> None:
+def test_what_is_written_is_read_back_equal(data: dict[str, object]) -> None:
     assert parse_yaml(write_yaml(data), "x")[0] == data
 
 
 @given(st.integers(0, len(TEXT)), st.integers(0, 6), st.text(max_size=6))
-def test_a_damaged_file_never_gives_anything_but_a_sentence(start, length, inserted) -> None:
+def test_a_damaged_file_never_gives_anything_but_a_sentence(start: int, length: int, inserted: str) -> None:
     text = TEXT[:start] + inserted + TEXT[start + length :]
     said = "rig.yaml:"
     try:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from needle_rig.numerics import forward_jacobian, rounded
+from needle_rig.numerics import Array, forward_jacobian, rounded
 
 SLOPES = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 4.0]])
 
 
-def asked(f, x, step, *bounds):
+def asked(f: Callable[[Array], Array], x: Array, step: float, *bounds: Array) -> tuple[Array, Array]:
     """The Jacobian, and the points at which `f` was asked."""
     points = []
 
-    def watched(at):
+    def watched(at: Array) -> Array:
         points.append(at.copy())
         return f(at)
 

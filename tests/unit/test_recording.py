@@ -66,7 +66,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=2000))
-def test_a_long_event_keeps_its_text(text) -> None:
+def test_a_long_event_keeps_its_text(text: str) -> None:
     rows = _event_rows(1.0, "note", text)
     assert b"".join(rows["text"]).decode() == text
     assert all(row.decode() is not None for row in rows["text"])
@@ -106,7 +106,7 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
         new_run(tmp_path / "file" / "runs", ATTRIBUTES, TABLES)
 
 
-def full_disk(*_) -> None:
+def full_disk(*_: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
@@ -156,7 +156,7 @@ def test_a_full_disk_keeps_what_was_written_and_the_last_words(
     ("content", "says"),
     [(b"", "is empty: it was cut off before it began"), (b"hello" * 100, "is not a readable run")],
 )
-def test_a_file_that_is_no_run(tmp_path: Path, content, says: str) -> None:
+def test_a_file_that_is_no_run(tmp_path: Path, content: bytes, says: str) -> None:
     path = tmp_path / "x.h5"
     path.write_bytes(content)
     with pytest.raises(BadInput, match=says):
@@ -196,7 +196,7 @@ def test_which_run_is_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.fixture(scope="module")
-def left(tmp_path_factory: pytest.TempPathFactory):
+def left(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The journal of a run that was cut off after 50 frames of 20 rows."""
     path = tmp_path_factory.mktemp("left") / "a.h5"
     writer = RunWriter(path, ATTRIBUTES, TABLES)
@@ -207,7 +207,7 @@ def left(tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path: Path, left, seed: int) -> None:
+def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path: Path, left: bytes, seed: int) -> None:
     chance, damaged = random.Random(seed), bytearray(left)
     used = len(left.rstrip(b"\0"))
     at = chance.randrange(used)
@@ -238,7 +238,7 @@ def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path: Path, lef
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_frames_of_another_run_do_not_fit(tmp_path: Path, left) -> None:
+def test_frames_of_another_run_do_not_fit(tmp_path: Path, left: bytes) -> None:
     other = RunWriter(tmp_path / "b.h5", ATTRIBUTES, TABLES)
     other.append("torque", [(1.0, 0.5, 7, 2e-4)])
     other.leave()

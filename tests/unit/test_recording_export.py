@@ -23,7 +23,7 @@ from needle_rig.workbench.observations.runs import runs_as_dataset
 
 
 @pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path):
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path) -> Path:
     """A working folder whose runs/ holds one whole run."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
@@ -31,7 +31,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path):
     return tmp_path / "runs"
 
 
-def test_runs_are_listed(runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_are_listed(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["runs"]) == 0
     header, line = capsys.readouterr().out.splitlines()
     assert header.split() == [
@@ -49,7 +49,7 @@ def test_runs_are_listed(runs, capsys: pytest.CaptureFixture[str]) -> None:
     assert "  45°  reed2008  rig_rigid" in line
 
 
-def test_runs_as_json_name_the_broken_ones_too(runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_as_json_name_the_broken_ones_too(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "broken.h5").write_bytes(b"nothing")
     with h5py.File(runs / "foreign.h5", "w"):
         pass
@@ -76,7 +76,7 @@ def test_no_runs_say_how_to_make_one(
 
 
 def test_csv_has_one_file_a_source_in_degrees(
-    runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert needle_rig(["export", "last", "--csv", "--out", "out"]) == 0
     assert capsys.readouterr().out == "out\n"
@@ -101,7 +101,9 @@ def test_csv_has_one_file_a_source_in_degrees(
     assert capsys.readouterr().err == "out: exists already; name another place with --out\n"
 
 
-def test_mcap_has_every_row_with_its_schema(runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mcap_has_every_row_with_its_schema(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert needle_rig(["export", "last", "--mcap"]) == 0
     path = tmp_path / "2026-01-01_12-00-00Z_reed2008.mcap"
     assert capsys.readouterr().out == f"{path.name}\n"
@@ -129,7 +131,7 @@ def test_mcap_has_every_row_with_its_schema(runs, tmp_path: Path, capsys: pytest
 
 
 def test_a_run_becomes_a_dataset_that_is_read_back(
-    runs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert needle_rig(["export", "last", "--dataset", "--out", "trial"]) == 0
     dataset = read_dataset("trial")
@@ -185,7 +187,7 @@ def test_an_empty_run_still_exports(tmp_path: Path) -> None:
     assert export_mcap(run, tmp_path / "empty.mcap").stat().st_size > 0
 
 
-def test_a_run_without_end_is_exported_with_a_word(runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_without_end_is_exported_with_a_word(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     writer = RunWriter(runs / "live.h5", {"strategy": "reed2008"}, run_tables(sensors=4))
     writer.append("torque", [(1.0, 1.0, 0, 1e-4)])
     assert needle_rig(["export", "live", "--csv", "--out", "live"]) == 0
@@ -193,6 +195,6 @@ def test_a_run_without_end_is_exported_with_a_word(runs, capsys: pytest.CaptureF
     writer.close()
 
 
-def test_a_format_must_be_named(runs, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_format_must_be_named(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["export", "last"]) == 2
     assert "Say which format: --csv, --mcap, --png or --dataset" in capsys.readouterr().err

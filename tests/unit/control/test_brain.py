@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -15,10 +16,10 @@ from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.in_si import layout_of, limits_of, torsional_rigidity_nm2
 from needle_rig.control.limits import find_fault, heard_age_s
 from needle_rig.control.reports import Request
-from needle_rig.control.strategy import Strategy
+from needle_rig.control.strategy import History, Strategy, Task
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
-from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement, Phase
+from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement, Phase, Sample
 from needle_rig.units import rad
 
 AGE_LIMIT_S = 0.05
@@ -31,17 +32,17 @@ TICK_S = 0.005
 class Rig:
     """A base that does exactly what it is told, and a needle that does not twist, with a fixed torque."""
 
-    def __init__(self, brain=None) -> None:
+    def __init__(self, brain: Brain | None = None) -> None:
         self.brain = brain or Brain(CONFIG)
         self.measurement = Measurement(
             0.0, 0.0, 0.0, (0.0,) * 4, DriveState.READY, DriveFault.NONE, 0.001, 0.001, 0.001
         )
         self.command = STOP
 
-    def having(self, **changes) -> None:
+    def having(self, **changes: Any) -> None:
         self.measurement = dataclasses.replace(self.measurement, **changes)
 
-    def tick(self, dt_s: float = TICK_S):
+    def tick(self, dt_s: float = TICK_S) -> Sample:
         m = self.measurement
         base = m.base_angle_rad
         if self.command.enable:
@@ -50,20 +51,20 @@ class Rig:
         self.command, sample = self.brain.step(self.measurement, dt_s)
         return sample
 
-    def until(self, *phases, limit_s: float = 60.0) -> None:
+    def until(self, *phases: Phase, limit_s: float = 60.0) -> None:
         start = self.measurement.time_s
         while self.brain.state.phase not in phases:
             self.tick()
             assert self.measurement.time_s - start < limit_s
 
 
-def started(target_deg: float = 45.0, strategy: str = "none", **request):
+def started(target_deg: float = 45.0, strategy: str = "none", **request: Any) -> Rig:
     rig = Rig()
     rig.brain.compensate(Request(rad(target_deg), strategy, **request))
     return rig
 
 
-def moving():
+def moving() -> Rig:
     rig = started()
     rig.until(Phase.MOVING)
     for _ in range(20):
@@ -113,7 +114,7 @@ def test_an_idle_brain_keeps_the_drive_stopped() -> None:
         (Request(0.5, "reed2008_elastic"), "does not know its extra turn: give it"),
     ],
 )
-def test_what_cannot_be_run_is_refused_and_nothing_moves(request_, text: str) -> None:
+def test_what_cannot_be_run_is_refused_and_nothing_moves(request_: Request, text: str) -> None:
     rig = Rig()
     with pytest.raises(BadInput, match=text):
         rig.brain.compensate(request_)
@@ -382,10 +383,10 @@ def test_state_before_anything_has_happened() -> None:
 def test_a_strategy_that_fails_stops_the_drive_with_its_sentence() -> None:
     @dataclasses.dataclass(frozen=True)
     class Broken(Strategy):
-        def next(self, task, history) -> None:
+        def next(self, task: Task, history: History) -> None:
             raise ZeroDivisionError("half of nothing")
 
-        def expected_motions(self):
+        def expected_motions(self) -> int:
             return 1
 
     rig = started(strategy=Broken())
@@ -399,7 +400,7 @@ ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e9])
 
 @settings(max_examples=60)
 @given(st.data())
-def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data) -> None:
+def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data: st.DataObject) -> None:
     rig = Rig()
     heard_s = {"hall_age_s": math.inf, "drive_age_s": math.inf}
     for _ in range(data.draw(st.integers(1, 60))):

@@ -12,11 +12,12 @@ from needle_rig.control.compensation import (
     TRANSITIONS,
     Event,
     Sequence,
+    Think,
     after,
     think_at_once,
 )
 from needle_rig.control.reports import settled_motion
-from needle_rig.control.strategy import Dither, Reason, Strategy, Task, Waypoint
+from needle_rig.control.strategy import Dither, History, Reason, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.records import Measurement, Phase
@@ -69,7 +70,7 @@ LEGAL = {
 
 
 @pytest.mark.parametrize(("phase", "event"), list(itertools.product(Phase, Event)))
-def test_every_phase_and_event(phase, event) -> None:
+def test_every_phase_and_event(phase: Phase, event: Event) -> None:
     expected = LEGAL.get((phase.value, event.value))
     if expected is None:
         with pytest.raises(ValueError, match=f"event {event} does not belong to phase {phase}"):
@@ -79,13 +80,13 @@ def test_every_phase_and_event(phase, event) -> None:
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_a_fault_is_reached_from_every_phase_at_once_and_an_abort_from_all_but_a_fault(phase) -> None:
+def test_a_fault_is_reached_from_every_phase_at_once_and_an_abort_from_all_but_a_fault(phase: Phase) -> None:
     assert after(phase, Event.FAULT) is Phase.FAULT
     assert after(phase, Event.ABORT) is (Phase.FAULT if phase is Phase.FAULT else Phase.ABORTED)
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_every_phase_can_come_back_to_rest(phase) -> None:
+def test_every_phase_can_come_back_to_rest(phase: Phase) -> None:
     seen, frontier = {phase}, [phase]
     while frontier:
         for following in TRANSITIONS[frontier.pop()].values():
@@ -101,11 +102,11 @@ class There(Strategy):
 
     waypoints: tuple[Waypoint, ...] = (Waypoint(rad(30.0), "rotate"),)
 
-    def next(self, task, history):
+    def next(self, task: Task, history: History) -> Waypoint | None:
         done = len(history) - 1
         return self.waypoints[done] if done < len(self.waypoints) else None
 
-    def expected_motions(self):
+    def expected_motions(self) -> int:
         return len(self.waypoints)
 
 
@@ -123,7 +124,9 @@ TICK_S = 0.01
 class Bench:
     """Steps a sequence with a base that does what the test says."""
 
-    def __init__(self, strategy=None, task=TASK, think=think_at_once) -> None:
+    def __init__(
+        self, strategy: Strategy | None = None, task: Task = TASK, think: Think = think_at_once
+    ) -> None:
         self.sequence = Sequence(
             task, strategy or There(), still_rad=rad(0.1), window_s=0.5, timeout_s=5.0, think=think
         )
@@ -132,7 +135,7 @@ class Bench:
         self.base_deg = 0.0
         self.torque_nm = 0.0
 
-    def step(self, dt_s: float = TICK_S):
+    def step(self, dt_s: float = TICK_S) -> Event | None:
         self.time_s += dt_s
         halls = (rad(self.base_deg) / 2,) * 4
         measurement = Measurement(self.time_s, rad(self.base_deg), self.torque_nm, halls)
@@ -141,7 +144,7 @@ class Bench:
             self.phase = after(self.phase, event)
         return event
 
-    def until(self, phase, limit_s: float = 60.0):
+    def until(self, phase: Phase, limit_s: float = 60.0) -> float:
         start = self.time_s
         while self.phase is not phase:
             self.step()
@@ -277,7 +280,7 @@ def test_a_waypoint_has_its_own_speed_and_settling_time() -> None:
 
 
 @pytest.mark.parametrize("angle", [rad(90.1), -rad(90.1), math.nan, math.inf])
-def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle) -> None:
+def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle: float) -> None:
     bench = Bench(There((Waypoint(angle, "step_1"),)))
     with pytest.raises(BadInput, match=r"motion step_1, outside ±90°"):
         bench.until(Phase.MOVING)
@@ -339,9 +342,9 @@ def test_every_active_phase_says_what_it_waits_for_and_counts_down() -> None:
 
 
 def test_the_base_holds_while_a_strategy_thinks() -> None:
-    asked: list[Future] = []
+    asked: list[Future[Waypoint | None]] = []
 
-    def think(strategy, task, history):
+    def think(strategy: Strategy, task: Task, history: History) -> Future[Waypoint | None]:
         asked.append(Future())
         return asked[-1]
 
@@ -361,8 +364,8 @@ def test_the_base_holds_while_a_strategy_thinks() -> None:
 
 
 def test_what_a_strategy_raises_comes_out_where_it_was_asked() -> None:
-    def think(strategy, task, history):
-        answer = Future()
+    def think(strategy: Strategy, task: Task, history: History) -> Future[Waypoint | None]:
+        answer: Future[Waypoint | None] = Future()
         answer.set_exception(BadInput("no plan"))
         return answer
 
@@ -374,7 +377,7 @@ def test_what_a_strategy_raises_comes_out_where_it_was_asked() -> None:
 def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence() -> None:
     @dataclass(frozen=True)
     class Broken(There):
-        def next(self, task, history):
+        def next(self, task: Task, history: History) -> Waypoint | None:
             return 1 / 0
 
     bench = Bench(Broken())

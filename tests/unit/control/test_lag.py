@@ -43,7 +43,7 @@ def test_each_gap_carries_what_lies_beyond_it() -> None:
 
 
 @st.composite
-def layouts(draw: DrawFn):
+def layouts(draw: DrawFn) -> Layout:
     cuts = draw(st.lists(st.floats(0.01, 0.2), min_size=2, max_size=12).filter(lambda x: len(x) % 2 == 0))
     places, here = [], 0.0
     for length in cuts:
@@ -54,7 +54,7 @@ def layouts(draw: DrawFn):
 
 
 @given(layouts())
-def test_any_layout_agrees_with_the_integral_of_the_carried_torque(layout) -> None:
+def test_any_layout_agrees_with_the_integral_of_the_carried_torque(layout: Layout) -> None:
     total = tissue_length_m(layout)
     steps = 4000
     width = layout.needle_length_m / steps
@@ -67,7 +67,7 @@ def test_any_layout_agrees_with_the_integral_of_the_carried_torque(layout) -> No
 
 
 @given(layouts(), st.floats(-1e-3, 1e-3))
-def test_unwinding_agrees_with_masing_on_the_integral(layout, torque) -> None:
+def test_unwinding_agrees_with_masing_on_the_integral(layout: Layout, torque: float) -> None:
     total = tissue_length_m(layout)
     steps = 4000
     width = layout.needle_length_m / steps

@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable, Sequence
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needle_rig.control.faults import FaultName
+from needle_rig.control.faults import Fault, FaultName
 from needle_rig.control.limits import (
     DRIVE_SENTENCES,
     Gated,
@@ -71,7 +72,7 @@ WHERE = {
 }
 
 
-def heard_ages(ages_and_ticks, listening_s: float = 0.01):
+def heard_ages(ages_and_ticks: Sequence[tuple[float, float]], listening_s: float = 0.01) -> list[float]:
     heard_s, found = math.inf, []
     for age_s, dt_s in ages_and_ticks:
         heard_s = heard_age_s(heard_s, age_s, dt_s, listening_s)
@@ -110,7 +111,9 @@ def test_a_host_that_is_always_late_is_forgiven_once(tick_s: float, dead_s: floa
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(1e-4, 1)), min_size=1))
-def test_what_is_held_against_a_link_is_its_age_or_what_was_listened(ticks) -> None:
+def test_what_is_held_against_a_link_is_its_age_or_what_was_listened(
+    ticks: list[tuple[float, float]],
+) -> None:
     found = heard_ages(ticks)
     assert all(heard_s <= age_s for heard_s, (age_s, _) in zip(found, ticks, strict=True))
     for before_s, heard_s, (age_s, dt_s) in zip(found, found[1:], ticks[1:], strict=False):
@@ -136,7 +139,7 @@ def test_a_link_without_a_value_is_named(link: str, age: float) -> None:
     ],
 )
 def test_a_value_that_is_no_number_is_a_temporary_fault_of_its_link(
-    bad: float, link: str, field: str, wrap
+    bad: float, link: str, field: str, wrap: Callable[[float], object]
 ) -> None:
     fault = find_fault(having(**{field: wrap(bad)}), LIMITS)
     assert (fault.link, fault.latching) == (link, False)
@@ -162,7 +165,7 @@ def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
 
 
 @pytest.mark.parametrize("bit", list(DriveFault))
-def test_every_fault_bit_of_the_drive_has_its_sentence(bit) -> None:
+def test_every_fault_bit_of_the_drive_has_its_sentence(bit: DriveFault) -> None:
     if bit is DriveFault.NONE:
         return
     fault = drive_fault(DriveState.FAULT, bit)
@@ -266,7 +269,7 @@ FLOATS = st.floats(allow_nan=True, allow_infinity=True)
 
 @given(FLOATS, FLOATS, FLOATS, st.floats(-2, 2), FLOATS, st.floats(0, 0.2), st.floats(0, 0.2))
 def test_nothing_that_comes_in_lets_a_command_beyond_its_limits_out(
-    wish, angle, torque, last, dt_s, hall_age, drive_age
+    wish: float, angle: float, torque: float, last: float, dt_s: float, hall_age: float, drive_age: float
 ) -> None:
     measurement = having(base_angle_rad=angle, torque_nm=torque, hall_age_s=hall_age, drive_age_s=drive_age)
     last = min(max(last, -1.0), 1.0)
@@ -288,7 +291,7 @@ def test_a_long_dead_link_tells_its_age_to_the_millisecond() -> None:
 
 
 @pytest.mark.parametrize("words", [LIMITS, Gated(STOP, False), tick_fault(0.0)])
-def test_nothing_that_was_decided_can_be_changed_afterwards(words) -> None:
+def test_nothing_that_was_decided_can_be_changed_afterwards(words: Limits | Gated | Fault) -> None:
     name = dataclasses.fields(words)[0].name
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(words, name, None)

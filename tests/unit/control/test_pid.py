@@ -17,13 +17,13 @@ DROOP = rad(1.0) / nm(1.0)
 
 
 def drive_base(
-    motor,
+    motor: Motor,
     target_deg: float,
     speed_deg_s: float = 45.0,
     seconds: float = 3.0,
     jitter: float = 0.3,
     seed: int = 1,
-):
+) -> list[tuple[float, float]]:
     """Angles in degrees over time while the loop turns `motor` to the target, ticks of 5 ms ± jitter."""
     loop = PositionLoop(10.0, 10.0, 0.0, rad(360.0))
     ticks = random.Random(seed)
@@ -102,7 +102,9 @@ def test_the_integral_carries_a_load_that_the_gain_alone_cannot() -> None:
     st.floats(0.01, 1.0),
     st.lists(st.floats(1e-4, 0.05), min_size=1, max_size=50),
 )
-def test_speed_and_acceleration_stay_within_their_limits(angle, setpoint, speed, ticks) -> None:
+def test_speed_and_acceleration_stay_within_their_limits(
+    angle: float, setpoint: float, speed: float, ticks: list[float]
+) -> None:
     loop = PositionLoop(10.0, 10.0, 0.0, 2.0)
     before = 0.0
     for dt_s in ticks:

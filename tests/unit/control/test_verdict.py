@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from needle_rig.control.reports import SettledMotion
 from needle_rig.control.strategies.reed2008 import Reed2008
 from needle_rig.control.strategy import Task
-from needle_rig.control.verdict import judge, outcome
+from needle_rig.control.verdict import Verdict, judge, outcome
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.units import deg, rad
 
 
-def verdict(base_deg: float, torque_nmm: float, halls_deg: float, target_deg: float = 45.0):
+def verdict(base_deg: float, torque_nmm: float, halls_deg: float, target_deg: float = 45.0) -> Verdict:
     task = Task(rad(target_deg), EXPERIMENT_LAYOUT, 62.56e-6, 1.0, 3.0)
     base, halls = rad(base_deg), tuple(map(rad, halls_deg))
     first = SettledMotion(1, "rotate", 0.0, 4.0, base, base, 1e-4, halls, 0.45, 0.3)
@@ -52,7 +52,7 @@ def test_the_paper_s_final_state_without_its_torque_is_aligned() -> None:
     ],
 )
 def test_each_unmet_condition_is_told_with_its_size(
-    base: float, torque: float, halls: tuple[int, ...], target: int, unmet, text: str
+    base: float, torque: float, halls: tuple[int, ...], target: int, unmet: set[str], text: str
 ) -> None:
     told = verdict(base, torque, halls, target)
     assert told.status == "not_aligned"
@@ -70,7 +70,7 @@ def test_what_sits_exactly_on_a_limit_is_met() -> None:
 
 
 @given(st.floats(-90, 90), st.floats(-1, 1), st.lists(st.floats(-90, 90), min_size=4, max_size=4))
-def test_the_verdict_is_all_three_conditions(base, torque, halls) -> None:
+def test_the_verdict_is_all_three_conditions(base: float, torque: float, halls: list[float]) -> None:
     told = verdict(base, torque, halls)
     assert (told.status == "aligned") == all(condition.met for condition in told.conditions)
     for condition in told.conditions:

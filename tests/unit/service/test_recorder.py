@@ -230,7 +230,7 @@ async def test_a_run_stalled_at_its_end_is_closed_by_another_recorder(
     process(recorder).send_signal(signal.SIGSTOP)
     ask = recorder._ask
 
-    async def ask_once_briefly(*message, work_bytes: int = 0):
+    async def ask_once_briefly(*message: Any, work_bytes: int = 0) -> Any:
         monkeypatch.setattr(recorder_module, "_REPLY_TIMEOUT_S", 0.3 if message[0] == "finish" else 10.0)
         return await ask(*message, work_bytes=work_bytes)
 
@@ -256,7 +256,7 @@ async def test_a_run_stalled_at_its_end_is_closed_by_another_recorder(
 )
 @started
 async def test_what_no_file_can_hold_is_refused_before_there_is_one(
-    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, what: str, value
+    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, what: str, value: object
 ) -> None:
     with pytest.raises(BadInput, match=f"^{what}: ") as told:
         await recorder.begin(tmp_path, config, {**REQUEST, what: value})

@@ -9,7 +9,7 @@ import pytest
 from needle_rig.control.reports import SettledMotion
 from needle_rig.control.strategies.estimator import Estimator
 from needle_rig.control.strategies.none import NoCompensation
-from needle_rig.control.strategy import Strategy, Task, Waypoint
+from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, load_parameters
 from needle_rig.service.thinker import Thinker
@@ -24,7 +24,7 @@ TASK = Task(
 )
 
 
-def settled(index, time_s: float, base_deg: float, torque_nm: float):
+def settled(index: int, time_s: float, base_deg: float, torque_nm: float) -> SettledMotion:
     base = rad(base_deg)
     return SettledMotion(index, "", time_s - 4.0, time_s, base, base, torque_nm, (0.0,), 0.0, 0.0)
 
@@ -38,19 +38,19 @@ class WhoAmI(Strategy):
 
     slow = True
 
-    def next(self, task, history):
+    def next(self, task: Task, history: History) -> Waypoint:
         return Waypoint(0.0, str(os.getpid()))
 
 
 @dataclass(frozen=True)
 class Refuses(WhoAmI):
-    def next(self, task, history) -> None:
+    def next(self, task: Task, history: History) -> None:
         raise BadInput("no plan for this")
 
 
 @dataclass(frozen=True)
 class Dies(WhoAmI):
-    def next(self, task, history) -> None:
+    def next(self, task: Task, history: History) -> None:
         os._exit(1)
 
 

@@ -1,16 +1,21 @@
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pytest
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 
 MATRIX = np.array([[1.0, -2.0], [0.5, 3.0], [4.0, 0.0]])
 LOW, HIGH = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
 
 
-def taken(x, directions, steps, values):
+def taken(
+    x: Array, directions: Array, steps: Sequence[float], values: Callable[[Array], Array]
+) -> tuple[Array, list[Array]]:
     asked = []
 
-    def watched(at):
+    def watched(at: Array) -> Array:
         asked.append(at - x)
         return values(at)
 

@@ -3,17 +3,19 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.workbench.estimation import discretisation_error as own_error
-from needle_rig.workbench.estimation.baseline import as_compared, prepare
+from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prepare
 from needle_rig.workbench.estimation.cross_validation import held_out
 from needle_rig.workbench.estimation.discretisation_error import (
     at_own_error,
     by_every_sample,
     solver_error,
 )
-from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import positions_of
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import may_be_ours
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -45,7 +47,7 @@ def test_a_claim_under_three_times_our_own_error_is_refused() -> None:
     prepared = prepare(data, None, few())
     problem, parent = prepared.problem, prepared.present
 
-    def child(times):
+    def child(times: float) -> Fit:
         rows = tuple(r - times * n[:, 0] for r, n in zip(parent.residuals, problem.nuisance, strict=True))
         return dataclasses.replace(parent, residuals=rows)
 
@@ -74,7 +76,7 @@ def test_a_finer_solver_leaves_less_of_our_own_error() -> None:
     assert sizes[1] < sizes[0]
 
 
-def ageing():
+def ageing() -> tuple[Dataset, Prepared, Fit]:
     """(dataset, prepared present model, fit of the hidden effect on coarse paths)."""
     hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
     data = dataset(hidden, seed=25)
@@ -111,7 +113,7 @@ def test_a_comparison_drives_an_adopted_model_as_finely() -> None:
     assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
 
 
-def slipping(encoder_deg: float):
+def slipping(encoder_deg: float) -> tuple[Dataset, Problem, Fit]:
     """(data, problem, fit at the true values) of friction that weakens as soon as it slips."""
     hidden = effect("stribeck", static_excess=0.3)
     noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)

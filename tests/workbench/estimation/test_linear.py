@@ -1,8 +1,11 @@
 """The algebra of the linearised fit against one dense stacked matrix, on three trials."""
 
+from collections.abc import Collection, Sequence
+
 import numpy as np
 import pytest
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import (
     LinearisedFit,
     Projection,
@@ -16,7 +19,9 @@ ITEMS = np.array([3, 4, 5])
 PRECISION = np.r_[0.0, 2500.0, 0.01, 0.25, 0.25, 0.25, np.full(T, 400.0), np.ones(Q)]
 
 
-def toy(*, held=(), lumped: bool = True, blind: bool = False, alike: bool = False):
+def toy(
+    *, held: Sequence[Array] = (), lumped: bool = True, blind: bool = False, alike: bool = False
+) -> LinearisedFit:
     """Three trials; `lumped`: own friction is a direction of its own; `blind`: nothing tells of
     the first position; `alike`: two positions can hardly be told apart."""
     random = np.random.default_rng(5)
@@ -38,7 +43,9 @@ def toy(*, held=(), lumped: bool = True, blind: bool = False, alike: bool = Fals
     return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(held))
 
 
-def dense(linear, *, trials=range(T), mean_of_trials: bool = False):
+def dense(
+    linear: LinearisedFit, *, trials: Collection[int] = range(T), mean_of_trials: bool = False
+) -> tuple[Array, Array]:
     """(rows, values): data, priors as rows, and a very heavy row for every mean that is held."""
     data = np.zeros((sum(SIZES), P + T + Q))
     begin = 0
@@ -69,7 +76,9 @@ def test_a_step_is_the_least_squares_solution_of_the_stacked_rows() -> None:
 
 
 @pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(held) -> None:
+def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(
+    held: Sequence[Array],
+) -> None:
     linear = toy(held=held)
     rows, _ = dense(linear, mean_of_trials=True)
     inverse = np.linalg.inv(rows.T @ rows)[:P, :P]
@@ -80,7 +89,7 @@ def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_
 
 
 @pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_projection_leaves_the_residual_of_least_squares(held) -> None:
+def test_projection_leaves_the_residual_of_least_squares(held: Sequence[Array]) -> None:
     linear = toy(held=held)
     rows, values = dense(linear)
     left = values - rows @ np.linalg.lstsq(rows, values, rcond=None)[0]
@@ -129,7 +138,7 @@ def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row()
 
 
 @pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_without_a_trial_the_covariance_is_that_of_the_other_rows(held) -> None:
+def test_without_a_trial_the_covariance_is_that_of_the_other_rows(held: Sequence[Array]) -> None:
     linear = toy(held=held)
     shared = np.r_[0:P, P + T : P + T + Q]
     rows, _ = dense(linear, trials=(0, 2))

@@ -7,15 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
+from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation import multistart as minima_module
 from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.estimation.cross_validation import held_out
-from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.multistart import over_shapes
 from needle_rig.workbench.estimation.parameters import coordinates, make_effects, positions_of
 from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.evidence import chance, held_gain
 from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
@@ -25,7 +28,7 @@ EVERY = find_effects()
 
 
 @given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
-def test_positions_and_values_are_inverse(name, strength) -> None:
+def test_positions_and_values_are_inverse(name: str, strength: float) -> None:
     axes = coordinates(EVERY, [name], dataset().layout)
     positions = np.array(
         [
@@ -38,7 +41,7 @@ def test_positions_and_values_are_inverse(name, strength) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(EVERY))
-def test_off_is_the_origin(name) -> None:
+def test_off_is_the_origin(name: str) -> None:
     axes = coordinates(EVERY, [name], dataset().layout)
     made = make_effects(EVERY, axes, np.zeros(len(axes)))[0]
     assert made.is_off()
@@ -131,7 +134,7 @@ def test_a_trial_s_own_friction_scales_lumped_friction_too(name: str) -> None:
     ("names", "lumped"),
     [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
 )
-def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped: bool) -> None:
+def test_only_lumped_friction_needs_a_derivative_of_its_own(names: tuple[str, ...], lumped: bool) -> None:
     problem = prepare(dataset(), None, few(*names) if names else few()).problem
     assert problem.lumps_friction(problem.axes(names)) is lumped
 
@@ -160,7 +163,7 @@ def test_commands_left_out_are_foretold_at_their_own_friction() -> None:
     assert found.held.error < 1.1
 
 
-def left_out_and_fitted_again(problem, found):
+def left_out_and_fitted_again(problem: Problem, found: Fit) -> float:
     """The error by the long way: a fit to the other commands, then the own friction at its minimum of χ²."""
     chi2 = 0.0
     for group in problem.groups:
@@ -176,7 +179,7 @@ def left_out_and_fitted_again(problem, found):
         model = problem.model(again.axes, again.point)
         for t in group:
 
-            def of(own, model=model, again=again, t=t):
+            def of(own: float, model: NeedleModel = model, again: Fit = again, t: int = t) -> float:
                 with_own = model.with_effects(FrictionOfTrial(math.exp(own)))
                 rows = problem.residuals(problem.readings([with_own], [t]), [t])[0]
                 rows = rows - problem.nuisance[t] @ again.nuisance
@@ -198,7 +201,9 @@ def left_out_and_fitted_again(problem, found):
         (effect("chuck_backlash", play_deg=3.0), 0.05, 10),
     ],
 )
-def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter: float, seed: int) -> None:
+def test_leaving_commands_out_is_what_fitting_the_others_gives(
+    hidden: Effect, scatter: float, seed: int
+) -> None:
     data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
     prepared = prepare(data, None, few(hidden.name()))
     found = try_effect(prepared.problem, prepared.present, hidden.name())
@@ -223,7 +228,7 @@ def test_leaving_a_command_out_may_take_several_steps() -> None:
     "hidden",
     [effect("torque_bias", bias_nmm=0.012), effect("layered_friction", factor=(1.6, 0.8, 1.2, 1.2))],
 )
-def test_the_predictive_density_is_that_of_a_linear_model(hidden) -> None:
+def test_the_predictive_density_is_that_of_a_linear_model(hidden: Effect) -> None:
     """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
     data = dataset(hidden, noise=Noise(friction_scatter=0.01))
     prepared = prepare(data, None, few(hidden.name()))
@@ -309,7 +314,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
     found = fit(prepared.problem, ["stribeck"], start)
     assert found is not None
 
-    def moved(by, worse):
+    def moved(by: float, worse: float) -> Fit:
         positions = found.point.positions.copy()
         positions[0] += by
         point = dataclasses.replace(found.point, positions=positions)

@@ -1,10 +1,15 @@
 import dataclasses
 import pickle
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
 from needle_rig.errors import SolverError
+from needle_rig.physics.rod import Rod
+from needle_rig.physics.solver import Solution
 from needle_rig.workbench.estimation import simulator as simulator_module
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.estimation.posterior import start_point
@@ -15,18 +20,18 @@ from needle_rig.workbench.observations.noise import measure_noise
 from tests.workbench.hidden import dataset, few
 
 
-def problem_of(data):
+def problem_of(data: Dataset) -> Problem:
     trials = tuple(bin_trial(t) for t in data.trials)
     base = dataclasses.replace(null_model(data), element_length_m=4e-3)
     return Problem("toy", base, few(), trials, measure_noise(data.trials, trials), 0.02)
 
 
 @pytest.fixture
-def solved(monkeypatch: pytest.MonkeyPatch):
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many rods each call solved."""
     counts, solve = [], simulator_module.solve_batch
 
-    def counted(rods, inputs, **options):
+    def counted(rods: Sequence[Rod], inputs: Any, **options: Any) -> list[Solution]:
         counts.append(len(rods))
         return solve(rods, inputs, **options)
 
@@ -34,7 +39,7 @@ def solved(monkeypatch: pytest.MonkeyPatch):
     return counts
 
 
-def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved) -> None:
+def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved: list[int]) -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     first = problem.predict((), point)
@@ -47,7 +52,7 @@ def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved) 
     assert all(np.ptp((b - a)[0]) < 1e-12 < abs((b - a)[0, 0]) for a, b in zip(first, biased, strict=True))
 
 
-def test_another_path_of_the_same_trial_is_solved_again(solved) -> None:
+def test_another_path_of_the_same_trial_is_solved_again(solved: list[int]) -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     before = problem.predict((), point)
@@ -65,7 +70,7 @@ def test_another_path_of_the_same_trial_is_solved_again(solved) -> None:
         assert not np.allclose(seen, old)
 
 
-def test_other_means_and_noise_share_what_was_solved(solved) -> None:
+def test_other_means_and_noise_share_what_was_solved(solved: list[int]) -> None:
     problem = problem_of(dataset())
     point = start_point(problem, np.log(1e-3))
     means = problem.predict((), point)

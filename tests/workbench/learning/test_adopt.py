@@ -1,6 +1,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -62,7 +63,7 @@ def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(
 ) -> None:
     solved = []
 
-    def once(*given):
+    def once(*given: Any) -> Any:
         if solved:
             raise SolverError("no balance")
         solved.append(solver_error(*given))

@@ -3,13 +3,20 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
 from needle_rig.units import nm, rad
-from needle_rig.workbench.observations.binning import bin_trial, set_aside
-from needle_rig.workbench.observations.noise import covariance, measure_noise, replicate_groups, whitener
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, set_aside
+from needle_rig.workbench.observations.noise import (
+    Noise,
+    covariance,
+    measure_noise,
+    replicate_groups,
+    whitener,
+)
 from tests.workbench.hidden import dataset
 
 
-def measured(data):
+def measured(data: Dataset) -> tuple[Noise, tuple[BinnedTrial, ...]]:
     binned = tuple(bin_trial(t) for t in data.trials)
     return measure_noise(data.trials, binned), binned
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.observations.binning import bin_trial, motions_of, set_aside
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of, set_aside
 from needle_rig.workbench.observations.noise import (
     _rest_offsets,
     _split,
@@ -21,7 +21,7 @@ from tests.workbench.hidden import dataset
 
 
 @pytest.fixture(scope="module")
-def binned():
+def binned() -> tuple[BinnedTrial, ...]:
     return tuple(bin_trial(t) for t in dataset().trials)
 
 
@@ -44,7 +44,7 @@ def test_floors_are_what_the_solver_promises() -> None:
     assert deg(floors(3)[1]) == pytest.approx(0.03)
 
 
-def test_what_is_assumed_before_any_replicate(binned) -> None:
+def test_what_is_assumed_before_any_replicate(binned: tuple[BinnedTrial, ...]) -> None:
     noise = measure_noise(dataset().trials, binned)
     assert (noise.jitter_s, noise.scatter, noise.scatter_dof) == (1e-3, 0.025, 4.0)
 
@@ -66,7 +66,9 @@ def test_noise_is_correlated_only_at_high_odds(size: float, seen: bool) -> None:
 
 
 @pytest.mark.parametrize(("times", "seen"), [(1.4, False), (2.8, True)])
-def test_offsets_must_stand_out_of_the_scatter_of_the_rests(binned, times: float, seen: bool) -> None:
+def test_offsets_must_stand_out_of_the_scatter_of_the_rests(
+    binned: tuple[BinnedTrial, ...], times: float, seen: bool
+) -> None:
     rests = [b for b in binned if b.motion[0] == 0]
     parts = np.tile([1.0, 0.0, 0.1], (5, 1))
     each = []
@@ -83,7 +85,7 @@ def test_offsets_must_stand_out_of_the_scatter_of_the_rests(binned, times: float
     assert bool(np.all(found > 1e-6)) is seen
 
 
-def test_the_floor_of_motions_is_worth_ten_differences(binned) -> None:
+def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial, ...]) -> None:
     noise = dataclasses.replace(
         measure_noise(dataset().trials, binned), white=np.full(5, 1e-12), offset=np.zeros(5)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from needle_rig.workbench.learning.observations import SettledValues, Traces
 from needle_rig.workbench.observations.sources import read_measurements
 
 
-def rewritten(tmp_path: Path, run_path, change):
+def rewritten(tmp_path: Path, run_path: Path, change: Callable[[np.ndarray], None]) -> Path:
     """A copy of the run with its ticks changed."""
     whole = RunFile(run_path)
     ticks = whole.table("ticks")
@@ -53,7 +54,7 @@ def test_commands_take_runs_and_names_of_datasets(tmp_path: Path, run_path: Path
 
 
 def test_gaps_of_a_run_are_masked_and_said(tmp_path: Path, run_path: Path) -> None:
-    def spoil(ticks) -> None:
+    def spoil(ticks: np.ndarray) -> None:
         ticks["torque_nm"][300:340] = np.nan
         ticks["hall_rad"][:, 2] = np.nan
 
@@ -68,7 +69,7 @@ def test_gaps_of_a_run_are_masked_and_said(tmp_path: Path, run_path: Path) -> No
 def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path: Path, run_path: Path) -> None:
     whole = read_measurements([run_path]).trials[0].hall_rad[:, 3]
 
-    def wrap(ticks) -> None:
+    def wrap(ticks: np.ndarray) -> None:
         ticks["hall_rad"][:, 3] = (ticks["hall_rad"][:, 3] + 5.9) % (2 * np.pi) - 5.9
 
     dataset = read_measurements([rewritten(tmp_path, run_path, wrap)])
@@ -79,7 +80,7 @@ def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path: Path, run_path: Path) 
 def test_a_run_that_has_no_use_is_refused_with_its_place_and_the_reason(
     tmp_path: Path, run_path: Path
 ) -> None:
-    def lose_the_base(ticks) -> None:
+    def lose_the_base(ticks: np.ndarray) -> None:
         ticks["base_angle_rad"] = np.nan
 
     changed = rewritten(tmp_path, run_path, lose_the_base)

@@ -17,7 +17,9 @@ from needle_rig.cli.experiment import command as experiment
 from needle_rig.dataset.settled import Seen, SettledData, SettledValue, read_settled, shipped_datasets
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
+from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg
 from needle_rig.workbench.published.diagnose import diagnose_settled
 from needle_rig.workbench.published.fit import SettledProblem
@@ -30,13 +32,13 @@ def paper() -> SettledData:
     return read_settled(shipped_datasets()["reed2008"])
 
 
-def rig(friction_nmm_per_100mm: float, *effects):
+def rig(friction_nmm_per_100mm: float, *effects: Effect) -> NeedleModel:
     model = load_parameters("rig_rigid").with_effects(*effects)
     return model.replaced({"friction_nmm_per_100mm": friction_nmm_per_100mm})
 
 
 def readings(
-    model, data: SettledData, ofs: list[Seen], errors: dict[str, float], seed: int = None
+    model: NeedleModel, data: SettledData, ofs: list[Seen], errors: dict[str, float], seed: int | None = None
 ) -> SettledData:
     """`data` with readings of `model` in the place of its values, and with noise when a seed is given."""
     problem = SettledProblem(data, model, {}, ())
@@ -98,7 +100,9 @@ def test_what_the_source_gives_without_scatter_is_shown_and_not_weighed(answer: 
         (rig(0.0996, effect("torque_gain", gain=0.54)), (26.0, 12.0, 0.0)),
     ],
 )
-def test_values_are_foretold_with_the_strategy_s_loop_inside(model, expected: tuple[float, ...]) -> None:
+def test_values_are_foretold_with_the_strategy_s_loop_inside(
+    model: NeedleModel, expected: tuple[float, ...]
+) -> None:
     data = paper()
     problem = SettledProblem(data, model, {}, data.weighed)
     assert problem.predict(model) == pytest.approx(expected, abs=0.5)

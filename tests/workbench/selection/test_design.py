@@ -7,6 +7,8 @@ from needle_rig.cli.experiment import command
 from needle_rig.dataset import write_dataset
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.design import commands, expected_power, proposals
 from needle_rig.workbench.selection.search import try_effect
 from tests.workbench.hidden import dataset, effect, few
@@ -14,7 +16,7 @@ from tests.workbench.hidden import dataset, effect, few
 NAMES = ("tip_friction", "chuck_backlash")
 
 
-def fits():
+def fits() -> tuple[Problem, Fit, Fit]:
     prepared = prepare(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
     return prepared.problem, *(try_effect(prepared.problem, prepared.present, n).fit for n in NAMES)
 

@@ -1,11 +1,13 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from needle_rig.dataset import in_series, read_dataset, write_dataset
+from needle_rig.physics.effect import Effect
 from needle_rig.units import nm
 from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.parallel import workers
@@ -108,7 +110,7 @@ def test_friction_that_wears_is_not_taken_for_scatter() -> None:
         (effect("friction_wear", loss_per_turn=0.5), "the trials' friction changes with"),
     ],
 )
-def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden, law: str) -> None:
+def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden: Effect, law: str) -> None:
     found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert law in found.left_over.patterns[0].sentence()
@@ -138,16 +140,16 @@ TWO = ("chuck_backlash", "torque_bias")
 
 
 @pytest.fixture(scope="module")
-def answer_here():
+def answer_here() -> Any:
     return diagnose(dataset(effect("chuck_backlash", play_deg=5.0)), few(*TWO)).as_json()
 
 
-def test_processes_give_the_same_answer(answer_here) -> None:
+def test_processes_give_the_same_answer(answer_here: Any) -> None:
     data = dataset(effect("chuck_backlash", play_deg=5.0))
     assert diagnose(data, few(*TWO), work=workers(2, None)).as_json() == answer_here
 
 
-def test_a_dask_cluster_gives_the_same_answer(answer_here) -> None:
+def test_a_dask_cluster_gives_the_same_answer(answer_here: Any) -> None:
     distributed = pytest.importorskip("distributed")
     data = dataset(effect("chuck_backlash", play_deg=5.0))
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:

@@ -3,17 +3,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from needle_rig.dataset import in_series
+from needle_rig.dataset import Dataset, in_series
+from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
+from needle_rig.workbench.selection.lack_of_fit import LackOfFit, lack_of_fit
 from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few
 
 
-def checked(data):
+def checked(data: Dataset) -> LackOfFit:
     prepared = prepare(data, None, few())
     return lack_of_fit(prepared.problem, prepared.present, data.sensor_names)
 
@@ -35,7 +36,7 @@ def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
         effect("chuck_backlash", play_deg=1.0),
     ],
 )
-def test_an_effect_is_significant_until_it_is_fitted(hidden) -> None:
+def test_an_effect_is_significant_until_it_is_fitted(hidden: Effect) -> None:
     data = dataset(hidden, seed=41)
     prepared = prepare(data, None, few())
     before = lack_of_fit(prepared.problem, prepared.present, data.sensor_names)

@@ -12,9 +12,10 @@ import pytest
 from scipy.special import chdtri
 
 from needle_rig.physics.library import built_in_effects
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import Prepared, prepare
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.linear import LinearisedFit
+from needle_rig.workbench.estimation.parameters import Coordinate
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
 from needle_rig.workbench.published.search import Candidate as SettledCandidate
@@ -27,6 +28,7 @@ from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern, 
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart, promise_asked
 from needle_rig.workbench.selection.screening import Preview, Start, forms, out_of_reach, preview
 from needle_rig.workbench.selection.search import (
+    EffectSet,
     SearchTrace,
     asked_beside,
     clearly_lower,
@@ -48,7 +50,7 @@ def fit(**known: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def prepared():
+def prepared() -> Prepared:
     return prepare(dataset(seed=21), None, few())
 
 
@@ -88,7 +90,9 @@ def test_a_change_of_three_times_our_own_error_is_not_ours(change: float, ours: 
 
 
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
-def test_a_size_is_limited_at_its_one_sided_95_percent(prepared, error_share: float, decision: str) -> None:
+def test_a_size_is_limited_at_its_one_sided_95_percent(
+    prepared: Prepared, error_share: float, decision: str
+) -> None:
     (axis,) = prepared.problem.axes(["torque_bias"])
     error = axis.smallest / 1.645 * error_share
     point = SimpleNamespace(positions=np.zeros(1))
@@ -98,7 +102,7 @@ def test_a_size_is_limited_at_its_one_sided_95_percent(prepared, error_share: fl
 
 @pytest.mark.parametrize(("information", "seen"), [(0.7, 1), (1.4, 2)])
 def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(
-    prepared, information: float, seen: int
+    prepared: Prepared, information: float, seen: int
 ) -> None:
     problem = prepared.problem
     axes = problem.axes(["torque_bias", "tip_friction"])
@@ -149,7 +153,7 @@ def test_first_fits_that_ended_early_are_refined(above: float, refined: bool) ->
 
 
 @pytest.mark.parametrize(("sigmas", "above"), [(4.0, 0.0), (7.0, 2.0 * np.sqrt(400.0))])
-def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas: float, above) -> None:
+def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas: float, above: float) -> None:
     problem: Any = SimpleNamespace(size=200)
     assert excess(problem, 200 + sigmas * np.sqrt(400.0)) == pytest.approx(above)
 
@@ -163,17 +167,17 @@ def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second: float, fit
 class Trace(SimpleNamespace):
     """A stand-in for a search's trace: scores by set, and the effects that are named."""
 
-    def score(self, key):
+    def score(self, key: EffectSet) -> float:
         return self.scores[key]
 
-    def by_score(self, key):
+    def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
         return self.scores[key], sorted(key)
 
-    def named(self, key):
+    def named(self, key: EffectSet) -> list[str]:
         return sorted(key & self.large)
 
 
-def sets(*words):
+def sets(*words: str) -> list[EffectSet]:
     return [frozenset(word) for word in words]
 
 
@@ -199,7 +203,7 @@ def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind: float, tak
      (1.5, 0, "forward")],
 )  # fmt: skip
 def test_what_becomes_of_an_effect_that_is_too_small(
-    prepared, size: float, set_aside_before: int, move: str
+    prepared: Prepared, size: float, set_aside_before: int, move: str
 ) -> None:
     (axis,) = prepared.problem.axes(["torque_bias"])
     found = fit(axes=(axis,), point=SimpleNamespace(positions=np.array([size * axis.smallest])))
@@ -230,7 +234,7 @@ def test_forms_are_given_up_when_the_typical_one_promises_a_twentieth(
 
 
 def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
-    prepared, monkeypatch: pytest.MonkeyPatch
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: list[np.ndarray] = []
     monkeypatch.setattr(screening, "signature", lambda *given: tried.append(given[-1]))
@@ -245,14 +249,14 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
     assert len({tuple(t) for t in tried}) == every + 2 * 2
 
 
-def left(size: float = 1.0, unit: str = "°"):
+def left(size: float = 1.0, unit: str = "°") -> Leftover:
     return Leftover((Pattern("torque", "is off by a constant", 9.0, size, unit, 1.0),), 81.0)
 
 
 NOTHING_LEFT = Leftover((), 0.0)
 
 
-def lack(p: float = 1e-6, size: float = 1.0):
+def lack(p: float = 1e-6, size: float = 1.0) -> LackOfFit:
     return LackOfFit(9.0, 10, 20, p, "torque once settled", size, "°")
 
 
@@ -282,7 +286,7 @@ def lack(p: float = 1e-6, size: float = 1.0):
         ),
     ],
 )
-def test_which_rules_find_something_unexplained(found, fired) -> None:
+def test_which_rules_find_something_unexplained(found: Any, fired: Any) -> None:
     why = reasons(found)
     assert [r.rule for r in why] == fired
     assert all(r.sentence for r in why)
@@ -304,7 +308,7 @@ def test_five_patterns_are_told() -> None:
 
 @pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
 def test_more_than_two_effects_are_named_with_plausible_values_only(
-    prepared, count: int, described_only: bool
+    prepared: Prepared, count: int, described_only: bool
 ) -> None:
     names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
     axes = prepared.problem.axes(names)
@@ -320,7 +324,7 @@ def test_settled_values_must_leave_half_a_degree_of_freedom(freedom: float, test
     assert SettledCandidate("x", found, 1.0).testable is testable
 
 
-def _smallest(axis):
+def _smallest(axis: Coordinate) -> float:
     """Position at which an effect begins to matter; of several items the first."""
     if axis.info.shapes or axis.item not in (None, 0):
         return 0.0
@@ -328,7 +332,7 @@ def _smallest(axis):
 
 
 def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(
-    prepared,
+    prepared: Prepared,
 ) -> None:
     """The same size, measured over whole trials: between the quartiles of what the library's effects do."""
     problem, present = prepared.problem, prepared.present
