@@ -10,7 +10,7 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.control.reports import BrainState
 from needle_rig.records import Sample
 from needle_rig.units import deg, nmm
-from tests.closed_loop.conftest import Align
+from tests.closed_loop.conftest import Align, simulation_of
 
 
 def test_the_rigid_rig_lags_by_26_degrees_and_ends_aligned(align: Align) -> None:
@@ -54,9 +54,9 @@ def test_a_second_run_learns_its_extra_turn_from_the_first(config: RigConfig) ->
     from needle_rig.simulation.run import run_virtual
     from needle_rig.units import rad
 
-    brain, left = Brain(config), []
+    brain, left = Brain(config), list[float]()
     for strategy in ("reed2008", "reed2008_elastic", "reed2008_elastic"):
-        plant = Plant(load_parameters("rig_elastic"), config.simulation)
+        plant = Plant(load_parameters("rig_elastic"), simulation_of(config))
         if left:  # another rig for the same brain: a person says where its base stands
             plant.advance(0.005)
             brain.step(plant.read(), 0.005)
@@ -83,7 +83,7 @@ def test_the_base_neither_overshoots_nor_stays_away_at_any_corner_of_the_drive(
     from needle_rig.simulation.run import run_virtual
     from needle_rig.units import nm, rad
 
-    settings = config.simulation.model_copy(update={"drive_gain": gain, "drive_delay_ms": delay_ms})
+    settings = simulation_of(config).model_copy(update={"drive_gain": gain, "drive_delay_ms": delay_ms})
     plant = Plant(load_parameters("rig_elastic"), settings, load_nm=nm(load_nmm))
     random_ticks = random.Random(7)
     ticks = (0.005 * random_ticks.uniform(0.7, 1.3) for _ in itertools.count())

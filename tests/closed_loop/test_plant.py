@@ -20,6 +20,8 @@ from needle_rig.simulation.motor import Motor, MotorSettings
 from needle_rig.simulation.plant import Plant
 from needle_rig.simulation.run import run_virtual
 from needle_rig.units import deg, nm, nmm, rad
+from tests.closed_loop.conftest import simulation_of
+from tests.unnarrowed import now
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,7 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_n
     config: RigConfig, elastic: NeedleModel
 ) -> None:
     def rows(seed: int) -> tuple[Sample, ...]:
-        settings = config.simulation.model_copy(update={"seed": seed})
+        settings = simulation_of(config).model_copy(update={"seed": seed})
         run = run_virtual(Brain(config), Plant(elastic, settings), Request(0.5, "none", settle_s=0.5))
         return run.samples
 
@@ -56,7 +58,7 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_n
 
 
 def test_the_tick_does_not_change_what_the_needle_does(config: RigConfig, elastic: NeedleModel) -> None:
-    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+    quiet = simulation_of(config).model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
     ends = []
     for tick_s in (0.002, 0.005, 0.010):
         run = run_virtual(
@@ -71,7 +73,7 @@ def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path
 ) -> None:
     from needle_rig.physics.effect import Trial
 
-    plant = awake(elastic, config.simulation)
+    plant = awake(elastic, simulation_of(config))
     times, angles = [0.0], [plant.motor.angle_rad]
     for velocity in (0.8, -0.8, 0.4):
         for _ in range(100):
@@ -85,7 +87,7 @@ def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path
 
 
 def test_sensors_are_quantised_and_as_noisy_as_stated(config: RigConfig, elastic: NeedleModel) -> None:
-    settings = config.simulation
+    settings = simulation_of(config)
     plant = Plant(elastic, settings)
     torque, hall = [], []
     for _ in range(2000):
@@ -108,7 +110,7 @@ def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(
 ) -> None:
     from needle_rig.physics.effects.torque_bias import TorqueBias
 
-    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+    quiet = simulation_of(config).model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
     (field,) = TorqueBias.parameters()
     biased = elastic.with_effects(TorqueBias(**{field: 0.02}))
     plain, shifted = awake(elastic, quiet), awake(biased, quiet)
@@ -124,7 +126,7 @@ def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elast
 
     (field,) = ChuckBacklash.parameters()
     loose = elastic.with_effects(ChuckBacklash(**{field: 6.0}))
-    plant = awake(loose, config.simulation)
+    plant = awake(loose, simulation_of(config))
     turned(turned(plant, 0.5, 2.0), 0.0, 0.5)
     wound = plant.hall_rad.copy()
     before = deg(plant.motor.angle_rad)
@@ -138,7 +140,7 @@ def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elast
 
 def test_raw_readings_come_with_counters_and_times(config: RigConfig, elastic: NeedleModel) -> None:
     rows = []
-    plant = Plant(elastic, config.simulation, raw=lambda source, row: rows.append((source, row)))
+    plant = Plant(elastic, simulation_of(config), raw=lambda source, row: rows.append((source, row)))
     for _ in range(3):
         plant.advance(0.005)
     torque = [row for source, row in rows if source == "torque"]
@@ -150,7 +152,7 @@ def test_raw_readings_come_with_counters_and_times(config: RigConfig, elastic: N
 
 def test_it_opens_and_closes_as_a_rig(config: RigConfig, elastic: NeedleModel) -> None:
     async def use() -> None:
-        plant = Plant(elastic, config.simulation)
+        plant = Plant(elastic, simulation_of(config))
         await plant.open()
         turned(plant, 0.5, 0.1)
         await plant.close()
@@ -200,10 +202,10 @@ class TestDriveGuard:
     def test_silent_until_cleared_and_still_until_the_supply_is_on(self) -> None:
         guarded = Guarded()
         assert guarded.step(Command(0.5, enable=True)) == 0.0
-        assert guarded.state == (DriveState.SILENT, DriveFault.NONE)
+        assert now(guarded.state) == (DriveState.SILENT, DriveFault.NONE)
         assert not guarded.guard.supply
         guarded.step(Command(clear=True))
-        assert guarded.state == (DriveState.READY, DriveFault.NONE)
+        assert now(guarded.state) == (DriveState.READY, DriveFault.NONE)
         assert guarded.guard.supply
         assert guarded.step(Command(0.5, enable=True)) == 0.0
         guarded.rest(20)
@@ -298,7 +300,7 @@ class TestMotor:
 
 
 def test_a_whole_run_is_many_times_faster_than_the_rig(config: RigConfig, elastic: NeedleModel) -> None:
-    brain, plant = Brain(config), Plant(elastic, config.simulation)
+    brain, plant = Brain(config), Plant(elastic, simulation_of(config))
     start = time.process_time()
     run = run_virtual(brain, plant, Request(rad(45.0)))
     spent = time.process_time() - start
@@ -307,7 +309,7 @@ def test_a_whole_run_is_many_times_faster_than_the_rig(config: RigConfig, elasti
 
 
 def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config: RigConfig, elastic: NeedleModel) -> None:
-    plant = turned(awake(elastic, config.simulation), 0.5, 0.5)
+    plant = turned(awake(elastic, simulation_of(config)), 0.5, 0.5)
     assert plant.read().drive_state is DriveState.RUNNING
     for _ in range(80):
         plant.advance(0.001)

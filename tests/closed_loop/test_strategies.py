@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -18,11 +19,11 @@ from needle_rig.control.strategies.reed2008 import Reed2008
 from needle_rig.control.strategies.reed2008_elastic import Reed2008Elastic
 from needle_rig.control.strategies.relax import Relax
 from needle_rig.control.strategies.tip_friction import TipFriction
-from needle_rig.control.strategy import Strategy, Task, find_strategies, make_strategy
+from needle_rig.control.strategy import History, Strategy, Task, find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
 from needle_rig.units import deg, nmm, rad
-from tests.closed_loop.conftest import Align
+from tests.closed_loop.conftest import Align, simulation_of
 
 ALL = {
     "base_equals_tip",
@@ -56,9 +57,10 @@ def settled(index: int, base_deg: float, torque_nm: float, tip_deg: float = 0.0)
     return SettledMotion(index, "", 0.0, 0.0, base, base, torque_nm, halls, lag, base - halls[0])
 
 
-def played(strategy: Strategy, torques_nm: float, task: Task = TASK) -> list[tuple[float, str]]:
+def played(strategy: Strategy, torques_nm: Sequence[float], task: Task = TASK) -> list[tuple[float, str]]:
     """Waypoints in degrees and names, the base obeying and the torque as given."""
-    history, told = (settled(0, 0.0, 0.0),), []
+    history: History = (settled(0, 0.0, 0.0),)
+    told = []
     for torque in torques_nm:
         waypoint = strategy.next(task, history)
         if waypoint is None:
@@ -128,6 +130,8 @@ def test_relax_follows_the_torque_s_slope_and_stops_when_none_is_left() -> None:
 def test_a_protocol_runs_its_steps_with_their_speeds_and_dwells() -> None:
     protocol = Protocol(steps_deg=[10, -20], speed_deg_s=[5, 50], dwell_s=0.5)
     first = protocol.next(TASK, (settled(0, 0.0, 0.0),))
+    assert first is not None
+    assert first.speed_rad_s is not None
     assert (deg(first.angle_rad), deg(first.speed_rad_s), first.settle_s) == pytest.approx((10, 5, 0.5))
     assert [name for _, name in played(protocol, [0.0, 0.0])] == ["step_1", "step_2"]
     assert protocol.expected_motions() == 2
@@ -143,7 +147,7 @@ def test_a_protocol_runs_its_steps_with_their_speeds_and_dwells() -> None:
         (lambda: Protocol(steps_deg=(1.0, 800.0)).check(TASK), "step 2 is 800°, outside ±720°"),
         (lambda: Protocol(steps_deg=(1.0,), speed_deg_s=70).check(TASK), "turns at 70°/s, limit 60°/s"),
         (lambda: Decay(rotations=0), "rotations must be a whole number from 1 to 100"),
-        (lambda: Decay(rotations=2.5), "rotations must be a whole number"),
+        (lambda: Decay(rotations=2.5), "rotations must be a whole number"),  # type: ignore[arg-type]
         (
             lambda: make_strategy("decay", {"ratio": "much"}),
             "decay: ratio='much' has a value of the wrong kind",
@@ -157,7 +161,7 @@ def test_a_protocol_runs_its_steps_with_their_speeds_and_dwells() -> None:
         (lambda: Reed2008Elastic(extra_deg=math.nan), "extra_deg is nan"),
     ],
 )
-def test_options_that_cannot_be_used_are_refused(make, text: str) -> None:
+def test_options_that_cannot_be_used_are_refused(make: Callable[[], object], text: str) -> None:
     with pytest.raises(BadInput, match=text):
         make()
 
@@ -253,7 +257,7 @@ def test_the_estimator_s_shaft_is_the_plant_s_within_its_own_uncertainty(config:
     from needle_rig.simulation.plant import Plant
     from needle_rig.simulation.run import run_virtual
 
-    plant = Plant(load_parameters("rig_elastic"), config.simulation)
+    plant = Plant(load_parameters("rig_elastic"), simulation_of(config))
     steps = [45.0, 72.0, 25.0]
     run = run_virtual(Brain(config), plant, Request(rad(45.0), "protocol", {"steps_deg": steps}))
     task = dataclasses.replace(TASK, layout=EXPERIMENT_LAYOUT)
@@ -288,7 +292,7 @@ def test_the_estimator_starts_from_the_rig_s_model_where_there_is_one(config: Ri
     from needle_rig.simulation.run import run_virtual
 
     model = load_parameters("rig_elastic")
-    plant = Plant(model, config.simulation)
+    plant = Plant(model, simulation_of(config))
     run = run_virtual(Brain(config, model), plant, Request(rad(45.0), "estimator"))
     assert abs(deg(plant.shaft_rad()[-1]) - 45.0) < 0.6
     assert len(run.settled) <= 3

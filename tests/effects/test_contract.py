@@ -21,7 +21,7 @@ from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.physics.rod import Rod
 from needle_rig.units import nm
 from needle_rig.workbench.policy import POLICY
-from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, path
+from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, make_effect, path
 
 NAMES = [
     "tissue_elasticity",
@@ -291,7 +291,9 @@ def test_resistive_effects_never_add_energy(effects: list[Effect], turns: list[t
 
 def test_the_energy_test_can_fail(coarse: NeedleModel) -> None:
     # a needle that is driven by its tissue gives back more than was put in
-    pushed = coarse.with_effects(LIBRARY["bending_torque"](sine_nmm_per_100mm=-0.5, cosine_nmm_per_100mm=0.5))
+    pushed = coarse.with_effects(
+        make_effect("bending_torque", sine_nmm_per_100mm=-0.5, cosine_nmm_per_100mm=0.5)
+    )
     trial = path((0, 0), (0.5, 0), (3, 90), rate_hz=200)
     torque_nm = pushed.truth(trial).torque_nm
     steps = 0.5 * (torque_nm[1:] + torque_nm[:-1]) * np.diff(trial.base_angle_rad)

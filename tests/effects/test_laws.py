@@ -15,7 +15,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
-from tests.effects.common import LIBRARY, SEQUENCE, SHORT, path
+from tests.effects.common import LIBRARY, SEQUENCE, SHORT, make_effect, path
 
 TURNED = path((0, 0), (2, 90), (3, 90))
 JG_NMM2 = 62.56
@@ -73,7 +73,7 @@ def test_figure_3_in_the_layout_of_the_simulation() -> None:
 
 
 def test_the_rivals_to_elasticity(coarse: NeedleModel) -> None:
-    chuck = replace(coarse, friction_n=0.54e-3).with_effects(LIBRARY["chuck_compliance"](0.256))
+    chuck = replace(coarse, friction_n=0.54e-3).with_effects(make_effect("chuck_compliance", 0.256))
     first, last = sequence(chuck)
     assert first == pytest.approx(26, abs=0.7)
     assert last == pytest.approx(12, abs=0.7)
@@ -83,7 +83,7 @@ def test_the_rivals_to_elasticity(coarse: NeedleModel) -> None:
 def test_lumped_frictions_twist_what_lies_before_them(coarse: NeedleModel) -> None:
     torque_nmm, angles = settled(coarse)
     for name, upto_mm in (("tip_friction", 397), ("guide_friction", 175)):
-        more_nmm, turned = settled(coarse.with_effects(LIBRARY[name](0.02)))
+        more_nmm, turned = settled(coarse.with_effects(make_effect(name, 0.02)))
         assert more_nmm - torque_nmm == pytest.approx(0.02, abs=1e-6)
         for place_mm, change in zip((220, 285, 350, 396), turned - angles, strict=True):
             assert change == pytest.approx(-np.degrees(0.02 * min(place_mm, upto_mm) / JG_NMM2), abs=1e-4)
@@ -92,26 +92,26 @@ def test_lumped_frictions_twist_what_lies_before_them(coarse: NeedleModel) -> No
 def test_platform_friction_adds_up(coarse: NeedleModel) -> None:
     torque_nmm, _ = settled(coarse)
     each = (0.001, 0.002, 0.003, 0.004)
-    assert settled(coarse.with_effects(LIBRARY["platform_friction"](each)))[0] - torque_nmm == pytest.approx(
-        0.01
-    )
+    assert settled(coarse.with_effects(make_effect("platform_friction", each)))[
+        0
+    ] - torque_nmm == pytest.approx(0.01)
 
 
 def test_layered_friction_is_friction_by_section(coarse: NeedleModel) -> None:
-    by_section = coarse.with_effects(LIBRARY["layered_friction"]((0.3, 0.8, 1.3, 1.6)))
+    by_section = coarse.with_effects(make_effect("layered_friction", (0.3, 0.8, 1.3, 1.6)))
     assert settled(by_section)[0] == pytest.approx(0.025 * 4.0)
-    doubled = coarse.with_effects(LIBRARY["layered_friction"](2.0))
+    doubled = coarse.with_effects(make_effect("layered_friction", 2.0))
     np.testing.assert_allclose(settled(doubled)[1], settled(replace(coarse, friction_n=2e-3))[1])
     with pytest.raises(BadInput, match=r"layered_friction\.factor: 3 values for 4 sections"):
-        coarse.with_effects(LIBRARY["layered_friction"]((1, 2, 3))).predict(SHORT)
+        coarse.with_effects(make_effect("layered_friction", (1, 2, 3))).predict(SHORT)
 
 
 def test_friction_differs_by_direction_and_falls_with_travel(coarse: NeedleModel) -> None:
-    uneven = coarse.with_effects(LIBRARY["direction_asymmetry"](0.2))
+    uneven = coarse.with_effects(make_effect("direction_asymmetry", 0.2))
     back = replace(TURNED, base_angle_rad=-TURNED.base_angle_rad)
     assert settled(uneven)[0] == pytest.approx(0.12)
     assert settled(uneven, back)[0] == pytest.approx(-0.08)
-    worn = coarse.with_effects(LIBRARY["friction_wear"](0.1))
+    worn = coarse.with_effects(make_effect("friction_wear", 0.1))
     assert settled(worn, replace(TURNED, travel_before_rad=2 * 2 * np.pi))[0] == pytest.approx(
         0.1 * np.exp(-0.2)
     )
@@ -119,7 +119,7 @@ def test_friction_differs_by_direction_and_falls_with_travel(coarse: NeedleModel
 
 
 def test_viscous_slip_adds_torque_by_rate(coarse: NeedleModel) -> None:
-    slippery = coarse.with_effects(LIBRARY["viscous_slip"](0.05))
+    slippery = coarse.with_effects(make_effect("viscous_slip", 0.05))
     trial = path((0, 0), (8, 360))
     assert slippery.predict(trial).torque_nm[-1] * 1e3 == pytest.approx(0.1 + 0.05 * np.radians(45), abs=1e-5)
 
@@ -144,7 +144,7 @@ def test_ageing_peaks_grow_with_the_rest_before(coarse: NeedleModel) -> None:
 
 def test_viscoelasticity_becomes_elasticity_at_its_limits(coarse: NeedleModel) -> None:
     solid = LIBRARY["tissue_viscoelasticity"]
-    elastic = coarse.with_effects(LIBRARY["tissue_elasticity"](0.4)).predict(SHORT)
+    elastic = coarse.with_effects(make_effect("tissue_elasticity", 0.4)).predict(SHORT)
     for limit in (
         solid(0.4, 0.0, 2.0),  # no relaxing spring
         solid(0.1, 0.3, 1000.0),  # too slow to relax: the glassy stiffness
@@ -167,7 +167,7 @@ def test_maxwell_and_kelvin_voigt_are_limits_without_trouble(coarse: NeedleModel
 def test_the_standard_linear_solid_relaxes_as_its_law_says() -> None:
     # one cell behind 350 mm of needle: springs and one relaxing element in series, solved by hand
     layout = Layout(0.4, ((0.3, 0.4),), (0.4,))
-    solid = LIBRARY["tissue_viscoelasticity"](0.3, 0.6, 1.5)
+    solid = make_effect("tissue_viscoelasticity", 0.3, 0.6, 1.5)
     model = NeedleModel("one cell", layout, 62.56e-6, 0.05, (solid,), element_length_m=0.1)
     trial = path((0, 0), (0.02, 60), (8, 60))
     torque_nmm = model.predict(trial).torque_nm * 1e3
@@ -183,7 +183,7 @@ def test_the_standard_linear_solid_relaxes_as_its_law_says() -> None:
 @given(play_deg=st.floats(0, 20), targets=st.lists(st.integers(-90, 90), min_size=1, max_size=6))
 def test_play_follows_at_half_its_width(play_deg: float, targets: list[int]) -> None:
     trial = path(*[(float(i), t) for i, t in enumerate([0.0, *targets])])
-    play = LIBRARY["chuck_backlash"](play_deg)
+    play = make_effect("chuck_backlash", play_deg)
     held_rad = play.drive(trial)
     gap = trial.base_angle_rad - held_rad
     assert np.abs(gap).max() <= np.radians(play_deg) / 2 + 1e-12
@@ -194,7 +194,7 @@ def test_play_follows_at_half_its_width(play_deg: float, targets: list[int]) -> 
 
 
 def test_a_trial_in_pieces_is_the_whole_trial(coarse: NeedleModel) -> None:
-    model = coarse.with_effects(LIBRARY["chuck_backlash"](6.0), LIBRARY["tissue_elasticity"](0.5))
+    model = coarse.with_effects(make_effect("chuck_backlash", 6.0), make_effect("tissue_elasticity", 0.5))
     whole = model.truth(SEQUENCE)
     state, torque_nm = None, []
     for first in range(0, SEQUENCE.time_s.size - 1, 37):
@@ -216,8 +216,8 @@ def test_insertion_depth_is_the_rod_of_a_moved_layout(model: NeedleModel, deeper
         (*((low - d, high - d) for low, high in (a, b, c)), (start - d, end)),
         (*(x - d for x in EXPERIMENT_LAYOUT.sensor_positions_m[:3]), 0.396),
     )
-    effects = (LIBRARY["tissue_elasticity"](0.4), LIBRARY["bending_torque"](0.03, 0.01))
-    shifted = model.with_effects(*effects, LIBRARY["insertion_depth"](deeper_mm)).predict(SHORT)
+    effects = (make_effect("tissue_elasticity", 0.4), make_effect("bending_torque", 0.03, 0.01))
+    shifted = model.with_effects(*effects, make_effect("insertion_depth", deeper_mm)).predict(SHORT)
     rebuilt = replace(model, layout=moved).with_effects(*effects).predict(SHORT)
     assert np.degrees(np.abs(shifted.hall_rad - rebuilt.hall_rad)).max() < 0.02
     assert np.abs(shifted.torque_nm - rebuilt.torque_nm).max() * 1e3 < 2e-4
@@ -225,14 +225,14 @@ def test_insertion_depth_is_the_rod_of_a_moved_layout(model: NeedleModel, deeper
 
 def test_insertion_depth_that_does_not_fit(model: NeedleModel) -> None:
     shallow = replace(
-        model, layout=Layout(0.1, ((0.02, 0.09),), (0.1,)), effects=(LIBRARY["insertion_depth"](30.0),)
+        model, layout=Layout(0.1, ((0.02, 0.09),), (0.1,)), effects=(make_effect("insertion_depth", 30.0),)
     )
     with pytest.raises(BadInput, match="30 mm does not fit a free length of 20 mm"):
         shallow.predict(SHORT)
 
 
 def test_bending_torque_rests_at_its_angle(coarse: NeedleModel) -> None:
-    bent = LIBRARY["bending_torque"](sine_nmm_per_100mm=0.3, cosine_nmm_per_100mm=-0.3)
+    bent = make_effect("bending_torque", sine_nmm_per_100mm=0.3, cosine_nmm_per_100mm=-0.3)
     rest_rad = np.pi / 4  # tan ψ = −C/A
     assert bent.torque(rest_rad, 0.0, 0.0, 0.2) == pytest.approx(0, abs=1e-15)
     assert bent.torque(rest_rad + 0.1, 0.0, 0.0, 0.2) < 0 < bent.torque(rest_rad - 0.1, 0.0, 0.0, 0.2)
@@ -268,5 +268,7 @@ def test_sensor_laws() -> None:
 
 
 def test_gain_acts_before_what_is_added(coarse: NeedleModel) -> None:
-    both = coarse.with_effects(LIBRARY["torque_bias"](0.1), LIBRARY["torque_gain"](0.5)).predict(SHORT)
+    both = coarse.with_effects(make_effect("torque_bias", 0.1), make_effect("torque_gain", 0.5)).predict(
+        SHORT
+    )
     np.testing.assert_allclose(both.torque_nm, 0.5 * coarse.predict(SHORT).torque_nm + 1e-4)

@@ -14,7 +14,7 @@ from needle_rig.physics.compiled import compiled_torque
 from needle_rig.physics.effect_text import parse_effects
 from needle_rig.physics.library import built_in_effects, find_effects
 from needle_rig.physics.needle_model import NeedleModel
-from tests.effects.common import LIBRARY, SHORT, USERS
+from tests.effects.common import LIBRARY, SHORT, USERS, make_effect
 
 GOOD = (USERS / "slit_membrane.py").read_text()
 
@@ -22,6 +22,13 @@ GOOD = (USERS / "slit_membrane.py").read_text()
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path
+
+
+def place_in(sentence: str, pattern: str = r".*?\.py:(\d+):") -> int:
+    """The line that a sentence names."""
+    found = re.match(pattern, sentence)
+    assert found is not None
+    return int(found[1])
 
 
 def broken(folder: Path, text: str, name: str = "mine") -> str:
@@ -64,7 +71,7 @@ def test_files_that_start_with_an_underscore_are_helpers(folder: Path) -> None:
 
 def test_the_worked_example_acts_where_its_law_says(model: NeedleModel) -> None:
     # twice a turn, at one place: no other effect does this
-    slit = LIBRARY["slit_membrane"](torque_nmm=0.05, place_mm=315)
+    slit = make_effect("slit_membrane", torque_nmm=0.05, place_mm=315)
     assert slit.torque(np.pi / 4, 0.0, 0.0, 0.315) == pytest.approx(-0.05e-3 / 5e-3)
     assert slit.torque(np.pi / 4, 0.0, 0.0, 0.310) == 0
     assert slit.torque(np.pi / 2, 0.0, 0.0, 0.315) == pytest.approx(0, abs=1e-12)
@@ -142,7 +149,7 @@ def test_a_broken_file_is_named_with_its_line(
     assert old in GOOD
     sentence = broken(folder, GOOD.replace(old, new, 1))
     assert words in sentence
-    assert int(re.match(r".*?\.py:(\d+):", sentence)[1]) == (line_of(GOOD, line) if line else 1)
+    assert place_in(sentence) == (line_of(GOOD, line) if line else 1)
 
 
 def test_two_effects_in_one_file(folder: Path) -> None:
@@ -173,7 +180,7 @@ def test_a_torque_that_cannot_be_compiled_is_named_with_its_line(
     sentence = str(caught.value)
     assert "\n" not in sentence
     assert words in sentence
-    line = int(re.match(rf"{re.escape(str(folder))}/mine\.py:(\d+): torque of mine cannot", sentence)[1])
+    line = place_in(sentence, rf"{re.escape(str(folder))}/mine\.py:(\d+): torque of mine cannot")
     assert line in (line_of(text, law), line_of(text, "    def torque("))
 
 

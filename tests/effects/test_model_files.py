@@ -22,7 +22,7 @@ from needle_rig.model import (
     save_model,
 )
 from needle_rig.physics.needle_model import NeedleModel
-from tests.effects.common import LIBRARY, SHORT, USERS
+from tests.effects.common import SHORT, USERS, make_effect
 
 SETS = ("figure_3", "paper_literal", "rig_elastic", "rig_rigid", "stiff_needle")
 
@@ -66,10 +66,10 @@ def test_an_unknown_set_is_answered_with_those_there_are() -> None:
 @pytest.fixture
 def saved() -> SavedModel:
     model = load_parameters("rig_rigid").with_effects(
-        LIBRARY["tissue_elasticity"](0.45),
-        LIBRARY["tip_friction"](0.0),
-        LIBRARY["chuck_compliance"](float("inf")),
-        LIBRARY["hall_offset"]((1.0, 2.0, 3.0, -4.5)),
+        make_effect("tissue_elasticity", 0.45),
+        make_effect("tip_friction", 0.0),
+        make_effect("chuck_compliance", float("inf")),
+        make_effect("hall_offset", (1.0, 2.0, 3.0, -4.5)),
     )
     history = HistoryEntry(
         added=("tissue_elasticity",),
@@ -114,7 +114,7 @@ def test_a_model_file_stands_in_its_own_layout(saved: SavedModel, tmp_path: Path
 
 
 def test_a_users_effect_in_a_model_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = load_parameters("rig_rigid").with_effects(LIBRARY["slit_membrane"](0.02))
+    model = load_parameters("rig_rigid").with_effects(make_effect("slit_membrane", 0.02))
     save_model(tmp_path / "m.yaml", SavedModel(model, "rig_rigid"))
     again = load_model(tmp_path / "m.yaml", effects=[USERS])
     assert again.model.predict(SHORT).torque_nm == pytest.approx(model.predict(SHORT).torque_nm)

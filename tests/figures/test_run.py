@@ -86,15 +86,15 @@ def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures: lis
     sensors = [f"hall_{k} ({at} mm)" for k, at in ((1, 220), (2, 285), (3, 350), (4, 396))]
     assert labels(angles) == ["target ±5°", *sensors, "base", "waypoint"]
     base = next(line for line in angles.lines if line.get_label() == "base")
-    assert base.get_ydata()[-1] == pytest.approx(45.0, abs=0.1)
+    assert np.asarray(base.get_ydata())[-1] == pytest.approx(45.0, abs=0.1)
     cell = next(line for line in torque.lines if line.get_label() == "cell, every reading")
     assert np.max(cell.get_ydata()) == pytest.approx(0.0996, abs=0.004)
     motions = [f"after {name}" for name in ("rotate", "overshoot", "back", "forward", "final")]
     assert labels(shaft) == ["tissue", *motions, "target"]
     assert "the simulated shaft" in shaft.get_xlabel()
     picture = shaft.lines[0]
-    assert picture.get_xdata()[-1] == pytest.approx(396.0)
-    assert picture.get_ydata()[-1] == pytest.approx(19.0, abs=0.1)
+    assert np.asarray(picture.get_xdata())[-1] == pytest.approx(396.0)
+    assert np.asarray(picture.get_ydata())[-1] == pytest.approx(19.0, abs=0.1)
 
 
 def test_a_run_cut_off_says_so(tmp_path: Path, run_path: Path, figures: list[Figure]) -> None:
@@ -121,7 +121,7 @@ def test_a_stopped_run_says_why(tmp_path: Path, run_path: Path, figures: list[Fi
     assert texts(angles)[-1] == status
     assert labels(shaft)[-2] == "stopped in back"
     cell = next(line for line in torque.lines if line.get_label() == "cell, every reading")
-    assert len(cell.get_ydata()) == len(run.table("ticks"))
+    assert len(np.asarray(cell.get_ydata())) == len(run.table("ticks"))
 
 
 def test_many_short_motions_keep_their_own_colours(
@@ -135,7 +135,7 @@ def test_many_short_motions_keep_their_own_colours(
     run, _ = rewritten(tmp_path / "steps.h5", run_path, stepped, end="not_aligned")
     draw_run(run, tmp_path / "steps.png")
     shaft = figures[0].axes[2]
-    marks = {str(line.get_color()) for line in shaft.lines if line.get_marker() in "so"}
+    marks = {str(line.get_color()) for line in shaft.lines if line.get_marker() in ("s", "o")}
     assert len(marks) == 20
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from numba.core.dispatcher import Dispatcher
@@ -64,7 +65,8 @@ def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(a
 
 
 def test_every_function_in_the_machine_code_stands_in_a_file_of_the_package() -> None:
-    seen, to_see = set(), [_run]
+    seen: set[Any] = set()
+    to_see: list[Any] = [_run]
     while to_see:
         function = to_see.pop()
         seen.add(function)

@@ -31,7 +31,7 @@ def layered(**options: Any) -> Rod:
 def bend(
     parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
 ) -> float:
-    return parameters[0] * np.sin(angle_rad - parameters[1])
+    return float(parameters[0] * np.sin(angle_rad - parameters[1]))
 
 
 def bent(steady: bool = False, **options: Any) -> Rod:

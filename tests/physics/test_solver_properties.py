@@ -1,6 +1,7 @@
 """What must hold for every rod and path, whatever the values."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,6 +63,7 @@ def test_energy_is_never_created(needle: Rod, targets: list[float]) -> None:
     work = np.concatenate(
         [[0.0], np.cumsum(0.5 * (solution.torque_nm[1:] + solution.torque_nm[:-1]) * np.diff(base))]
     )
+    assert solution.shaft_rad is not None
     twist = np.diff(solution.shaft_rad, axis=1)
     stored = 0.5 * (needle.stiffness_nm_per_rad * twist**2).sum(axis=1)
     # 1e-4 rad of numerical error times the largest torque, over the work of the whole path
@@ -148,6 +150,7 @@ def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(
 def node_torques(needle: Rod, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Torque of the tissue on every node, shape (samples, nodes), and what rounding makes of it, (nodes,)."""
     angle = solution.shaft_rad
+    assert angle is not None
     pull = np.zeros_like(angle)
     flow = needle.stiffness_nm_per_rad * np.diff(angle, axis=1)
     pull[:, :-1] += flow
@@ -325,7 +328,7 @@ def test_a_state_of_another_rod_is_refused() -> None:
         {"static_excess": 0.3, "viscous": 0.05, "weakening_rad": 0.2},
     ],
 )
-def test_limits_with_memory_are_found_in_few_solves(memory: dict[str, float]) -> None:
+def test_limits_with_memory_are_found_in_few_solves(memory: dict[str, Any]) -> None:
     """By substitution alone the hardest of these takes more than four solves a step."""
     solution = solve(rod(**memory), *path(compensation()))
     assert solution.solves < 2.5 * solution.steps

@@ -177,7 +177,12 @@ def test_without_any_health_a_drive_is_not_known() -> None:
 
 def test_a_reference_goes_out_after_its_command_with_the_same_heartbeat() -> None:
     sent: list[object] = []
-    device = DriveCan(CODEC, lambda frame_id, data: bool(sent.append(CODEC.decode(frame_id, data))) or True)
+
+    def send(frame_id: int, data: bytes) -> bool:
+        sent.append(CODEC.decode(frame_id, data))
+        return True
+
+    device = DriveCan(CODEC, send)
     device.command(Command())
     device.command(Command(reference_rad=-0.5))
     assert [type(content) for content in sent] == [DriveCommand, DriveCommand, DriveReference]

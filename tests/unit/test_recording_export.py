@@ -118,6 +118,7 @@ def test_mcap_has_every_row_with_its_schema(
             number = counted.get(channel.topic, 0)
             counted[channel.topic] = number + 1
             if number == 0:
+                assert schema is not None
                 properties = json.loads(schema.data)["properties"]
                 assert set(json.loads(message.data)) == set(properties)
             if channel.topic == "/ticks" and number == 0:

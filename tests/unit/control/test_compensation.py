@@ -22,6 +22,7 @@ from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.records import Measurement, Phase
 from needle_rig.units import rad
+from tests.unnarrowed import now
 
 LEGAL = {
     ("idle", "start"): "rest",
@@ -158,7 +159,7 @@ def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time() -> N
     assert bench.sequence.setpoint_rad == rad(30.0)
     for _ in range(100):
         bench.step()
-    assert bench.phase is Phase.MOVING
+    assert now(bench.phase) is Phase.MOVING
     bench.base_deg = 29.95
     bench.step()
     assert bench.phase is Phase.SETTLING

@@ -1,22 +1,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needle_rig.control.reports import SettledMotion
+from needle_rig.control.reports import Outcome, SettledMotion
 from needle_rig.control.strategies.reed2008 import Reed2008
 from needle_rig.control.strategy import Task
-from needle_rig.control.verdict import Verdict, judge, outcome
+from needle_rig.control.verdict import judge, outcome
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.units import deg, rad
 
 
-def verdict(base_deg: float, torque_nmm: float, halls_deg: float, target_deg: float = 45.0) -> Verdict:
+def verdict(
+    base_deg: float, torque_nmm: float, halls_deg: Sequence[float], target_deg: float = 45.0
+) -> Outcome:
     task = Task(rad(target_deg), EXPERIMENT_LAYOUT, 62.56e-6, 1.0, 3.0)
-    base, halls = rad(base_deg), tuple(map(rad, halls_deg))
+    base, halls = rad(base_deg), tuple(rad(angle) for angle in halls_deg)
     first = SettledMotion(1, "rotate", 0.0, 4.0, base, base, 1e-4, halls, 0.45, 0.3)
     last = SettledMotion(5, "final", 4.0, 9.0, base, base, torque_nmm * 1e-3, halls, 0.0, base - halls[-1])
     return judge(task, Reed2008(), (first, last), rad(5.0), 0.02e-3, "runs/1.h5")
@@ -52,7 +55,7 @@ def test_the_paper_s_final_state_without_its_torque_is_aligned() -> None:
     ],
 )
 def test_each_unmet_condition_is_told_with_its_size(
-    base: float, torque: float, halls: tuple[int, ...], target: int, unmet: set[str], text: str
+    base: float, torque: float, halls: tuple[float, ...], target: int, unmet: set[str], text: str
 ) -> None:
     told = verdict(base, torque, halls, target)
     assert told.status == "not_aligned"

@@ -44,13 +44,13 @@ class WhoAmI(Strategy):
 
 @dataclass(frozen=True)
 class Refuses(WhoAmI):
-    def next(self, task: Task, history: History) -> None:
+    def next(self, task: Task, history: History) -> Waypoint:
         raise BadInput("no plan for this")
 
 
 @dataclass(frozen=True)
 class Dies(WhoAmI):
-    def next(self, task: Task, history: History) -> None:
+    def next(self, task: Task, history: History) -> Waypoint:
         os._exit(1)
 
 
@@ -62,6 +62,13 @@ def thinker() -> Iterator[Thinker]:
     thinker.close()
 
 
+def process_of(thinker: Thinker) -> str:
+    """The process that a slow strategy thinks in."""
+    waypoint = thinker(WhoAmI(), TASK, HISTORY).result(60)
+    assert waypoint is not None
+    return waypoint.name
+
+
 def test_quick_strategies_answer_at_once(thinker: Thinker) -> None:
     answer = thinker(NoCompensation(), TASK, HISTORY[:1])
     assert answer.done()
@@ -69,16 +76,16 @@ def test_quick_strategies_answer_at_once(thinker: Thinker) -> None:
 
 
 def test_slow_strategies_think_in_one_other_process(thinker: Thinker) -> None:
-    first, second = (thinker(WhoAmI(), TASK, HISTORY).result(60).name for _ in range(2))
+    first, second = (process_of(thinker) for _ in range(2))
     assert first == second != str(os.getpid())
     with pytest.raises(BadInput, match="no plan for this"):
         thinker(Refuses(), TASK, HISTORY).result(60)
 
 
 def test_a_child_that_died_is_replaced(thinker: Thinker) -> None:
-    first = thinker(WhoAmI(), TASK, HISTORY).result(60).name
+    first = process_of(thinker)
     assert thinker(Dies(), TASK, HISTORY).exception(60) is not None
-    assert thinker(WhoAmI(), TASK, HISTORY).result(60).name != first
+    assert process_of(thinker) != first
 
 
 def test_the_estimator_and_a_model_cross_to_the_other_process_unharmed(thinker: Thinker) -> None:

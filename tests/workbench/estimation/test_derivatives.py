@@ -11,11 +11,11 @@ LOW, HIGH = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
 
 
 def taken(
-    x: Array, directions: Array, steps: Sequence[float], values: Callable[[Array], Array]
-) -> tuple[Array, list[Array]]:
+    x: Array, directions: Array, steps: Sequence[float], values: Callable[[Array], Array | None]
+) -> tuple[Array | None, list[Array]]:
     asked = []
 
-    def watched(at: Array) -> Array:
+    def watched(at: Array) -> Array | None:
         asked.append(at - x)
         return values(at)
 

@@ -13,14 +13,14 @@ from needle_rig.workbench.estimation.discretisation_error import (
     by_every_sample,
     solver_error,
 )
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import positions_of
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import may_be_ours
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import PROTOCOL, dataset, effect, few
+from tests.workbench.hidden import PROTOCOL, dataset, effect, few, fit
 
 
 def test_our_own_error_is_a_direction_of_every_fit() -> None:
@@ -139,8 +139,13 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
 
 def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     data, problem, found = slipping(encoder_deg=0.02)
-    met = []
-    monkeypatch.setattr(own_error, "over_shapes", lambda _, found, steps: met.append(found) or found)
+    met: list[Fit] = []
+
+    def remembered(_: Problem, found: Fit, steps: object) -> Fit:
+        met.append(found)
+        return found
+
+    monkeypatch.setattr(own_error, "over_shapes", remembered)
     fine_m = load_parameters("rig_rigid").element_length_m
     before = np.linalg.norm(np.vstack(solver_error(problem, found, data.trials, fine_m)))
     assert before > 5.0

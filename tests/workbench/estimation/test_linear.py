@@ -172,6 +172,7 @@ def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_
 def test_the_loosest_direction_is_the_one_in_which_two_positions_stand_for_each_other() -> None:
     linear = toy(alike=True)
     move = linear.loosest()
+    assert move is not None
     rows, _ = dense(linear, mean_of_trials=True)
     assert move[3] == pytest.approx(-move[4], rel=0.01)
     assert np.abs(move[[2, 5]]).max() < 0.02 * abs(move[3])

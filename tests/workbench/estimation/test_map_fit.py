@@ -14,15 +14,14 @@ from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation import multistart as minima_module
 from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.estimation.cross_validation import held_out
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.multistart import over_shapes
 from needle_rig.workbench.estimation.parameters import coordinates, make_effects, positions_of
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.evidence import chance, held_gain
-from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, fit, try_effect
 
 EVERY = find_effects()
 
@@ -183,7 +182,7 @@ def left_out_and_fitted_again(problem: Problem, found: Fit) -> float:
                 with_own = model.with_effects(FrictionOfTrial(math.exp(own)))
                 rows = problem.residuals(problem.readings([with_own], [t]), [t])[0]
                 rows = rows - problem.nuisance[t] @ again.nuisance
-                return rows @ rows + (own / found.scatter) ** 2
+                return float(rows @ rows + (own / found.scatter) ** 2)
 
             near = found.point.trial_friction[t]
             grid = np.linspace(near - 0.1, near + 0.1, 41)

@@ -9,7 +9,7 @@ import pytest
 from needle_rig.dataset import Dataset
 from needle_rig.errors import SolverError
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Solution
+from needle_rig.physics.solver import Solution, solve_batch
 from needle_rig.workbench.estimation import simulator as simulator_module
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.estimation.posterior import start_point
@@ -29,11 +29,11 @@ def problem_of(data: Dataset) -> Problem:
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many rods each call solved."""
-    counts, solve = [], simulator_module.solve_batch
+    counts: list[int] = []
 
     def counted(rods: Sequence[Rod], inputs: Any, **options: Any) -> list[Solution]:
         counts.append(len(rods))
-        return solve(rods, inputs, **options)
+        return solve_batch(rods, inputs, **options)
 
     monkeypatch.setattr(simulator_module, "solve_batch", counted)
     return counts
@@ -93,7 +93,7 @@ def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_
     there = pickle.loads(pickle.dumps(problem)).predict((), point)
     assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
     with pytest.raises(dataclasses.FrozenInstanceError):
-        problem.noise = None  # type: ignore[misc]
+        problem.noise = None  # type: ignore[misc, assignment]
 
 
 def test_only_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, set_aside
 from needle_rig.workbench.observations.noise import (
@@ -36,7 +37,7 @@ def test_correlated_noise_is_seen_as_correlated() -> None:
     for given in data.trials:
         step = np.median(np.diff(given.trial.time_s))
         keep = np.exp(-step / 0.2)
-        slow = np.zeros(given.hall_rad.shape)
+        slow: Array = np.zeros(given.hall_rad.shape)
         for i in range(1, len(slow)):
             slow[i] = keep * slow[i - 1] + np.sqrt(1 - keep**2) * rad(0.4) * random.standard_normal(
                 slow.shape[1]

@@ -24,4 +24,5 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step() ->
     search = dataclasses.replace(search, children={search.best: on_top})
     decision = decide(search, [])["tissue_elasticity"]
     assert decision.decision == "absent"
+    assert decision.limit is not None
     assert np.isfinite(decision.limit)

@@ -10,15 +10,15 @@ from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.design import commands, expected_power, proposals
-from needle_rig.workbench.selection.search import try_effect
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, try_effect
 
 NAMES = ("tip_friction", "chuck_backlash")
 
 
 def fits() -> tuple[Problem, Fit, Fit]:
     prepared = prepare(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
-    return prepared.problem, *(try_effect(prepared.problem, prepared.present, n).fit for n in NAMES)
+    first, second = (try_effect(prepared.problem, prepared.present, n).fit for n in NAMES)
+    return prepared.problem, first, second
 
 
 def test_candidates_are_ranked_by_what_a_minute_of_them_tells() -> None:

@@ -15,8 +15,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.search import try_effect
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, try_effect
 
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
 

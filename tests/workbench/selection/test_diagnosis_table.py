@@ -16,6 +16,7 @@ SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "diagnosis_table"
 def script() -> ModuleType:
     loader = importlib.machinery.SourceFileLoader("diagnosis_table", str(SCRIPT))
     spec = importlib.util.spec_from_loader(loader.name, loader)
+    assert spec is not None
     module = importlib.util.module_from_spec(spec)
     loader.exec_module(module)
     return module

@@ -6,17 +6,23 @@ import pytest
 from needle_rig.dataset import Dataset, in_series
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit, lack_of_fit
-from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, fit, try_effect
+
+
+def tested(problem: Problem, found: Fit, data: Dataset) -> LackOfFit:
+    answer = lack_of_fit(problem, found, data.sensor_names)
+    assert answer is not None
+    return answer
 
 
 def checked(data: Dataset) -> LackOfFit:
     prepared = prepare(data, None, few())
-    return lack_of_fit(prepared.problem, prepared.present, data.sensor_names)
+    return tested(prepared.problem, prepared.present, data)
 
 
 def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
@@ -39,9 +45,9 @@ def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
 def test_an_effect_is_significant_until_it_is_fitted(hidden: Effect) -> None:
     data = dataset(hidden, seed=41)
     prepared = prepare(data, None, few())
-    before = lack_of_fit(prepared.problem, prepared.present, data.sensor_names)
+    before = tested(prepared.problem, prepared.present, data)
     found = try_effect(prepared.problem, prepared.present, hidden.name()).fit
-    after = lack_of_fit(prepared.problem, found, data.sensor_names)
+    after = tested(prepared.problem, found, data)
     assert before.p < 1e-6
     assert before.statistic > 5 * after.statistic
     assert after.p > 0.001
@@ -56,7 +62,7 @@ def test_a_wrong_noise_level_passes_for_no_effect() -> None:
 
     found = fit(louder, (), prepared.present.point)
     assert found.chi2 > 2.5 * louder.size
-    assert lack_of_fit(louder, found, data.sensor_names).p > 0.01
+    assert tested(louder, found, data).p > 0.01
     assert prepared.present.chi2 < 1.2 * problem.size
 
 
