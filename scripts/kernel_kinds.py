@@ -28,12 +28,12 @@ LAYOUT = Layout(
 
 def bending(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
     """A steady law: tissue that pulls towards one angle."""
-    return -parameters[0] * (angle_rad - parameters[1])
+    return float(-parameters[0] * (angle_rad - parameters[1]))
 
 
 def swaying(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
     """A law that depends on the time."""
-    return -parameters[0] * (angle_rad - parameters[1] * math.sin(time_s))
+    return float(-parameters[0] * (angle_rad - parameters[1] * math.sin(time_s)))
 
 
 def rod(

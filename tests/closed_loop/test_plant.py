@@ -21,7 +21,7 @@ from needle_rig.simulation.plant import Plant
 from needle_rig.simulation.run import run_virtual
 from needle_rig.units import deg, nm, nmm, rad
 from tests.closed_loop.conftest import simulation_of
-from tests.unnarrowed import now
+from tests.values import now
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ class Guarded:
 
     def __init__(self) -> None:
         self.guard, self.now_us, self.said = DriveGuard(), 0, 0
-        self.asked = self.angle_mdeg = 0
+        self.asked, self.angle_mdeg = 0, 0.0
         self.step(Command())
         self.step(Command())
 

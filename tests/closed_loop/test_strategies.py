@@ -233,9 +233,9 @@ def test_dither_lowers_the_torque_a_little_and_helps_the_tip_little(align: Align
 
 def test_the_layout_of_the_experiment_is_known() -> None:
     task = dataclasses.replace(TASK, layout=EXPERIMENT_LAYOUT)
-    assert TipFriction().next(task, (settled(0, 0, 0), settled(1, 45, 1e-4))).angle_rad == pytest.approx(
-        rad(45.0) + 1e-4 * 0.397 / 62.56e-6
-    )
+    waypoint = TipFriction().next(task, (settled(0, 0, 0), settled(1, 45, 1e-4)))
+    assert waypoint is not None
+    assert waypoint.angle_rad == pytest.approx(rad(45.0) + 1e-4 * 0.397 / 62.56e-6)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.physics.effect import Effect, Reading, Trial
+from needle_rig.physics.effects.tip_friction import TipFriction
 from needle_rig.physics.library import built_in_effects
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.physics.rod import Rod
@@ -317,7 +318,7 @@ def test_shapes_commute(coarse: NeedleModel) -> None:
 def test_a_place_in_the_series_is_all_that_shape_is_told(model: NeedleModel) -> None:
     seen = []
 
-    class Nosy(LIBRARY["tip_friction"]):
+    class Nosy(TipFriction):
         def shape(self, rod: Rod, trial: Trial) -> Rod:
             seen.append(trial)
             return super().shape(rod, trial)

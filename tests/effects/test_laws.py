@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -143,7 +144,7 @@ def test_ageing_peaks_grow_with_the_rest_before(coarse: NeedleModel) -> None:
 
 
 def test_viscoelasticity_becomes_elasticity_at_its_limits(coarse: NeedleModel) -> None:
-    solid = LIBRARY["tissue_viscoelasticity"]
+    solid = partial(make_effect, "tissue_viscoelasticity")
     elastic = coarse.with_effects(make_effect("tissue_elasticity", 0.4)).predict(SHORT)
     for limit in (
         solid(0.4, 0.0, 2.0),  # no relaxing spring
@@ -156,7 +157,7 @@ def test_viscoelasticity_becomes_elasticity_at_its_limits(coarse: NeedleModel) -
 
 
 def test_maxwell_and_kelvin_voigt_are_limits_without_trouble(coarse: NeedleModel) -> None:
-    solid = LIBRARY["tissue_viscoelasticity"]
+    solid = partial(make_effect, "tissue_viscoelasticity")
     maxwell = [coarse.with_effects(solid(k, 0.35, 2.0)).predict(SHORT).hall_rad for k in (0.0, 1e-9, 1e-5)]
     assert np.degrees(np.abs(maxwell[0] - maxwell[1])).max() < 1e-4
     assert np.degrees(np.abs(maxwell[0] - maxwell[2])).max() < 0.05
@@ -241,7 +242,7 @@ def test_bending_torque_rests_at_its_angle(coarse: NeedleModel) -> None:
     assert settled(loose, path((0, 0), (0.5, 45), (1, 45)))[1] == pytest.approx([45] * 4, abs=1e-3)
 
 
-def reading(torque_nm: float, hall_rad: float) -> Reading:
+def reading(torque_nm: list[float], hall_rad: list[list[float]]) -> Reading:
     time_s = np.linspace(0, 1, len(torque_nm))
     return Reading(
         Trial(time_s, np.zeros_like(time_s), start_s=60.0), np.array(torque_nm), np.array(hall_rad)
@@ -250,19 +251,20 @@ def reading(torque_nm: float, hall_rad: float) -> Reading:
 
 def test_sensor_laws() -> None:
     seen = reading([1e-3, 2e-3, 3e-3], [[0.0, 1.0], [0.5, 1.0], [1.0, 1.0]])
-    make = {name: LIBRARY[name] for name in LIBRARY}
-    np.testing.assert_allclose(make["torque_bias"](0.1).observe(seen).torque_nm, [1.1e-3, 2.1e-3, 3.1e-3])
-    np.testing.assert_allclose(make["torque_gain"](2).observe(seen).torque_nm, [2e-3, 4e-3, 6e-3])
-    drifted = make["torque_drift"](0.06).observe(seen).torque_nm
+    np.testing.assert_allclose(
+        make_effect("torque_bias", 0.1).observe(seen).torque_nm, [1.1e-3, 2.1e-3, 3.1e-3]
+    )
+    np.testing.assert_allclose(make_effect("torque_gain", 2).observe(seen).torque_nm, [2e-3, 4e-3, 6e-3])
+    drifted = make_effect("torque_drift", 0.06).observe(seen).torque_nm
     np.testing.assert_allclose(drifted, seen.torque_nm + 1e-6 * np.array([60, 60.5, 61]))
-    offset = make["hall_offset"]((1, -2)).observe(seen).hall_rad
+    offset = make_effect("hall_offset", (1, -2)).observe(seen).hall_rad
     np.testing.assert_allclose(offset, seen.hall_rad + np.radians([1, -2]))
-    stretched = make["hall_gain"]((0.1, 0)).observe(seen).hall_rad
+    stretched = make_effect("hall_gain", (0.1, 0)).observe(seen).hall_rad
     np.testing.assert_allclose(stretched, seen.hall_rad * [1.1, 1])
-    swung = make["hall_eccentricity"](3, 2).observe(seen).hall_rad - seen.hall_rad
+    swung = make_effect("hall_eccentricity", 3, 2).observe(seen).hall_rad - seen.hall_rad
     expected = np.radians(3) * np.sin(seen.hall_rad) + np.radians(2) * np.cos(seen.hall_rad)
     np.testing.assert_allclose(swung, expected)
-    late = make["clock_offset"](torque_delay_ms=250, hall_delay_ms=-500).observe(seen)
+    late = make_effect("clock_offset", torque_delay_ms=250, hall_delay_ms=-500).observe(seen)
     np.testing.assert_allclose(late.torque_nm, [1e-3, 1.5e-3, 2.5e-3])
     np.testing.assert_allclose(late.hall_rad[:, 0], [0.5, 1.0, 1.0])
 

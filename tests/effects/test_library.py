@@ -81,9 +81,9 @@ def test_the_worked_example_acts_where_its_law_says(model: NeedleModel) -> None:
 
 
 def test_other_values_need_no_compilation(model: NeedleModel) -> None:
-    slit = LIBRARY["slit_membrane"]
-    compiled = compiled_torque(slit)
-    laws = [model.with_effects(slit(torque_nmm=t)).rod(SHORT).laws[0] for t in (0.01, 0.02)]
+    compiled = compiled_torque(LIBRARY["slit_membrane"])
+    slits = [make_effect("slit_membrane", torque_nmm=t) for t in (0.01, 0.02)]
+    laws = [model.with_effects(slit).rod(SHORT).laws[0] for slit in slits]
     assert laws[0].law is laws[1].law is compiled
     assert laws[0].parameters[0] != laws[1].parameters[0]
 
@@ -97,7 +97,7 @@ def test_a_law_is_steady_unless_it_reads_rate_or_time(
 ) -> None:
     assert "2.0 * angle_rad" in GOOD
     (folder / "mine.py").write_text(GOOD.replace("2.0 * angle_rad", law))
-    mine = find_effects([folder])["mine"](torque_nmm=0.02)
+    mine = find_effects([folder])["mine"].at_strength(1.0)
     assert model.with_effects(mine).rod(SHORT).laws[0].steady is steady
 
 

@@ -49,6 +49,7 @@ def test_a_set_becomes_a_model_in_the_layout_asked_for(name: str) -> None:
 
 def test_the_literal_set_is_for_the_explicit_scheme() -> None:
     found = load_parameter_set("paper_literal")
+    assert found.karnopp is not None
     assert found.karnopp.static_nmm_per_100mm == 0.45
     with pytest.raises(
         BadInput, match=r"paper_literal\.yaml:\d+:\d+: paper_literal is for the solver explicit_kar"
@@ -123,7 +124,8 @@ def test_a_users_effect_in_a_model_file(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "config" / "effects").mkdir(parents=True)
     shutil.copy(USERS / "slit_membrane.py", tmp_path / "config" / "effects")
     monkeypatch.chdir(tmp_path)
-    assert load_model(tmp_path / "m.yaml").model.effects[0].torque_nmm == 0.02
+    (effect,) = load_model(tmp_path / "m.yaml").model.effects
+    assert vars(effect)["torque_nmm"] == 0.02
 
 
 def test_a_missing_folder_of_effects() -> None:

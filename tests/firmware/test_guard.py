@@ -12,7 +12,7 @@ from needle_rig.control.limits import DRIVE_SENTENCES
 from needle_rig.firmware.host import HostNodes
 from needle_rig.records import COMMAND_AGE_S, DriveFault, DriveState
 from tests.firmware.harness import Guard
-from tests.unnarrowed import now
+from tests.values import now
 
 EDGE = (-1000, -100, -10, -2, -1, 0, 1, 2, 10, 100, 1000)
 

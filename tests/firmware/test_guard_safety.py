@@ -7,7 +7,7 @@ import pytest
 from needle_rig.firmware.host import HostNodes
 from needle_rig.records import DriveFault, DriveState
 from tests.firmware.harness import Guard
-from tests.unnarrowed import now
+from tests.values import now
 
 
 def foreign(guard: Guard) -> bool:

@@ -13,7 +13,7 @@ from needle_rig.records import Command, DriveFault, DriveState
 from needle_rig.simulation.firmware_nodes import DriveFirmware, FirmwareNodes
 from needle_rig.units import deg, rad
 from needle_rig.wire.can_frames import DRIVE_COMMAND_ID, TORQUE_STATUS_ID, CanCodec
-from tests.unnarrowed import now
+from tests.values import now
 
 TRIALS = 200
 STOP_MS = 60

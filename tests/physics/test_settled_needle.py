@@ -35,6 +35,7 @@ def test_pieces_of_a_path_end_where_the_whole_does_to_the_bit(effect: ChuckBackl
     model = load_parameters("rig_elastic")
     model = model if effect is None else model.with_effects(effect)
     whole = model.truth(Trial(TIME_S, BASE_RAD), shaft=True)
+    assert whole.shaft_rad is not None
     for needle, stop in zip(in_pieces(model), CUTS[1:], strict=True):
         assert np.array_equal(needle.angle_rad, whole.shaft_rad[stop - 1])
         assert needle.torque_nm == whole.torque_nm[stop - 1]

@@ -1,6 +1,8 @@
 """Default settings against runs with finer samples, steps and cells, for every kind of coefficient."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,10 +43,10 @@ def bent(steady: bool = False, **options: Any) -> Rod:
 
 
 DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 2.8)
-CASES = (
+CASES: dict[str, Callable[..., Rod]] = (
     {"null": rod, "elastic": lambda **o: rod(stiffness=0.278, **o)}
-    | {f"viscous {b}": lambda b=b, **o: rod(viscous=b, **o) for b in DAMPINGS}
-    | {f"viscous {b}, elastic": lambda b=b, **o: rod(viscous=b, stiffness=0.278, **o) for b in DAMPINGS}
+    | {f"viscous {b}": partial(rod, viscous=b) for b in DAMPINGS}
+    | {f"viscous {b}, elastic": partial(rod, viscous=b, stiffness=0.278) for b in DAMPINGS}
     | {
         "kelvin-voigt": lambda **o: rod(creep=(0.3, 1.0), **o),
         "standard solid": lambda **o: rod(stiffness=0.5, creep=(0.3, 1.0), **o),

@@ -248,7 +248,7 @@ def test_a_batch_gives_what_single_runs_give() -> None:
 def pull_up(
     parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
 ) -> float:
-    return parameters[0] * np.sin(angle_rad - parameters[1]) - parameters[2] * rate_rad_s
+    return float(parameters[0] * np.sin(angle_rad - parameters[1]) - parameters[2] * rate_rad_s)
 
 
 def test_a_torque_law_acts_and_its_parameters_need_no_compilation() -> None:
@@ -281,7 +281,7 @@ def test_two_laws_add() -> None:
 def runaway(
     parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
 ) -> float:
-    return parameters[0] * angle_rad**3
+    return float(parameters[0] * angle_rad**3)
 
 
 def test_a_law_without_balance_is_a_clear_error() -> None:

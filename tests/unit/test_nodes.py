@@ -24,7 +24,7 @@ from needle_rig.wire.can_frames import (
     TorqueStatus,
 )
 from needle_rig.wire.hall_frames import HEALTHY_FIELD, decode_hall
-from tests.unnarrowed import now
+from tests.values import now
 
 CODEC = CanCodec(find_config_file("needle_rig.dbc"))
 LIMITS = load_rig_config().drive

@@ -13,7 +13,7 @@ from needle_rig.numerics import Array, forward_jacobian, rounded
 SLOPES = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 4.0]])
 
 
-def asked(f: Callable[[Array], Array], x: Array, step: float, *bounds: float) -> tuple[Array, Array]:
+def asked(f: Callable[[Array], Array], x: Array, step: float, *bounds: Array | float) -> tuple[Array, Array]:
     """The Jacobian, and the points at which `f` was asked."""
     points = []
 

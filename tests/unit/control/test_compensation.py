@@ -4,6 +4,7 @@ import itertools
 import math
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
@@ -22,7 +23,7 @@ from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.records import Measurement, Phase
 from needle_rig.units import rad
-from tests.unnarrowed import now
+from tests.values import now
 
 LEGAL = {
     ("idle", "start"): "rest",
@@ -244,8 +245,9 @@ def test_a_base_that_never_becomes_still_is_told_after_the_timeout() -> None:
         assert bench.time_s - start < 10.0
     # travel 30/45 s + settle 1 s + timeout 5 s
     assert bench.time_s - start == pytest.approx(30 / 45 + 1.0 + 5.0, abs=0.05)
-    assert "it still moves by 0.25°" in bench.sequence.overdue()
-    assert "limit 0.1° (sequence.still_deg)" in bench.sequence.overdue()
+    overdue = bench.sequence.overdue() or ""
+    assert "it still moves by 0.25°" in overdue
+    assert "limit 0.1° (sequence.still_deg)" in overdue
 
 
 def test_a_base_that_never_arrives_is_told_too() -> None:
@@ -258,7 +260,7 @@ def test_a_base_that_never_arrives_is_told_too() -> None:
 
 def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torque_stands_for() -> None:
     waypoint = Waypoint(rad(30.0), "back", reason=Reason.MODEL_DOUBTED)
-    means = {"base_angle_rad": 0.5, "torque_nm": 1e-4, "hall_rad": (0.4, 0.3)}
+    means: dict[str, Any] = {"base_angle_rad": 0.5, "torque_nm": 1e-4, "hall_rad": (0.4, 0.3)}
     motion = settled_motion(TASK, waypoint, index=2, moved_s=1.0, time_s=4.0, **means)
     assert (motion.index, motion.name, motion.reason) == (2, "back", Reason.MODEL_DOUBTED)
     assert motion.waypoint_rad == rad(30.0)
@@ -287,6 +289,12 @@ def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle: float) ->
         bench.until(Phase.MOVING)
 
 
+def setpoint_rad(bench: Bench) -> float:
+    setpoint = bench.sequence.setpoint_rad
+    assert setpoint is not None
+    return setpoint
+
+
 def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_arrived() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "rotate", dither=Dither(rad(2.0), 2.0)),)))
     bench.until(Phase.MOVING)
@@ -294,7 +302,7 @@ def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_
     offsets = []
     while bench.phase is Phase.MOVING:
         bench.step()
-        offsets.append(bench.sequence.setpoint_rad - rad(30.0))
+        offsets.append(setpoint_rad(bench) - rad(30.0))
     assert max(offsets) == pytest.approx(rad(2.0), rel=0.05)
     assert min(offsets) == pytest.approx(-rad(2.0), rel=0.05)
     assert abs(offsets[-1]) <= rad(0.1)
@@ -306,9 +314,9 @@ def test_the_dither_s_velocity_is_the_slope_of_its_angle() -> None:
     small = 1e-5
     for _ in range(30):
         bench.step()
-        before, slope = bench.sequence.setpoint_rad, bench.sequence.feedforward_rad_s
+        before, slope = setpoint_rad(bench), bench.sequence.feedforward_rad_s
         bench.step(small)
-        assert (bench.sequence.setpoint_rad - before) / small == pytest.approx(slope, abs=1e-3)
+        assert (setpoint_rad(bench) - before) / small == pytest.approx(slope, abs=1e-3)
 
 
 def test_progress_runs_from_nothing_to_one_and_never_falls() -> None:
@@ -316,7 +324,9 @@ def test_progress_runs_from_nothing_to_one_and_never_falls() -> None:
     told = [bench.sequence.progress(bench.phase)]
     while bench.phase is not Phase.DONE:
         if bench.phase is Phase.MOVING:
-            bench.base_deg = math.degrees(bench.sequence.waypoint.angle_rad)
+            waypoint = bench.sequence.waypoint
+            assert waypoint is not None
+            bench.base_deg = math.degrees(waypoint.angle_rad)
         bench.step()
         told.append(bench.sequence.progress(bench.phase))
     assert told[0] == 0.0
@@ -327,7 +337,7 @@ def test_progress_runs_from_nothing_to_one_and_never_falls() -> None:
 
 def test_every_active_phase_says_what_it_waits_for_and_counts_down() -> None:
     bench = Bench()
-    seen = {}
+    seen: dict[Phase, list[tuple[str, float | None]]] = {}
     while bench.phase is not Phase.DONE:
         if bench.phase is Phase.MOVING and bench.time_s > 1.0:
             bench.base_deg = 30.0
@@ -379,7 +389,7 @@ def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence() -> None:
     @dataclass(frozen=True)
     class Broken(There):
         def next(self, task: Task, history: History) -> Waypoint | None:
-            return 1 / 0
+            raise ZeroDivisionError("division by zero")
 
     bench = Bench(Broken())
     with pytest.raises(RigFault, match=r"failed with ZeroDivisionError: division by zero; choose another"):
@@ -390,4 +400,4 @@ def test_a_strategy_that_never_answers_is_told_by_name() -> None:
     bench = Bench(think=lambda *_: Future())
     while bench.sequence.overdue() is None:
         bench.step()
-    assert "has not answered for 6." in bench.sequence.overdue()
+    assert "has not answered for 6." in (bench.sequence.overdue() or "")

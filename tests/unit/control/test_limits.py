@@ -22,6 +22,7 @@ from needle_rig.control.limits import (
     tick_fault,
 )
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
+from tests.values import known
 
 LIMITS = Limits(
     angle_rad=10.0,
@@ -48,12 +49,6 @@ def having(**changes: Any) -> Measurement:
     return dataclasses.replace(GOOD, **changes)
 
 
-def the(fault: Fault | None) -> Fault:
-    """The fault that there must be."""
-    assert fault is not None
-    return fault
-
-
 def test_a_healthy_rig_has_no_fault() -> None:
     assert find_fault(GOOD, LIMITS) is None
 
@@ -64,7 +59,7 @@ def test_a_value_at_the_age_limit_counts_and_one_beyond_it_is_a_temporary_fault(
 ) -> None:
     field = f"{link}_age_s"
     assert find_fault(having(**{field: limit_s}), LIMITS) is None
-    fault = the(find_fault(having(**{field: limit_s + 0.0011}), LIMITS))
+    fault = known(find_fault(having(**{field: limit_s + 0.0011}), LIMITS))
     assert (fault.link, fault.latching) == (link, False)
     assert fault.text == (
         f"the {link} link is dead: its newest value is {limit_s * 1e3 + 1:.0f} ms old, limit"
@@ -130,7 +125,7 @@ def test_what_is_held_against_a_link_is_its_age_or_what_was_listened(
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
 @pytest.mark.parametrize("age", [math.inf, math.nan])
 def test_a_link_without_a_value_is_named(link: str, age: float) -> None:
-    fault = the(find_fault(having(**{f"{link}_age_s": age}), LIMITS))
+    fault = known(find_fault(having(**{f"{link}_age_s": age}), LIMITS))
     assert (fault.link, fault.latching) == (link, False)
     if math.isinf(age):
         assert fault.text == f"the {link} link has given no value yet; check {WHERE[link]}"
@@ -148,7 +143,7 @@ def test_a_link_without_a_value_is_named(link: str, age: float) -> None:
 def test_a_value_that_is_no_number_is_a_temporary_fault_of_its_link(
     bad: float, link: str, field: str, wrap: Callable[[float], object]
 ) -> None:
-    fault = the(find_fault(having(**{field: wrap(bad)}), LIMITS))
+    fault = known(find_fault(having(**{field: wrap(bad)}), LIMITS))
     assert (fault.link, fault.latching) == (link, False)
     assert f"the {link} link gives" in fault.text
     assert "no number" in fault.text
@@ -157,7 +152,7 @@ def test_a_value_that_is_no_number_is_a_temporary_fault_of_its_link(
 @pytest.mark.parametrize("sign", [1, -1])
 def test_torque_beyond_its_limit_trips_and_latches(sign: int) -> None:
     assert find_fault(having(torque_nm=sign * LIMITS.torque_nm), LIMITS) is None
-    fault = the(find_fault(having(torque_nm=sign * LIMITS.torque_nm * 1.001), LIMITS))
+    fault = known(find_fault(having(torque_nm=sign * LIMITS.torque_nm * 1.001), LIMITS))
     assert (fault.link, fault.latching) == ("torque", True)
     assert f"{sign * 2.002:.3f} N·mm, above the limit of 2 N·mm" in fault.text
     assert fault.text.endswith("then: needle-rig clear")
@@ -166,7 +161,7 @@ def test_torque_beyond_its_limit_trips_and_latches(sign: int) -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
     assert find_fault(having(base_angle_rad=sign * 10.0), LIMITS) is None
-    fault = the(find_fault(having(base_angle_rad=sign * 10.01), LIMITS))
+    fault = known(find_fault(having(base_angle_rad=sign * 10.01), LIMITS))
     assert (fault.link, fault.latching) == ("drive", True)
     assert f"the base stands at {sign * 573.5:.1f}°, outside ±572.958°" in fault.text
 
@@ -175,7 +170,7 @@ def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
 def test_every_fault_bit_of_the_drive_has_its_sentence(bit: DriveFault) -> None:
     if bit is DriveFault.NONE:
         return
-    fault = the(drive_fault(DriveState.FAULT, bit))
+    fault = known(drive_fault(DriveState.FAULT, bit))
     temporary = bit in (DriveFault.COMMAND_AGE, DriveFault.FRAME, DriveFault.TORQUE_AGE)
     assert fault.text == f"the drive stopped by itself: {DRIVE_SENTENCES[bit]}" + (
         "" if temporary else ", then: needle-rig clear"
@@ -185,13 +180,13 @@ def test_every_fault_bit_of_the_drive_has_its_sentence(bit: DriveFault) -> None:
 
 
 def test_a_temporary_and_a_latching_bit_together_latch_and_are_both_told() -> None:
-    fault = the(drive_fault(DriveState.FAULT, DriveFault.COMMAND_AGE | DriveFault.ENCODER))
+    fault = known(drive_fault(DriveState.FAULT, DriveFault.COMMAND_AGE | DriveFault.ENCODER))
     assert fault.latching
     assert DRIVE_SENTENCES[DriveFault.COMMAND_AGE] + "; " + DRIVE_SENTENCES[DriveFault.ENCODER] in fault.text
 
 
 def test_a_drive_in_fault_without_a_reason_latches() -> None:
-    fault = the(drive_fault(DriveState.FAULT, DriveFault.NONE))
+    fault = known(drive_fault(DriveState.FAULT, DriveFault.NONE))
     assert fault.latching
     assert "gives no reason" in fault.text
 
@@ -202,18 +197,18 @@ def test_a_drive_without_faults_is_none(state: DriveState) -> None:
 
 
 def test_find_fault_asks_the_drive() -> None:
-    fault = the(find_fault(having(drive_faults=DriveFault.ENCODER), LIMITS))
+    fault = known(find_fault(having(drive_faults=DriveFault.ENCODER), LIMITS))
     assert fault == drive_fault(DriveState.RUNNING, DriveFault.ENCODER)
 
 
 def test_dead_links_come_before_bad_values() -> None:
-    fault = the(find_fault(having(hall_age_s=1.0, torque_nm=math.nan), LIMITS))
+    fault = known(find_fault(having(hall_age_s=1.0, torque_nm=math.nan), LIMITS))
     assert fault.link == "hall"
 
 
 @pytest.mark.parametrize("dt_s", [0.0, -0.001, math.nan, math.inf])
 def test_a_tick_of_impossible_length_is_a_temporary_fault(dt_s: float) -> None:
-    fault = tick_fault(dt_s)
+    fault = known(tick_fault(dt_s))
     assert (fault.link, fault.latching) == ("control", False)
     assert f"took {dt_s} s" in fault.text
     assert gate(0.0, GOOD, 0.0, dt_s, LIMITS) == Gated(STOP, limited=False, fault=fault)
@@ -261,8 +256,9 @@ def test_at_the_angle_limit_only_the_way_back_is_open(sign: int) -> None:
 def test_a_wish_that_is_no_number_stops_and_latches(wish: float) -> None:
     gated = gate(wish, GOOD, 0.5, 0.005, LIMITS)
     assert gated.command == STOP
-    assert (gated.fault.link, gated.fault.latching, gated.limited) == ("control", True, False)
-    assert "no number" in gated.fault.text
+    fault = known(gated.fault)
+    assert (fault.link, fault.latching, gated.limited) == ("control", True, False)
+    assert "no number" in fault.text
 
 
 def test_a_fault_stops_whatever_is_wished() -> None:
@@ -294,7 +290,7 @@ def test_nothing_that_comes_in_lets_a_command_beyond_its_limits_out(
 
 
 def test_a_long_dead_link_tells_its_age_to_the_millisecond() -> None:
-    assert "12345 ms old, limit 60 ms" in the(find_fault(having(hall_age_s=12.345), LIMITS)).text
+    assert "12345 ms old, limit 60 ms" in known(find_fault(having(hall_age_s=12.345), LIMITS)).text
 
 
 @pytest.mark.parametrize("words", [LIMITS, Gated(STOP, False), tick_fault(0.0)])
@@ -306,14 +302,14 @@ def test_nothing_that_was_decided_can_be_changed_afterwards(words: Limits | Gate
 
 def test_every_fault_has_its_name() -> None:
     for link in ("torque", "hall", "drive"):
-        assert the(find_fault(having(**{f"{link}_age_s": 1.0}), LIMITS)).name is FaultName.LINK_DEAD
+        assert known(find_fault(having(**{f"{link}_age_s": 1.0}), LIMITS)).name is FaultName.LINK_DEAD
     for field in ("torque_nm", "base_angle_rad"):
-        assert the(find_fault(having(**{field: math.nan}), LIMITS)).name is FaultName.NOT_A_NUMBER
-    assert the(find_fault(having(hall_rad=(0.1, math.nan)), LIMITS)).name is FaultName.NOT_A_NUMBER
-    assert the(find_fault(having(torque_nm=0.1), LIMITS)).name is FaultName.TORQUE_LIMIT
-    assert the(find_fault(having(base_angle_rad=11.0), LIMITS)).name is FaultName.ANGLE_LIMIT
-    assert the(tick_fault(0.0)).name is FaultName.LATE_TICK
-    assert the(gate(math.nan, GOOD, 0.0, 0.005, LIMITS).fault).name is FaultName.CONTROL
+        assert known(find_fault(having(**{field: math.nan}), LIMITS)).name is FaultName.NOT_A_NUMBER
+    assert known(find_fault(having(hall_rad=(0.1, math.nan)), LIMITS)).name is FaultName.NOT_A_NUMBER
+    assert known(find_fault(having(torque_nm=0.1), LIMITS)).name is FaultName.TORQUE_LIMIT
+    assert known(find_fault(having(base_angle_rad=11.0), LIMITS)).name is FaultName.ANGLE_LIMIT
+    assert known(tick_fault(0.0)).name is FaultName.LATE_TICK
+    assert known(gate(math.nan, GOOD, 0.0, 0.005, LIMITS).fault).name is FaultName.CONTROL
 
 
 @pytest.mark.parametrize(
@@ -332,12 +328,12 @@ def test_every_fault_has_its_name() -> None:
     ],
 )
 def test_what_drive_and_host_both_know_has_one_name(bit: DriveFault, name: FaultName) -> None:
-    fault = the(drive_fault(DriveState.FAULT, bit))
+    fault = known(drive_fault(DriveState.FAULT, bit))
     assert (fault.name, fault.latching) == (name, True)
 
 
 def test_a_pressed_emergency_stop_latches_whatever_the_drive_says() -> None:
-    fault = the(find_fault(having(emergency_stop=True), LIMITS))
+    fault = known(find_fault(having(emergency_stop=True), LIMITS))
     assert (fault.name, fault.link, fault.latching) == (FaultName.EMERGENCY_STOP, "drive", True)
     assert fault.text == "the emergency stop is pressed; release it, then: needle-rig clear"
 
@@ -348,7 +344,7 @@ def test_a_slow_host_counts_a_link_dead_that_will_be_at_the_next_tick(link: str,
     assert slow_host_fault(having(**edge), 0.0199, LIMITS) is None
     exact = having(**{f"{link}_age_s": limit_s / 2})
     assert slow_host_fault(exact, limit_s / 2, LIMITS) is None
-    fault = the(slow_host_fault(having(**edge), 0.0202, LIMITS))
+    fault = known(slow_host_fault(having(**edge), 0.0202, LIMITS))
     assert (fault.name, fault.link, fault.latching) == (FaultName.LATE_TICK, link, False)
     assert fault.text == (
         f"this computer is too slow for the {link} link: its newest value is {limit_s * 1e3 - 20:.0f} ms old,"
@@ -359,5 +355,5 @@ def test_a_slow_host_counts_a_link_dead_that_will_be_at_the_next_tick(link: str,
 
 
 def test_a_slow_host_tells_long_times_to_the_millisecond() -> None:
-    text = slow_host_fault(having(torque_age_s=12.345), 7.654, LIMITS).text
+    text = known(slow_host_fault(having(torque_age_s=12.345), 7.654, LIMITS)).text
     assert "12345 ms old, the next look at it comes in 7654 ms, limit 50 ms" in text

@@ -13,7 +13,7 @@ from needle_rig.errors import BadInput, RigFault
 from needle_rig.records import RELEASE, STOP, DriveState, Phase
 from needle_rig.units import deg, rad
 from tests.unit.control.test_reference import CONFIG, TICK_S, Node
-from tests.unnarrowed import now
+from tests.values import now
 
 
 def ready() -> Node:
@@ -139,12 +139,13 @@ def test_a_stop_ends_it_in_the_same_tick(what: str) -> None:
     if what == "index":
         node.reset()
         node.tick()
-    {
+    begin: dict[str, Callable[[], object]] = {
         "jog": lambda: node.brain.jog(by_rad=rad(90.0)),
         "hold": node.brain.hold,
         "home": node.brain.home,
         "index": lambda: node.brain.home("index"),
-    }[what]()
+    }
+    begin[what]()
     node.ticks(60)
     assert node.command.enable
     assert node.brain.stop("a person") == STOP
@@ -199,9 +200,9 @@ def late(tick_s: float, ticks_in_time: int = 5, age_s: float = 0.001) -> tuple[N
     for _ in range(4):
         node.time_s += tick_s
         node.brain.step(node.read(), tick_s)
-    assert node.brain.state.fault is None, "a slow host alone is no fault"
+    assert now(node.brain.state.fault) is None, "a slow host alone is no fault"
     dead_s = 0.0
-    while node.brain.state.fault is None:
+    while now(node.brain.state.fault) is None:
         dead_s += tick_s
         node.time_s += tick_s
         node.changes = {"hall_age_s": age_s + dead_s}

@@ -16,6 +16,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.control.reports import BrainState, SettledMotion
 from needle_rig.records import DriveFault, DriveState, Measurement, Phase
 from needle_rig.service import report
+from needle_rig.service.documents import State, Told
 from needle_rig.units import rad
 
 CONFIG = load_rig_config()
@@ -24,7 +25,7 @@ MOTION = SettledMotion(1, "rotate", 0.5, 5.3, rad(45.0), rad(45.0), 1.007e-4, HA
 angle = st.floats(-1e4, 1e4)
 
 
-def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, settled: int = 2) -> dict:  # type: ignore[type-arg]
+def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, settled: int = 2) -> State:
     state = BrainState(
         time_s=1.0,
         phase=phase,
@@ -56,7 +57,7 @@ MEASURED = Measurement(
 )
 
 
-def drawn(state: dict, width: int, height: int) -> str:  # type: ignore[type-arg]
+def drawn(state: State, width: int, height: int) -> str:
     out = io.StringIO()
     Console(file=out, width=width, height=height, force_terminal=False).print(screen(state, width, height))
     return out.getvalue()
@@ -144,7 +145,7 @@ def test_what_the_daemon_tells_is_always_json(value: float) -> None:
 
 def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
     out = io.StringIO()
-    ended = {
+    ended: Told = {
         "result": {"status": "not_aligned", "simulated": True, "run": "runs/1.h5"},
         "text": "not aligned: the tip lags 12°",
         "conditions": [
@@ -176,7 +177,7 @@ def test_a_wait_is_told_by_a_bar_that_moves_on_a_terminal(monkeypatch: pytest.Mo
     out = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys, "stderr", out)
-    drawn = set()
+    drawn = set[str]()
     with moving_bar("the first start compiles"):
         until_s = time.monotonic() + 20.0
         while len(drawn) < 3 and time.monotonic() < until_s:

@@ -2,7 +2,7 @@ import pytest
 
 from needle_rig.errors import Aborted, BadInput
 from needle_rig.service.lease import LEASE_S, Claim, Lease, Taken
-from tests.unnarrowed import now
+from tests.values import now
 
 
 class Rig:

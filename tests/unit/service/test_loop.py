@@ -1,5 +1,6 @@
 import asyncio
 import math
+from typing import Any
 
 import pytest
 
@@ -172,9 +173,8 @@ async def test_who_waits_for_a_tick_s_work_goes_on_while_virtual_time_stands_sti
 
 
 async def test_a_broken_brain_keeps_nobody_waiting() -> None:
-    loop = ControlLoop(
-        Rig(), Brain(breaks=True), VirtualClock(0.005, lambda dt_s: None), lambda s: None, lambda t: None
-    )  # type: ignore[arg-type]
+    broken: Any = Brain(breaks=True)
+    loop = ControlLoop(Rig(), broken, VirtualClock(0.005, lambda dt_s: None), lambda s: None, lambda t: None)
     loop.busy = True
     waiting = asyncio.create_task(loop.worked())
     with pytest.raises(ZeroDivisionError):

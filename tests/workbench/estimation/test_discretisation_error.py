@@ -162,7 +162,7 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
 def test_an_encoder_without_noise_adds_none() -> None:
     data, problem, found = slipping(encoder_deg=0.0)
     wider, _ = by_every_sample(problem, found, data.trials)
-    assert all(not b.from_encoder.any() for b in wider.trials)
+    assert all(b.from_encoder is not None and not b.from_encoder.any() for b in wider.trials)
 
 
 def test_directions_of_other_nuisances_outlast_a_change_of_the_noise() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg
 from needle_rig.workbench.published.diagnose import diagnose_settled
 from needle_rig.workbench.published.fit import SettledProblem
+from tests.values import known
 from tests.workbench.hidden import effect, few
 
 TIED = ["tissue_elasticity", "chuck_compliance", "torque_gain"]
@@ -53,7 +55,7 @@ def readings(
 
 
 @pytest.fixture(scope="module")
-def answer(tmp_path_factory: pytest.TempPathFactory) -> dict:
+def answer(tmp_path_factory: pytest.TempPathFactory) -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("elsewhere"))
         result = CliRunner().invoke(diagnose, ["reed2008", "--json"])
@@ -61,7 +63,7 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> dict:
     return json.loads(result.stdout)
 
 
-def test_the_paper_s_numbers_leave_a_tie_of_three_in_the_order_of_plausibility(answer: dict) -> None:
+def test_the_paper_s_numbers_leave_a_tie_of_three_in_the_order_of_plausibility(answer: Any) -> None:
     assert answer["verdict"] == "effect"
     assert answer["effects"] == ["tissue_elasticity"]
     assert [r["effect"] for r in answer["ranking"][:3]] == TIED
@@ -75,7 +77,7 @@ def test_the_paper_s_numbers_leave_a_tie_of_three_in_the_order_of_plausibility(a
     assert answer["held_out_error_after"] < 0.5 * answer["held_out_error_before"]
 
 
-def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: dict) -> None:
+def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: Any) -> None:
     found = answer["next_experiment"]
     assert found["between"] == TIED
     assert (found["sensor"], found["motion"]) == ("hall_4", 3)
@@ -86,9 +88,9 @@ def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: dict) -> No
     assert [p["between"] for p in found["pairs"]] == [TIED[:2], TIED[::2], TIED[1:]]
 
 
-def test_what_the_source_gives_without_scatter_is_shown_and_not_weighed(answer: dict) -> None:
+def test_what_the_source_gives_without_scatter_is_shown_and_not_weighed(answer: Any) -> None:
     said = [n for n in answer["notes"] if "not weighed" in n]
-    assert [re.search(r": ([\d.]+) ", n)[1] for n in said] == ["0.068", "43.8", "4.4"]
+    assert [number for n in said for number in re.findall(r"^.*?: ([\d.]+) ", n)] == ["0.068", "43.8", "4.4"]
 
 
 @pytest.mark.parametrize(
@@ -169,7 +171,7 @@ def test_a_user_s_effect_ties_under_its_own_name(tmp_path: Path) -> None:
         paper(), {n: every[n] for n in ("soft_holder", "chuck_compliance", "tip_friction")}
     )
     assert {found.effects[0], *found.ranking[0].indistinguishable_from} == {"soft_holder", "chuck_compliance"}
-    assert found.ranking[0].separation_sigma < 0.1
+    assert known(found.ranking[0].separation_sigma) < 0.1
 
 
 def test_what_no_plausible_effect_meets_is_unknown_and_told() -> None:

@@ -168,7 +168,7 @@ class Trace(SimpleNamespace):
     """A stand-in for a search's trace: scores by set, and the effects that are named."""
 
     def score(self, key: EffectSet) -> float:
-        return self.scores[key]
+        return float(self.scores[key])
 
     def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
         return self.scores[key], sorted(key)
