@@ -84,7 +84,7 @@ def test_a_base_that_creeps_winds_the_needle_up_as_a_quick_one_does(config, elas
             plant.turn_by_hand(rad(velocity_deg_s), 0.005)
         for _ in range(200):
             plant.turn_by_hand(0.0, 0.005)
-    assert nmm(quick.torque_nm) > 0.005
+    assert nmm(quick.torque_nm) > 0.002
     assert deg(creeping.true_base_rad) == pytest.approx(1.0, abs=0.05)
     assert nmm(creeping.torque_nm) == pytest.approx(nmm(quick.torque_nm), rel=0.1)
 
