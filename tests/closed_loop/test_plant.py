@@ -86,6 +86,20 @@ def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path
     assert plant.shaft_rad()[-1] == pytest.approx(whole.tip_rad[-1], abs=rad(0.02))
 
 
+def test_a_base_that_creeps_winds_the_needle_up_as_a_quick_one_does(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
+    quick, creeping = (Plant(elastic, simulation_of(config)) for _ in range(2))
+    for plant, velocity_deg_s, ticks in ((quick, 20.0, 10), (creeping, 0.04, 5000)):
+        for _ in range(ticks):
+            plant.turn_by_hand(rad(velocity_deg_s), 0.005)
+        for _ in range(200):
+            plant.turn_by_hand(0.0, 0.005)
+    assert nmm(quick.torque_nm) > 0.002
+    assert deg(creeping.true_base_rad) == pytest.approx(1.0, abs=0.05)
+    assert nmm(creeping.torque_nm) == pytest.approx(nmm(quick.torque_nm), rel=0.1)
+
+
 def test_sensors_are_quantised_and_as_noisy_as_stated(config: RigConfig, elastic: NeedleModel) -> None:
     settings = simulation_of(config)
     plant = Plant(elastic, settings)
