@@ -15,7 +15,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import RigFault
 from needle_rig.numerics import Array
-from needle_rig.records import STOP, Command, DriveState
+from needle_rig.records import STOP, Command, DriveState, JsonObject
 from needle_rig.units import nmm, rad
 from needle_rig.wire.hall_frames import HallFrame
 
@@ -54,7 +54,7 @@ class Stand(Protocol):
 class BenchStand:
     """The firmware around a free needle, in virtual time; nodes other than `kind` keep their pages."""
 
-    def __init__(self, kind: str, pages: Path, overrides: dict[str, Any]) -> None:
+    def __init__(self, kind: str, pages: Path, overrides: JsonObject) -> None:
         import shutil
         import tempfile
 

@@ -9,7 +9,11 @@ from vulture import Vulture
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOUND_BY_FILE_NAME = ("needle_rig/physics/effects", "needle_rig/control/strategies")
 """One class a file, looked up by the file's name; its fields are read by their names."""
-DOCUMENTS = ("needle_rig/service/documents.py", "needle_rig/simulation/bench_lines.py")
+DOCUMENTS = (
+    "needle_rig/service/documents.py",
+    "needle_rig/simulation/bench_lines.py",
+    "needle_rig/workbench/selection/documents.py",
+)
 """Keys of what goes from process to process: mypy holds them, clients read them by name."""
 CALLED_BY_LIBRARIES = {
     "__getattr__": "Python: attributes of the package",

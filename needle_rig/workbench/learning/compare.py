@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import Prepared, prepare
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
+from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, FittedNumber, PlaceError
 
 WORST = 8
 NOISE_LIMIT = 3.0
@@ -45,7 +45,7 @@ class Place:
         """Error in units of the noise."""
         return self.error / self.noise if self.noise > 0 else 0.0
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> PlaceError:
         """As it stands in the JSON answer."""
         return {
             "channel": self.channel,
@@ -71,8 +71,8 @@ class TraceComparison:
     every_place: tuple[Place, ...]
     """Every channel × motion × state × direction."""
     worst: tuple[Place, ...]
-    channels: dict[str, dict[str, Any]]
-    free_parameters: dict[str, Any]
+    channels: dict[str, ChannelError]
+    free_parameters: dict[str, FittedNumber]
     reduced_chi2: float
     held_out_error: float
 
@@ -102,7 +102,7 @@ class TraceComparison:
         """Of the dataset, and of how it was prepared."""
         return *self.prepared.dataset.notes, *self.prepared.notes
 
-    def places(self) -> list[dict[str, Any]]:
+    def places(self) -> list[PlaceError]:
         """Every channel × motion × state × direction."""
         return [p.as_json() for p in self.every_place]
 
@@ -110,7 +110,7 @@ class TraceComparison:
         """What can be drawn: all of it."""
         return self
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> CompareDocument:
         """The stated form of the answer."""
         return {
             "dataset": self.prepared.dataset.name,
@@ -150,7 +150,7 @@ def compared(prepared: Prepared) -> TraceComparison:
         if len(shown) == WORST:
             break
     point = found.point
-    free: dict[str, dict[str, Any]] = {
+    free: dict[str, FittedNumber] = {
         "friction_nmm_per_100mm": {"value": float(f"{np.exp(point.log_friction) * 100:.6g}")},
         "torsional_rigidity_nmm2": {
             "value": float(f"{np.exp(point.log_rigidity) * 1e6:.6g}"),
@@ -292,9 +292,9 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
 
 def _channels(
     prepared: Prepared, readings: list[Array], names: tuple[str, ...], places: list[Place]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, ChannelError]:
     problem = prepared.problem
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, ChannelError] = {}
     for c, name in enumerate(names):
         factor, unit = scale_of(c)
         squares, count, noise = 0.0, 0.0, problem.noise
@@ -303,7 +303,7 @@ def _channels(
             squares += float(((binned.mean[c][use] - reading[c][use]) ** 2 * binned.count[c][use]).sum())
             count += float(binned.count[c][use].sum())
         white = np.hypot(noise.white[c], noise.correlated[c])
-        phases: dict[str, Any] = {}
+        phases: dict[str, dict[str, dict[str, float]]] = {}
         for p in places:
             if p.channel == name:
                 key = p.motion if not p.direction else f"{p.motion} {p.direction}"

@@ -65,7 +65,7 @@ class _Explanation(Section):
     added: Annotated[tuple[str, ...], Field(min_length=1)]
     improves_cross_validation: bool
     trial_friction: tuple[Annotated[float, Field(gt=0)], ...]
-    model: dict[str, Any]
+    model: JsonObject
 
 
 class _File(Section):

@@ -12,13 +12,13 @@ the test says that something is missing, never that nothing is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from needle_rig.numerics import Array
+from needle_rig.records import JsonObject
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
@@ -58,7 +58,7 @@ class LackOfFit:
             f" (F = {self.statistic:.2f} on {self.shared_dof} and {self.differing_dof}, p = {self.p:.1g})"
         )
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "f": float(f"{self.statistic:.4g}"),
