@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -62,7 +62,19 @@ def rod(
     return replace(plain, **changes)
 
 
-KINDS: dict[str, dict[str, Any]] = {
+class RodValues(TypedDict, total=False):
+    """Values of `rod` that differ from the plain one's."""
+
+    viscous: float
+    stiffness: float
+    creep: tuple[float, float]
+    law: Callable[..., float]
+    static_excess: float
+    weakening_rad: float
+    ageing_per_decade: float
+
+
+KINDS: dict[str, RodValues] = {
     "rigid": {},
     "elastic": {"stiffness": 0.278},
     "viscous": {"viscous": 0.5},

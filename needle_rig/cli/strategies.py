@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.records import JsonObject
-    from needle_rig.workbench.contest.strategies_table import Foretold, Table
+    from needle_rig.workbench.contest.strategies_table import Foretold, StrategyOverall, Table
     from needle_rig.workbench.virtual.noise import Noise
 
 PAIR = ("planned", "reed2008")
@@ -228,7 +228,7 @@ def _show_one(effect: str, contest: Contest) -> str:
     return f"{effect}: {told.sentence}" if told.little_gained else ""
 
 
-def _show(rows: list[JsonObject], title: str) -> None:
+def _show(rows: list[StrategyOverall], title: str) -> None:
     """A table, the straightest shaft first; then what was refused and what gave way."""
     click.echo(title)
     heads = ("tip lag °", "worst °", "mean °", "torque N·mm", "rotations", "total °", "time s")

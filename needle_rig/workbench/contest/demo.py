@@ -14,7 +14,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.contest.strategies_table import Bout, foretold
+from needle_rig.workbench.contest.strategies_table import Bout, Spread, foretold
 from needle_rig.workbench.learning.learn import Lesson, learn
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -23,13 +23,6 @@ from needle_rig.workbench.virtual.settled_run import SettledRun
 
 FRESH_SEED = 500
 """Runs after learning meet needles that no run before it met."""
-
-
-class Spread(TypedDict):
-    """Of several runs."""
-
-    median: float
-    q95: float
 
 
 class RunsInShort(TypedDict):
