@@ -251,7 +251,8 @@ def judge(task: Task, known: Limits) -> Row:
     try:
         return {**task, **judged(task, known)}
     except Exception:  # noqa: BLE001 a crash is an answer too: it is counted
-        return {**task, "crash": traceback.format_exc(limit=-4)}
+        crash: Answer = {"crash": traceback.format_exc(limit=-4)}
+        return {**task, **crash}
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,7 +15,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import RigFault
 from needle_rig.numerics import Array
-from needle_rig.records import STOP, Command, DriveState, JsonObject
+from needle_rig.records import STOP, Command, DriveState
 from needle_rig.units import nmm, rad
 from needle_rig.wire.hall_frames import HallFrame
 
@@ -54,7 +54,7 @@ class Stand(Protocol):
 class BenchStand:
     """The firmware around a free needle, in virtual time; nodes other than `kind` keep their pages."""
 
-    def __init__(self, kind: str, pages: Path, overrides: JsonObject) -> None:
+    def __init__(self, kind: str, pages: Path, overrides: Mapping[str, object]) -> None:
         import shutil
         import tempfile
 

@@ -238,8 +238,13 @@ def _show(rows: list[StrategyOverall], title: str) -> None:
             click.echo(f"  {row['strategy']:<17}" + f"{'refused':>15}")
             continue
         cells = [
-            f"{row[k]['median']:.{d}f} ({row[k]['q95']:.{d}f})"
-            for k, d in (("tip_lag_deg", 1), ("worst_deg", 1), ("mean_deg", 1), ("torque_nmm", 3))
+            f"{of['median']:.{d}f} ({of['q95']:.{d}f})"
+            for of, d in (
+                (row["tip_lag_deg"], 1),
+                (row["worst_deg"], 1),
+                (row["mean_deg"], 1),
+                (row["torque_nmm"], 3),
+            )
         ]
         cells += [f"{row['rotations']:g}", f"{row['total_rotation_deg']:.0f}", f"{row['time_s']:.1f}"]
         click.echo(f"  {row['strategy']:<17}" + "".join(f"{cell:>15}" for cell in cells))

@@ -11,6 +11,7 @@ import inspect
 import re
 from collections import namedtuple
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -68,8 +69,10 @@ def _compile(effect: type[Effect]) -> Callable[..., float]:
     record = namedtuple(effect.__name__, fields)  # type: ignore[misc]
     values = ", ".join(f"parameters[{i}]" for i in range(len(fields)))
     arguments = ", ".join(ARGUMENTS)
-    method = numba.njit(effect.torque, error_model="numpy")
-    namespace: dict[str, object] = {"method": method, "Record": record}
+    namespace: dict[str, Any] = {
+        "method": numba.njit(effect.torque, error_model="numpy"),
+        "Record": record,
+    }
     exec(  # numba needs one function with the solver's signature
         f"def law(parameters, {arguments}):\n    return method(Record({values}), {arguments})", namespace
     )
@@ -79,7 +82,7 @@ def _compile(effect: type[Effect]) -> Callable[..., float]:
         line, reason = _place(str(error), effect)
     else:
         # a missing return would become an exception inside the solver
-        returned = method.nopython_signatures[0].return_type
+        returned = namespace["method"].nopython_signatures[0].return_type
         if isinstance(returned, numba.types.Number | numba.types.Boolean):
             return law
         line, reason = first_line, NO_NUMBER

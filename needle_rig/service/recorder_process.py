@@ -56,7 +56,7 @@ class Keeper:
             if number:
                 self._answer(number=number, **answer)
 
-    def begin(self, directory: Path, config: RigConfig, request: JsonObject) -> Reply:
+    def begin(self, directory: Path, config: RigConfig, request: Mapping[str, Any]) -> Reply:
         """Open a new run."""
         self._leave()
         remove_empty_runs(directory)

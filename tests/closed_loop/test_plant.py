@@ -217,7 +217,7 @@ class TestDriveGuard:
         guarded = Guarded()
         assert guarded.step(Command(0.5, enable=True)) == 0.0
         assert now(guarded.state) == (DriveState.SILENT, DriveFault.NONE)
-        assert not guarded.guard.supply
+        assert not now(guarded.guard.supply)
         guarded.step(Command(clear=True))
         assert now(guarded.state) == (DriveState.READY, DriveFault.NONE)
         assert guarded.guard.supply

@@ -57,7 +57,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert run.result == {"status": "aligned", "lag_deg": 26.0}
     assert run.config == config
     assert run.attributes["target_deg"] == 45.0
-    assert run.attributes["shaft_position_m"].tolist() == [0, 1, 2]
+    assert np.asarray(run.attributes["shaft_position_m"]).tolist() == [0, 1, 2]
     assert run.table("torque")["counter"].tolist() == [7, 8]
     assert run.table("hall")["angle_rad"][0].tolist() == [0.1, 0.2, 0.3, 0.4]
     assert len(run.table("hall")) == 3

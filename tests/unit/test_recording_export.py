@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -94,7 +95,7 @@ def test_csv_has_one_file_a_source_in_degrees(
     assert float(last["torque_nmm"]) == pytest.approx(ticks["torque_nm"][-1] * 1e3, abs=1e-6)
     assert float(last["time_s"]) == pytest.approx(ticks["time_s"][-1] - run.span_s[0], abs=1e-6)
     assert (last["phase"], last["motion"]) == ("done", "final")
-    about, _ = read_yaml(tmp_path / "out" / "run.yaml")
+    about: Any = read_yaml(tmp_path / "out" / "run.yaml")[0]
     assert about["result"]["target_deg"] == 45.0
     assert parse_rig_config(write_yaml(about["config"])) == run.config
     assert needle_rig(["export", "last", "--csv", "--out", "out"]) == 2
@@ -170,7 +171,7 @@ def test_runs_that_cannot_be_a_trial_are_refused(tmp_path: Path, run_path: Path)
         runs_as_dataset([RunFile(tmp_path / "wound.h5")])
     with pytest.raises(BadInput, match="no run was named"):
         runs_as_dataset([])
-    longer = {**attributes, "config": attributes["config"].replace("length_mm: 397", "length_mm: 399")}
+    longer = {**attributes, "config": str(attributes["config"]).replace("length_mm: 397", "length_mm: 399")}
     with RunWriter(tmp_path / "other.h5", longer, tables) as writer:
         writer.append("ticks", whole.table("ticks"))
     with pytest.raises(BadInput, match="its layout or needle differs"):

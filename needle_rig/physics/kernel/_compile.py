@@ -23,7 +23,7 @@ from numba.core.typed_passes import NativeLowering
 
 FLOATS = {"contract", "nsz"}
 """What may be done to arithmetic: multiply and add at once, and lose the sign of a zero."""
-OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class VectorisedLibrary(JITCodeLibrary):

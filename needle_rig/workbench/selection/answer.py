@@ -11,7 +11,7 @@ import numpy as np
 
 from needle_rig.records import JsonObject
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.documents import FittedNumber, NextExperiment
+from needle_rig.workbench.selection.documents import DiagnoseDocument, FittedNumber, NextExperiment
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import Leftover
@@ -167,7 +167,7 @@ class Answer:
         shared = [lack.sentence()] if lack is not None and lack.significant else []
         return [p.sentence() for p in self.left_over.patterns] + shared
 
-    def as_json(self) -> JsonObject:
+    def as_json(self) -> DiagnoseDocument:
         """The stated form of the answer."""
         return {
             "dataset": self.dataset,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NotRequired, TypedDict
 
+from needle_rig.records import JsonObject
+
 
 class FittedNumber(TypedDict):
     """One number of a fit, in the unit that its name ends in where it gives none."""
@@ -39,7 +41,7 @@ class PlaceError(TypedDict):
     noise: float | None
     sigmas: float | None
     unit: str
-    trial: NotRequired[int]
+    trial: NotRequired[str]
     words: str
 
 
@@ -58,13 +60,56 @@ class CompareDocument(TypedDict):
     notes: list[str]
 
 
+class FTest(TypedDict):
+    """Test for lack of fit, with its degrees of freedom."""
+
+    f: float
+    dof: list[int]
+    p: float
+
+
+class FTests(TypedDict):
+    """Of the model as it was, and with what was named; None without replicates."""
+
+    before: FTest | None
+    after: FTest | None
+
+
+class LeftOver(TypedDict):
+    """What residuals show besides noise."""
+
+    explained: bool
+    where: list[str]
+
+
+class DiagnoseDocument(TypedDict):
+    """What `needle-rig diagnose` answers."""
+
+    dataset: str
+    model: str
+    verdict: str
+    reasons: list[JsonObject]
+    effects: list[str]
+    ranking: list[JsonObject]
+    noise_floor: float | None
+    held_out_error_before: float | None
+    held_out_error_after: float | None
+    explained_fraction: float | None
+    decisions: dict[str, JsonObject]
+    left_over: LeftOver
+    lack_of_fit: FTests
+    next_experiment: NextExperiment | None
+    notes: list[str]
+    policy: Mapping[str, object]
+
+
 class NextExperiment(TypedDict):
     """What to do or to watch so that effects that tie come apart; one kind of data adds its own keys."""
 
     between: list[str]
     kind: str
     target_deg: float | None
-    settle_s: float
+    settle_s: float | None
     separation_sigma: float
     watch: str
     sentence: str
@@ -74,7 +119,7 @@ class NextTrial(NextExperiment):
     """A trial to be added to traces."""
 
     steps_deg: list[float]
-    speed_deg_s: float
+    speed_deg_s: float | None
     duration_s: float
 
 

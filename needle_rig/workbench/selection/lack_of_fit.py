@@ -18,7 +18,6 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from needle_rig.numerics import Array
-from needle_rig.records import JsonObject
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
@@ -26,6 +25,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Whitener
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.documents import FTest
 
 Key = tuple[int, int, bool]
 """(channel, motion, moving) of one fact."""
@@ -58,7 +58,7 @@ class LackOfFit:
             f" (F = {self.statistic:.2f} on {self.shared_dof} and {self.differing_dof}, p = {self.p:.1g})"
         )
 
-    def as_json(self) -> JsonObject:
+    def as_json(self) -> FTest:
         """As it stands in the JSON answer."""
         return {
             "f": float(f"{self.statistic:.4g}"),

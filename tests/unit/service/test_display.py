@@ -4,6 +4,7 @@ import math
 import re
 import sys
 import time
+from typing import cast
 
 import pytest
 from hypothesis import given
@@ -49,7 +50,8 @@ def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, set
         released=False,
     )
     rig = report.rig_document(CONFIG, simulated=True)
-    return {"type": "phase", "rig": rig, "run": None, "last": None, **report.state_document(state)}
+    shown = {"type": "phase", "rig": rig, "run": None, "last": None, **report.state_document(state)}
+    return cast(State, shown)
 
 
 MEASURED = Measurement(
@@ -145,7 +147,7 @@ def test_what_the_daemon_tells_is_always_json(value: float) -> None:
 
 def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
     out = io.StringIO()
-    ended: Told = {
+    shown = {
         "result": {"status": "not_aligned", "simulated": True, "run": "runs/1.h5"},
         "text": "not aligned: the tip lags 12°",
         "conditions": [
@@ -153,7 +155,7 @@ def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
         ],
         "settled": [report.settled_document(MOTION)],
     }
-    tell_result(Console(file=out, width=80), ended, "runs/1.png")
+    tell_result(Console(file=out, width=80), cast(Told, shown), "runs/1.png")
     text = out.getvalue()
     for wanted in (
         "rotate",
