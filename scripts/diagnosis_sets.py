@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 import json
 import random
 import time
@@ -29,7 +30,6 @@ from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
 STRENGTHS = (0.5, 1.0, 3.0, 5.0, 10.0)
-IMPOSTORS = ("clock skew 10 ms", "2 % outliers", "dropped samples", "half the solver step")
 PAIRS = (
     ("tissue_elasticity", "tip_friction"),
     ("tissue_elasticity", "torque_bias"),
@@ -58,6 +58,15 @@ FEWER_TRIALS = Protocol(
 FEWEST_TRIALS = Protocol(
     "fewest", (compensation(45.0), compensation(-60.0), compensation(45.0), compensation(-60.0))
 )
+
+
+class Impostor(enum.StrEnum):
+    """What is wrong with a dataset in which no effect is hidden."""
+
+    CLOCK_SKEW = "clock skew 10 ms"
+    OUTLIERS = "2 % outliers"
+    DROPPED_SAMPLES = "dropped samples"
+    FINER_SOLVER = "half the solver step"
 
 
 class Task(TypedDict):
@@ -170,7 +179,7 @@ def plan(seeds: int, first: int = 0) -> list[Task]:
     ]
     spoilt: list[Task] = [
         {"kind": "impostor", "impostor": i, "setup": s % POOR, "seed": s}
-        for i in IMPOSTORS
+        for i in Impostor
         for s in range(4 * first, 4 * (first + seeds))
     ]
     parts += [(0.8, removed), (0.9, spoilt), (1.0, admitted)]
@@ -215,17 +224,17 @@ def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float
     return limit, smallest, max(limit, smallest)
 
 
-def spoiled(dataset: Dataset, impostor: str, seed: int) -> Dataset:
+def spoiled(dataset: Dataset, impostor: Impostor, seed: int) -> Dataset:
     """A dataset with a fault of measurement in it."""
     generator = np.random.default_rng(seed + 5000)
     trials = []
     for given in dataset.trials:
         time_s = given.trial.time_s
         torque, hall = given.torque_nm.copy(), given.hall_rad.copy()
-        if impostor.startswith("clock"):
+        if impostor is Impostor.CLOCK_SKEW:
             late = [np.interp(time_s - 0.01, time_s, c) for c in (torque, *hall.T)]
             new = dataclasses.replace(given, torque_nm=late[0], hall_rad=np.column_stack(late[1:]))
-        elif impostor.startswith("2 %"):
+        elif impostor is Impostor.OUTLIERS:
             for column in (torque, *hall.T):
                 hit = generator.random(column.size) < 0.02
                 column[hit] += generator.standard_normal(hit.sum()) * 30 * np.std(np.diff(column[:20]))
@@ -285,10 +294,10 @@ def made(task: Task, known: Limits) -> Made | None:
         hidden += make_effects(library, axes, positions)
         pairs = zip(axes, against_mean(axes, positions), strict=True)
         truth[name] = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
-    impostor = task.get("impostor", "")
+    impostor = Impostor(task["impostor"]) if "impostor" in task else None
     seed = 10_000 + 7 * task["seed"] + sum(map(ord, key({**task, "seed": 0})))
-    dataset = simulated(task["setup"], hidden, seed, 2.0 if impostor.startswith("half") else 1.0)
-    if impostor and not impostor.startswith("half"):
+    dataset = simulated(task["setup"], hidden, seed, 2.0 if impostor is Impostor.FINER_SOLVER else 1.0)
+    if impostor is not None and impostor is not Impostor.FINER_SOLVER:
         dataset = spoiled(dataset, impostor, seed)
     if task["kind"] == "removed":
         library.pop(task["effects"][0])
