@@ -88,13 +88,14 @@ class DiagnoseDocument(TypedDict):
     dataset: str
     model: str
     verdict: str
-    reasons: list[JsonObject]
+    reasons: list[dict[str, str]]
     effects: list[str]
     ranking: list[JsonObject]
-    noise_floor: float | None
+    noise_floor: float | str | None
     held_out_error_before: float | None
     held_out_error_after: float | None
-    explained_fraction: float | None
+    explained_fraction: float | str | None
+    """Infinity is written as text."""
     decisions: dict[str, JsonObject]
     left_over: LeftOver
     lack_of_fit: FTests
