@@ -36,7 +36,7 @@ def traces(found: TraceComparison) -> Figure:
     for column, t in enumerate(shown):
         given = found.prepared.dataset.trials[t]
         binned = problem.trials[t]
-        reading = problem.model(fit.axes, fit.point, t).predict(binned.trial)
+        reading = problem.model(fit.parameters, fit.vector, t).predict(binned.trial)
         model = np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
         data = np.vstack([given.torque_nm[None, :], given.hall_rad.T])
         thin = max(1, given.trial.time_s.size // SHOWN_SAMPLES)

@@ -16,8 +16,8 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
 from needle_rig.workbench.estimation.discretisation_error import again, at_own_error
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.parameters import positions_of
-from needle_rig.workbench.estimation.posterior import start_point
+from needle_rig.workbench.estimation.parameters import scaled_values_of
+from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.noise import measure_noise, with_replicate_scatter
@@ -80,7 +80,7 @@ def prepare(dataset: Dataset, model: NeedleModel | None, library: Mapping[str, t
         dataset.name, base, {**library, **effects}, binned, noise, max(dataset.needle.rigidity_sigma, 1e-4)
     )
     names = tuple(effects)
-    at = positions_of(problem.axes(names), present.effects)
+    at = scaled_values_of(problem.parameters(names), present.effects)
     first = _first_fit(problem, names, at, present.friction_n if model else None)
     notes = list(_notes(problem))
     if noise.replicates:
@@ -110,19 +110,21 @@ def as_compared(
 def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:
     """The present model's best fit from several levels of friction."""
     levels = FRICTIONS_N if friction_n is None else (friction_n, *FRICTIONS_N)
-    axes = problem.axes(names)
+    parameters = problem.parameters(names)
     best: Fit | None = None
     rated = []
     for level in levels:
-        point = dataclasses.replace(start_point(problem, float(np.log(level)), axes), positions=at)
+        vector = dataclasses.replace(
+            start_vector(problem, float(np.log(level)), parameters), scaled_values=at
+        )
         try:
-            rows = problem.residuals(problem.predict(axes, point), range(len(problem.trials)))
+            rows = problem.residuals(problem.predict(parameters, vector), range(len(problem.trials)))
         except SolverError:
             continue
-        rated.append((sum(float(r @ r) for r in rows), level, point))
+        rated.append((sum(float(r @ r) for r in rows), level, vector))
     rated.sort(key=lambda r: r[0])
-    for _, _, point in rated[:2]:
-        found = fit(problem, names, point)
+    for _, _, vector in rated[:2]:
+        found = fit(problem, names, vector)
         if found is not None and (best is None or found.objective < best.objective):
             best = found
         if best is not None and best.converged and best.chi2 < 1.5 * problem.size:
@@ -136,7 +138,7 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
 
 def _left(problem: Problem, found: Fit) -> list[Array]:
     """Data minus model in bin means (C, K), at each trial's own friction."""
-    readings = problem.predict(found.axes, found.point)
+    readings = problem.predict(found.parameters, found.vector)
     return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
 
 

@@ -15,7 +15,7 @@ from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import LOOSE, Fit
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 NEAR = 1.0
 """Steps of less than one standard deviation are taken as the derivatives say, without looking."""
@@ -88,11 +88,11 @@ class _LeaveOut:
         self.prior = self.linear.precision[self.linear.shared]
         self.centre = np.zeros(self.prior.size)
         self.centre[1] = float(np.log(problem.base.torsional_rigidity_nm2))
-        point = fit.point
-        self.at = np.r_[point.log_friction, point.log_rigidity, point.positions, fit.nuisance]
+        vector = fit.vector
+        self.at = np.r_[vector.log_friction, vector.log_rigidity, vector.scaled_values, fit.nuisance]
         reach = np.array([1.0, 0.3])
-        self.low = np.r_[self.at[:2] - reach, [a.bounds[0] for a in fit.axes], -free]
-        self.high = np.r_[self.at[:2] + reach, [a.bounds[1] for a in fit.axes], free]
+        self.low = np.r_[self.at[:2] - reach, [a.bounds[0] for a in fit.parameters], -free]
+        self.high = np.r_[self.at[:2] + reach, [a.bounds[1] for a in fit.parameters], free]
 
     def every_command(self) -> HeldOut:
         """Each command left out. Raises SolverError, BadInput."""
@@ -118,7 +118,7 @@ class _LeaveOut:
         """
         left, spread = self.linear.without(group)
         told = {t: told for t, told in enumerate(self.told) if t not in group}
-        x, own = self.at, {t: float(self.fit.point.trial_friction[t]) for t in told}
+        x, own = self.at, {t: float(self.fit.vector.trial_friction[t]) for t in told}
         rows = {t: self.fit.residuals[t] for t in told}
         value = self._chi2(x, own, rows)
         near, share = NEAR + LOOSE * excess(self.problem, self.fit.objective), 1.0
@@ -139,7 +139,7 @@ class _LeaveOut:
 
     def _own_friction(self, place: Mapping[int, Array]) -> dict[int, _Own]:
         """Each trial at its shared parameters, at the own friction that its data prefer, found by secants."""
-        begin = {t: float(self.fit.point.trial_friction[t]) for t in place}
+        begin = {t: float(self.fit.vector.trial_friction[t]) for t in place}
         rows = self._rows(place, begin)
         best = {t: _Own(at, rows[t], self.told[t].own, self.own_precision) for t, at in begin.items()}
         for _ in range(MOST_ESTIMATES):
@@ -160,8 +160,8 @@ class _LeaveOut:
 
     def _model(self, x: Array) -> NeedleModel:
         """With the friction that all trials share."""
-        point = Point(float(x[0]), float(x[1]), x[2 : self.p], np.zeros(0))
-        return self.problem.model(self.fit.axes, point)
+        vector = ParameterVector(float(x[0]), float(x[1]), x[2 : self.p], np.zeros(0))
+        return self.problem.model(self.fit.parameters, vector)
 
     def _rows(self, place: Mapping[int, Array], own: Mapping[int, float]) -> dict[int, Array]:
         """Whitened residuals of the trials in `own`, each at its shared parameters and own friction."""

@@ -52,12 +52,12 @@ def solver_error(
 
     Finely is on cells of `fine_m`, with an eighth of the solver's tolerance, driven by every sample.
     """
-    models = [problem.model(found.axes, found.point, t) for t in range(len(trials))]
+    models = [problem.model(found.parameters, found.vector, t) for t in range(len(trials))]
     tolerance_rad = models[0].tolerance_rad / FINER
     fine = [dataclasses.replace(m, element_length_m=fine_m, tolerance_rad=tolerance_rad) for m in models]
     seen = predict_batch(fine, [given.trial for given in trials], threads=1)
     errors = []
-    for t, used in enumerate(problem.predict(found.axes, found.point)):
+    for t, used in enumerate(problem.predict(found.parameters, found.vector)):
         values = np.vstack([seen[t].torque_nm[None, :], seen[t].hall_rad.T])
         means = (sample_weights(trials[t]) @ values.T).T
         errors.append(problem.whiteners[t](means - used)[:, None])
@@ -89,7 +89,7 @@ def by_every_sample(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
 
 def again(problem: Problem, old: Fit) -> Fit:
     """The fit from where another problem's ended. Raises SolverError where the model cannot be solved."""
-    found = fit(problem, old.effects, old.point, nuisance=old.nuisance)
+    found = fit(problem, old.effects, old.vector, nuisance=old.nuisance)
     if found is None:
         raise SolverError(f"{problem.name}: the present model could not be solved where it had been before")
     return found
@@ -104,10 +104,10 @@ def _with_suspect(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple
 
 def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> tuple[Array, ...]:
     """Changes of the model's bin means (C, K, draws) a trial for other paths that the encoder might show."""
-    used = problem.predict(found.axes, found.point)
+    used = problem.predict(found.parameters, found.vector)
     draws = []
     for draw in range(DRAWS):
-        readings = _on_other_path(problem, trials, draw).predict(found.axes, found.point)
+        readings = _on_other_path(problem, trials, draw).predict(found.parameters, found.vector)
         draws.append([after - before for after, before in zip(readings, used, strict=True)])
     return tuple(np.stack(each, axis=-1) for each in zip(*draws, strict=True))
 
@@ -121,11 +121,13 @@ def _over_paths(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) ->
     random = np.random.default_rng(0)
     met = []
     for draw in range(REFITS):
-        off = FAR_SIGMAS * found.position_error * random.standard_normal(len(found.axes))
-        start = dataclasses.replace(found.point, positions=found.point.positions + off)
+        off = FAR_SIGMAS * found.scaled_errors * random.standard_normal(len(found.parameters))
+        start = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values + off)
         other = fit(_on_other_path(problem, trials, draw), found.effects, start, nuisance=found.nuisance)
         if other is not None:
-            met.append(np.r_[other.point.log_friction, other.point.log_rigidity, other.point.positions])
+            met.append(
+                np.r_[other.vector.log_friction, other.vector.log_rigidity, other.vector.scaled_values]
+            )
     if len(met) < 2:
         return found
     between = (1.0 + 1.0 / len(met)) * np.cov(np.array(met), rowvar=False)

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.linalg import null_space
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.parameters import Coordinate, held_means
+from needle_rig.workbench.estimation.parameters import FreeParameter, held_means
 from needle_rig.workbench.estimation.posterior import LEVEL
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
@@ -96,7 +96,7 @@ class LinearisedFit:
     def at(
         cls,
         problem: Problem,
-        axes: Sequence[Coordinate],
+        parameters: Sequence[FreeParameter],
         x: Array,
         residuals: Sequence[Array],
         jacobians: Sequence[Array],
@@ -106,7 +106,7 @@ class LinearisedFit:
 
         The last of p + 1 columns is the trial's own friction; of p columns the first serves for it, too.
         """
-        p = 2 + len(axes)
+        p = 2 + len(parameters)
         trials = tuple(
             TrialTerms(
                 rows, np.column_stack([j[:, :p], j[:, p if j.shape[1] > p else 0], n]), p, own_precision
@@ -116,17 +116,23 @@ class LinearisedFit:
         from_centre = x.copy()
         from_centre[0] = 0.0
         from_centre[1] -= float(np.log(problem.base.torsional_rigidity_nm2))
-        widths = np.array([a.width for a in axes])
+        widths = np.array([a.prior_sd for a in parameters])
         own, nuisances = np.full(len(trials), own_precision), np.ones(x.size - p - len(trials))
         precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, own, nuisances]
-        return cls(trials, from_centre, precision, tuple(2 + places for places in held_means(axes)))
+        return cls(trials, from_centre, precision, tuple(2 + places for places in held_means(parameters)))
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit) -> LinearisedFit:
         """About a minimum."""
-        point = fit.point
-        x = np.r_[point.log_friction, point.log_rigidity, point.positions, point.trial_friction, fit.nuisance]
-        return cls.at(problem, fit.axes, x, fit.residuals, fit.jacobians, fit.scatter**-2)
+        vector = fit.vector
+        x = np.r_[
+            vector.log_friction,
+            vector.log_rigidity,
+            vector.scaled_values,
+            vector.trial_friction,
+            fit.nuisance,
+        ]
+        return cls.at(problem, fit.parameters, x, fit.residuals, fit.jacobians, fit.scatter**-2)
 
     @property
     def p(self) -> int:

@@ -12,9 +12,9 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.parameters import Coordinate
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 ENOUGH = 0.05
 """A fit ends when the next step would lower the objective by less than this,"""
@@ -27,8 +27,8 @@ class Fit:
     """A minimum. T trials, p global parameters (friction, rigidity, then k positions), q nuisances."""
 
     effects: tuple[str, ...]
-    axes: tuple[Coordinate, ...]
-    point: Point
+    parameters: tuple[FreeParameter, ...]
+    vector: ParameterVector
     nuisance: Array
     objective: float
     """−2 log posterior with its log-determinants, up to a constant shared by all fits of a problem."""
@@ -52,7 +52,7 @@ class Fit:
     converged: bool
 
     @property
-    def position_error(self) -> Array:
+    def scaled_errors(self) -> Array:
         """Standard deviation of each position (k,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
@@ -60,16 +60,16 @@ class Fit:
 def fit(
     problem: Problem,
     effects: Sequence[str],
-    start: Point,
+    start: ParameterVector,
     *,
     nuisance: Array | None = None,
     iterations: int = 25,
     enough: float = ENOUGH,
 ) -> Fit | None:
     """The nearest minimum from `start`, or None where the model cannot be solved at `start`."""
-    axes = problem.axes(effects)
-    state = Objective(problem, axes)
-    x = state.vector(
+    parameters = problem.parameters(effects)
+    state = Objective(problem, parameters)
+    x = state.packed(
         start, nuisance if nuisance is not None and nuisance.size == state.q else np.zeros(state.q)
     )
     rows = state.rows(x)
@@ -83,7 +83,7 @@ def fit(
             fresh = True
             if jacobians is None:
                 return None
-        linear = LinearisedFit.at(problem, axes, x, rows, jacobians, state.own_precision(x))
+        linear = LinearisedFit.at(problem, parameters, x, rows, jacobians, state.own_precision(x))
         curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
         for _ in range(7):
@@ -173,7 +173,7 @@ def _finish(
 ) -> Fit:
     problem, p, trials = state.problem, state.p, state.trials
     noise = problem.noise
-    linear = LinearisedFit.at(problem, state.axes, x, rows, jacobians, state.own_precision(x))
+    linear = LinearisedFit.at(problem, state.parameters, x, rows, jacobians, state.own_precision(x))
     own = x[p : p + trials]
     room = noise.scatter_dof * noise.scatter**2
     log_det = np.array([np.log1p(t.own @ t.own * noise.scatter**2) for t in linear.trials])
@@ -182,8 +182,8 @@ def _finish(
     loss = np.array([r @ r for r in rows]) + log_det + share * part
     return Fit(
         effects=effects,
-        axes=state.axes,
-        point=state.point(x.copy()),
+        parameters=state.parameters,
+        vector=state.unpacked(x.copy()),
         nuisance=x[p + trials :].copy(),
         objective=value + float(log_det.sum()),
         chi2=sum_of_squares(rows),

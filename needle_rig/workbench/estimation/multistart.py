@@ -13,7 +13,7 @@ from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import ENOUGH, Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 MOST_WALKS = 4
 """How often a fit goes on from a lower place along its least certain direction."""
@@ -60,8 +60,8 @@ def over_shapes(problem: Problem, found: Fit, steps: Sequence[float] = SHAPE_STE
 
 def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
     """Covariance (p, p) about the lowest of several minima; one met twice counts once."""
-    at = [np.r_[f.point.log_friction, f.point.log_rigidity, f.point.positions] for f in met]
-    centre = np.r_[lowest.point.log_friction, lowest.point.log_rigidity, lowest.point.positions]
+    at = [np.r_[f.vector.log_friction, f.vector.log_rigidity, f.vector.scaled_values] for f in met]
+    centre = np.r_[lowest.vector.log_friction, lowest.vector.log_rigidity, lowest.vector.scaled_values]
     near = np.sqrt(np.maximum(np.diag(lowest.covariance), 1e-18))
     kept: list[int] = []
     for i in sorted(range(len(met)), key=lambda i: met[i].objective):
@@ -77,23 +77,23 @@ def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
 
 def _from_other_shapes(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
     fits = []
-    for i, axis in enumerate(found.axes):
-        if axis.info.shapes and axis.effect == found.effects[-1]:
+    for i, parameter in enumerate(found.parameters):
+        if parameter.info.shapes and parameter.effect == found.effects[-1]:
             for step in steps:
-                positions = found.point.positions.copy()
-                positions[i] += step
-                start = dataclasses.replace(found.point, positions=positions)
+                scaled_values = found.vector.scaled_values.copy()
+                scaled_values[i] += step
+                start = dataclasses.replace(found.vector, scaled_values=scaled_values)
                 fits.append(fit(problem, found.effects, start, nuisance=found.nuisance))
     return [f for f in fits if f is not None]
 
 
-def _along_valley(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
+def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array] | None:
     """The lowest place on the least certain direction of a fit if it is lower than the fit, else None.
 
     All other parameters follow as the fit's derivatives say: the trials' own friction, too.
     """
-    state = Objective(problem, found.axes)
-    at = state.vector(found.point, found.nuisance)
+    state = Objective(problem, found.parameters)
+    at = state.packed(found.vector, found.nuisance)
     move = LinearisedFit.of(problem, found).loosest()
     if move is None:
         return None
@@ -104,16 +104,16 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
         value = np.inf if rows is None else sum_of_squares(rows) + state.prior(moved)
         if value < lowest:
             lowest, lower = value, moved
-    return None if lower is None else (state.point(lower), lower[state.p + state.trials :])
+    return None if lower is None else (state.unpacked(lower), lower[state.p + state.trials :])
 
 
 def fit_without_derivatives(
-    problem: Problem, effects: Sequence[str], start: Point, evaluations: int = 200
+    problem: Problem, effects: Sequence[str], start: ParameterVector, evaluations: int = 200
 ) -> Fit | None:
     """A simplex search over friction, rigidity and positions, then the usual fit from where it ended."""
-    axes = problem.axes(effects)
-    state = Objective(problem, axes)
-    x = state.vector(start, np.zeros(state.q))
+    parameters = problem.parameters(effects)
+    state = Objective(problem, parameters)
+    x = state.packed(start, np.zeros(state.q))
     scale = np.r_[0.1, 0.02, np.full(state.k, 0.3)]
 
     def objective(moved: Array) -> float:
@@ -131,4 +131,4 @@ def fit_without_derivatives(
     )
     full = x.copy()
     full[: state.p] = np.clip(x[: state.p] + scale * found.x, state.low[: state.p], state.high[: state.p])
-    return fit(problem, effects, state.point(full))
+    return fit(problem, effects, state.unpacked(full))

@@ -14,8 +14,8 @@ import numpy as np
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
-from needle_rig.workbench.estimation.parameters import Coordinate, held_means
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.parameters import FreeParameter, held_means
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
 
 STEP = 0.003
@@ -28,12 +28,14 @@ that of items which count against their mean. Without it the two trade places al
 do not see, damped steps creep, and the derivatives' errors pass for knowledge."""
 
 
-def start_point(problem: Problem, log_friction: float, axes: Sequence[Coordinate] = ()) -> Point:
+def start_vector(
+    problem: Problem, log_friction: float, parameters: Sequence[FreeParameter] = ()
+) -> ParameterVector:
     """Everything at its stated value or off."""
-    return Point(
+    return ParameterVector(
         log_friction=log_friction,
         log_rigidity=float(np.log(problem.base.torsional_rigidity_nm2)),
-        positions=np.zeros(len(axes)),
+        scaled_values=np.zeros(len(parameters)),
         trial_friction=np.zeros(len(problem.trials)),
     )
 
@@ -44,31 +46,31 @@ class Objective:
     The vector is friction and rigidity (logarithms), k positions, T trials' own friction, q nuisances.
     """
 
-    def __init__(self, problem: Problem, axes: tuple[Coordinate, ...]) -> None:
-        self.problem, self.axes = problem, axes
-        self.k, self.trials = len(axes), len(problem.trials)
+    def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...]) -> None:
+        self.problem, self.parameters = problem, parameters
+        self.k, self.trials = len(parameters), len(problem.trials)
         self.q = problem.nuisance[0].shape[1]
         self.p = 2 + self.k
-        self.own = self.p if problem.lumps_friction(axes) else 0
+        self.own = self.p if problem.lumps_friction(parameters) else 0
         """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
-        self.width = np.array([a.width for a in axes])
-        self.means = [2 + places for places in held_means(axes)]
+        self.prior_sd = np.array([a.prior_sd for a in parameters])
+        self.means = [2 + places for places in held_means(parameters)]
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
-        low = [a.bounds[0] for a in axes]
-        high = [a.bounds[1] for a in axes]
+        low = [a.bounds[0] for a in parameters]
+        high = [a.bounds[1] for a in parameters]
         own, free = np.full(self.trials, 1.2), np.full(self.q, 8.0)
         self.low = np.r_[np.log(1e-7), self.stated - 1.5, low, -own, -free]
         self.high = np.r_[np.log(0.045), self.stated + 1.5, high, own, free]
 
-    def point(self, x: Array) -> Point:
+    def unpacked(self, x: Array) -> ParameterVector:
         """The vector without its nuisances."""
-        return Point(float(x[0]), float(x[1]), x[2 : self.p], x[self.p : self.p + self.trials])
+        return ParameterVector(float(x[0]), float(x[1]), x[2 : self.p], x[self.p : self.p + self.trials])
 
-    def vector(self, point: Point, nuisance: Array) -> Array:
+    def packed(self, vector: ParameterVector, nuisance: Array) -> Array:
         """A point and its nuisances (q,) within bounds, with every mean that is held at its place."""
-        own = point.trial_friction
-        common = point.log_friction + own.mean()
-        x = np.r_[common, point.log_rigidity, point.positions, own - own.mean(), nuisance]
+        own = vector.trial_friction
+        common = vector.log_friction + own.mean()
+        x = np.r_[common, vector.log_rigidity, vector.scaled_values, own - own.mean(), nuisance]
         for places in self.means:
             x[places] -= x[places].mean()
         return np.asarray(np.clip(x, self.low, self.high), dtype=np.float64)
@@ -76,7 +78,7 @@ class Objective:
     def rows(self, x: Array) -> list[Array] | None:
         """Whitened data minus model (n,) a trial, None where the model cannot be solved."""
         try:
-            readings = self.problem.predict(self.axes, self.point(x), MOST_SOLVES)
+            readings = self.problem.predict(self.parameters, self.unpacked(x), MOST_SOLVES)
         except (SolverError, BadInput):
             return None
         rows = self.problem.residuals(readings, range(self.trials))
@@ -90,7 +92,7 @@ class Objective:
         room = noise.scatter_dof * noise.scatter**2
         return float(
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
-            + ((x[2 : self.p] / self.width) ** 2).sum()
+            + ((x[2 : self.p] / self.prior_sd) ** 2).sum()
             + (noise.scatter_dof + self.trials) * np.log1p((own**2).sum() / room)
             + LEVEL * (own.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.means))
             + (x[self.p + self.trials :] ** 2).sum()

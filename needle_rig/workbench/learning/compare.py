@@ -139,7 +139,7 @@ def compare(
 def compared(prepared: Prepared) -> TraceComparison:
     """The comparison of a model that is fitted already."""
     problem, found = prepared.problem, prepared.present
-    readings = problem.predict(found.axes, found.point)
+    readings = problem.predict(found.parameters, found.vector)
     names = ("torque", *prepared.dataset.sensor_names)
     places = _places(prepared, readings, names)
     worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)
@@ -149,19 +149,19 @@ def compared(prepared: Prepared) -> TraceComparison:
             shown.append(_in_words(place, places, names))
         if len(shown) == WORST:
             break
-    point = found.point
+    vector = found.vector
     free: dict[str, dict[str, Any]] = {
-        "friction_nmm_per_100mm": {"value": float(f"{np.exp(point.log_friction) * 100:.6g}")},
+        "friction_nmm_per_100mm": {"value": float(f"{np.exp(vector.log_friction) * 100:.6g}")},
         "torsional_rigidity_nmm2": {
-            "value": float(f"{np.exp(point.log_rigidity) * 1e6:.6g}"),
+            "value": float(f"{np.exp(vector.log_rigidity) * 1e6:.6g}"),
             "pull_sigma": round(found.pull_rigidity, 2),
         },
         "friction_scatter": {"value": float(f"{found.scatter:.3g}")},
     }
-    for axis, at in zip(found.axes, point.positions, strict=True):
-        free[f"{axis.effect}.{axis.name}"] = {
-            "value": float(f"{axis.value(float(at)):.6g}"),
-            "unit": axis.info.unit,
+    for parameter, at in zip(found.parameters, vector.scaled_values, strict=True):
+        free[f"{parameter.effect}.{parameter.name}"] = {
+            "value": float(f"{parameter.value(float(at)):.6g}"),
+            "unit": parameter.info.unit,
         }
     return TraceComparison(
         prepared=prepared,
@@ -169,7 +169,7 @@ def compared(prepared: Prepared) -> TraceComparison:
         worst=tuple(shown),
         channels=_channels(prepared, readings, names, places),
         free_parameters=free,
-        reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.axes)),
+        reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.parameters)),
         held_out_error=prepared.held.error,
     )
 

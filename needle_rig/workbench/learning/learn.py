@@ -78,5 +78,5 @@ def _saved(prepared: Prepared) -> SavedModel:
         errors=errors_by_channel(prepared, present, prepared.held),
         note="fitted as it is",
     )
-    model = prepared.problem.model(present.axes, present.point)
+    model = prepared.problem.model(present.parameters, present.vector)
     return SavedModel(model, "null", uncertainties(present), (entry,))

@@ -154,10 +154,14 @@ def _ranking(
 
 def _values(found: SettledFit, effect: str) -> tuple[Value, ...]:
     values = []
-    for (axis, at, error), own in zip(*own_parameters(found, effect), strict=True):
-        ends = [axis.value(float(np.clip(at + s * SIGMAS_95 * error, *axis.bounds))) for s in (-1, 1)]
+    for (parameter, at, error), own in zip(*own_parameters(found, effect), strict=True):
+        ends = [
+            parameter.value(float(np.clip(at + s * SIGMAS_95 * error, *parameter.bounds))) for s in (-1, 1)
+        ]
         plausible = bool(abs(own) <= SIGMAS_95)
-        values.append(Value(axis.name, axis.value(at), min(ends), max(ends), axis.info.unit, plausible))
+        values.append(
+            Value(parameter.name, parameter.value(at), min(ends), max(ends), parameter.info.unit, plausible)
+        )
     return tuple(values)
 
 
@@ -197,28 +201,28 @@ def _size(found: SettledFit, effect: str) -> tuple[str, str, float]:
     """An effect's least plausible parameter, its plausible range, and how far it lies to its edge (σ)."""
     own, pulls = own_parameters(found, effect)
     worst = int(np.argmax(np.abs(pulls)))
-    axis, at, _ = own[worst]
-    unit = "" if axis.info.unit == "1" else f" {axis.info.unit}"
-    low, high = axis.info.literature
+    parameter, at, _ = own[worst]
+    unit = "" if parameter.info.unit == "1" else f" {parameter.info.unit}"
+    low, high = parameter.info.literature
     pull = abs(float(pulls[worst]))
-    return f"{axis.name} = {axis.value(at):.3g}{unit}", f"({low:g} to {high:g}; {pull:.1f}σ)", pull
+    return f"{parameter.name} = {parameter.value(at):.3g}{unit}", f"({low:g} to {high:g}; {pull:.1f}σ)", pull
 
 
 def _decision(
     problem: SettledProblem, candidate: Candidate, tied: list[Candidate], missing: bool
 ) -> Decision:
     """Present when nothing ties with it, absent only in a model that needs nothing; otherwise not known."""
-    axes = [a for a in problem.axes((candidate.effect,)) if not a.info.shapes]
+    parameters = [a for a in problem.parameters((candidate.effect,)) if not a.info.shapes]
     if candidate.fit is None:
-        unlimited = decision_at(candidate.effect, axes[0], np.inf, "cannot_tell", 0.0)
+        unlimited = decision_at(candidate.effect, parameters[0], np.inf, "cannot_tell", 0.0)
         return dataclasses.replace(unlimited, limit=None)
     sizes = [s for s in own_parameters(candidate.fit, candidate.effect)[0] if not s[0].info.shapes]
-    axis, at, error = max(
+    parameter, at, error = max(
         sizes, key=lambda s: (abs(s[1]) + POLICY.evidence.limit_sigmas * s[2]) / max(s[0].smallest, 1e-9)
     )
     below = all(abs(x) + POLICY.evidence.limit_sigmas * e < a.smallest for a, x, e in sizes)
     word = "present" if tied == [candidate] else "absent" if below and not missing else "cannot_tell"
-    return decision_at(candidate.effect, axis, abs(at) + POLICY.evidence.limit_sigmas * error, word, at)
+    return decision_at(candidate.effect, parameter, abs(at) + POLICY.evidence.limit_sigmas * error, word, at)
 
 
 def _left(problem: SettledProblem, found: SettledFit) -> list[Pattern]:
@@ -242,7 +246,7 @@ def _notes(
     if len(tied) > 1:
         alike = ", ".join(c.effect for c in tied)
         notes.append(f"{alike} meet the values alike; they stand in the order of how plausible they are.")
-    runs = problem.run(problem.model(best.axes, best.x))
+    runs = problem.run(problem.model(best.parameters, best.x))
     last = f"with {best.effects[-1]} the model" if best.effects else "the model"
     for value in data.values:
         if value.standard_error is None:

@@ -24,7 +24,7 @@ from needle_rig.numerics import Array, forward_jacobian
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
+from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
 
@@ -39,14 +39,14 @@ FAR = 1e3
 SIGMAS_95 = 1.96
 
 
-def pull(axis: Coordinate, position: float) -> float:
+def pull(parameter: FreeParameter, scaled_value: float) -> float:
     """How far a position lies towards the edge of the plausible range, in σ; the edge itself is 1.96."""
-    if axis.info.shapes:
-        return position / axis.width
-    edges = [axis.position(v) for v in axis.info.literature]
-    same = [e for e in edges if e * position > 0]
+    if parameter.info.shapes:
+        return scaled_value / parameter.prior_sd
+    edges = [parameter.scaled_value(v) for v in parameter.info.literature]
+    same = [e for e in edges if e * scaled_value > 0]
     edge = max(map(abs, same)) if same else STEP * max(map(abs, edges))
-    return SIGMAS_95 * position / edge
+    return SIGMAS_95 * scaled_value / edge
 
 
 @dataclass(frozen=True)
@@ -90,17 +90,17 @@ class SettledProblem:
         """Standard errors (n,)."""
         return np.array([v.standard_error or np.inf for v in self.values])
 
-    def axes(self, names: Sequence[str]) -> tuple[Coordinate, ...]:
+    def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
         """Coordinates of the named effects."""
-        return coordinates(self.library, names, self.base.layout)
+        return free_parameters(self.library, names, self.base.layout)
 
-    def model(self, axes: Sequence[Coordinate], x: Array) -> NeedleModel:
+    def model(self, parameters: Sequence[FreeParameter], x: Array) -> NeedleModel:
         """The model at x: logarithms of friction (N) and of rigidity over the stated one, then positions."""
         return dataclasses.replace(
             self.base,
             friction_n=float(np.exp(x[0])),
             torsional_rigidity_nm2=self.data.needle.torsional_rigidity_nm2 * float(np.exp(x[1])),
-            effects=make_effects(self.library, axes, x[2:]),
+            effects=make_effects(self.library, parameters, x[2:]),
         )
 
     def run(self, model: NeedleModel) -> tuple[History, ...]:
@@ -142,7 +142,7 @@ class SettledFit:
     """A minimum. n values, p = 2 + k parameters."""
 
     effects: tuple[str, ...]
-    axes: tuple[Coordinate, ...]
+    parameters: tuple[FreeParameter, ...]
     x: Array
     predicted: Array
     chi2: float
@@ -168,16 +168,16 @@ class SettledFit:
 
 class _Rows:
     def __init__(self, problem: SettledProblem, names: Sequence[str]) -> None:
-        self.problem, self.axes = problem, problem.axes(names)
-        self.low = np.r_[math.log(1e-5), -1.5, [a.bounds[0] for a in self.axes]]
-        self.high = np.r_[math.log(0.045), 1.5, [a.bounds[1] for a in self.axes]]
+        self.problem, self.parameters = problem, problem.parameters(names)
+        self.low = np.r_[math.log(1e-5), -1.5, [a.bounds[0] for a in self.parameters]]
+        self.high = np.r_[math.log(0.045), 1.5, [a.bounds[1] for a in self.parameters]]
         self._at: dict[bytes, Array] = {}
 
     def predicted(self, x: Array) -> Array:
         key = x.tobytes()
         if key not in self._at:
             try:
-                self._at[key] = self.problem.predict(self.problem.model(self.axes, x))
+                self._at[key] = self.problem.predict(self.problem.model(self.parameters, x))
             except SolverError:
                 self._at[key] = np.full(len(self.problem.values), np.nan)
         return self._at[key]
@@ -185,7 +185,7 @@ class _Rows:
     def __call__(self, x: Array) -> Array:
         data = (self.predicted(x) - self.problem.measured) / self.problem.errors
         sigma = max(self.problem.data.needle.rigidity_sigma, 1e-4)
-        pulls = [pull(a, float(p)) for a, p in zip(self.axes, x[2:], strict=True)]
+        pulls = [pull(a, float(p)) for a, p in zip(self.parameters, x[2:], strict=True)]
         return np.concatenate([np.nan_to_num(data, nan=FAR), [x[1] / sigma], pulls])
 
     def jacobian(self, x: Array) -> Array:
@@ -229,7 +229,7 @@ def fit_settled(
     used = float(np.trace(data @ covariance @ data.T))
     return SettledFit(
         tuple(names),
-        rows.axes,
+        rows.parameters,
         best.x,
         rows.predicted(best.x),
         float(best.fun[:n] @ best.fun[:n]),
@@ -252,7 +252,7 @@ def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
         )
         if again is None:
             return float("nan")
-        foretold = problem.predict(problem.model(again.axes, again.x))
+        foretold = problem.predict(problem.model(again.parameters, again.x))
         squares += list(((foretold - problem.measured) / problem.errors)[out] ** 2)
     return float(np.sqrt(np.mean(squares)))
 
@@ -273,7 +273,7 @@ def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) ->
 def _starts(rows: _Rows, within: SettledFit | None) -> list[Array]:
     """The most promising of a grid of frictions and strengths; none when strength changes nothing."""
     old = within.x[2:] if within is not None else np.zeros(0)
-    new = rows.axes[old.size :]
+    new = rows.parameters[old.size :]
     strengths = STRENGTHS if new else (0.0,)
     rated, moved = [], not new
     for friction in (*FRICTIONS_N, *([math.exp(within.x[0])] if within is not None else [])):

@@ -18,7 +18,7 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
-from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
+from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
@@ -69,7 +69,7 @@ def settled_problem(
     effects = tuple(e.name() for e in present.effects)
     start = None
     if effects:
-        at = positions_of(problem.axes(effects), present.effects)
+        at = scaled_values_of(problem.parameters(effects), present.effects)
         start = [np.r_[np.log(f), 0.0, at] for f in (present.friction_n, *FRICTIONS_N)]
     found = fit_settled(problem, effects, start)
     if found is None:
@@ -131,11 +131,11 @@ def fits_of(candidates: list[Candidate]) -> list[SettledFit]:
 
 def own_parameters(
     found: SettledFit, effect: str
-) -> tuple[list[tuple[Coordinate, float, float]], np.ndarray]:
+) -> tuple[list[tuple[FreeParameter, float, float]], np.ndarray]:
     """Coordinates of one effect with position and error, and their pulls."""
     rows = [
         (a, float(x), float(e), float(p))
-        for a, x, e, p in zip(found.axes, found.x[2:], found.error, found.pulls, strict=True)
+        for a, x, e, p in zip(found.parameters, found.x[2:], found.error, found.pulls, strict=True)
         if a.effect == effect
     ]
     return [r[:3] for r in rows], np.array([r[3] for r in rows])

@@ -200,8 +200,8 @@ def _partial_notes(named: list[str], share: float, held: HeldOut) -> list[str]:
 
 def _mean_notes(found: Fit) -> list[str]:
     """Of factors that count against their mean: what all share is friction."""
-    fields = sorted({f"{a.effect} {a.field}" for a in found.axes if a.info.relative})
-    friction_nmm_per_100mm = per_100mm(float(np.exp(found.point.log_friction)))
+    fields = sorted({f"{a.effect} {a.field}" for a in found.parameters if a.info.relative})
+    friction_nmm_per_100mm = per_100mm(float(np.exp(found.vector.log_friction)))
     return [
         f"The mean of {field} is held at 1: what all items share is friction,"
         f" here {friction_nmm_per_100mm:.3g} N·mm per 100 mm."

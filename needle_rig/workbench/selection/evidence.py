@@ -25,7 +25,7 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
         ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
         worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300)))
         gain = max(gain - steadier + min(worth, steadier), 0.0)
-    new = [a for a in child.axes if a.effect not in parent.effects and not a.info.shapes]
+    new = [a for a in child.parameters if a.effect not in parent.effects and not a.info.shapes]
     p = float(chdtrc(freedom, gain))
     if all(a.one_sided for a in new):
         p *= 0.5
@@ -43,7 +43,7 @@ def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
     change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
     ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
     pull = parent.pull_rigidity - child.pull_rigidity
-    own = (parent.point.trial_friction - child.point.trial_friction) / child.scatter
+    own = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
     return bool(
         change @ change + pull**2 + own @ own < POLICY.evidence.discretisation_margin * abs(change @ ours)
     )
@@ -75,6 +75,6 @@ def is_negligible(found: Fit, effect: str) -> bool:
 
 def size_of(found: Fit, effect: str) -> float:
     """Largest fitted size of an effect, in units of the smallest that matters."""
-    own = [a.effect == effect and not a.info.shapes for a in found.axes]
-    every = zip(found.axes, found.point.positions, own, strict=True)
+    own = [a.effect == effect and not a.info.shapes for a in found.parameters]
+    every = zip(found.parameters, found.vector.scaled_values, own, strict=True)
     return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, is_own in every if is_own), default=0.0)

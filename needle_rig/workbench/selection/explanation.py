@@ -18,7 +18,7 @@ from needle_rig.units import deg, nmm, per_100mm
 from needle_rig.workbench.estimation.baseline import Prepared, element_length
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.parameters import Coordinate
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial
@@ -54,15 +54,15 @@ def explanation(
     `problem`, `found` and `held` are those of a comparison with its model (`as_compared`).
     """
     present = prepared.present
-    model = problem.model(found.axes, found.point)
+    model = problem.model(found.parameters, found.vector)
     return Explanation(
         added=tuple(e for e in found.effects if e not in present.effects),
         model=dataclasses.replace(model, element_length_m=prepared.fine_m),
         uncertainties=uncertainties(found),
-        values_before=prepared.problem.model(present.axes, present.point).values(),
+        values_before=prepared.problem.model(present.parameters, present.vector).values(),
         errors=errors_by_channel(prepared, found, held),
         improves=improves,
-        trial_friction=tuple(float(f) for f in np.exp(found.point.trial_friction)),
+        trial_friction=tuple(float(f) for f in np.exp(found.vector.trial_friction)),
     )
 
 
@@ -91,27 +91,29 @@ def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
 
 def uncertainties(found: Fit) -> dict[str, float]:
     """Standard deviations by parameter name, in the units of files."""
-    point = found.point
+    vector = found.vector
     return spread_of_values(
-        found.axes, np.r_[point.log_friction, point.log_rigidity, point.positions], found.covariance
+        found.parameters,
+        np.r_[vector.log_friction, vector.log_rigidity, vector.scaled_values],
+        found.covariance,
     )
 
 
-def spread_of_values(axes: Sequence[Coordinate], x: Array, covariance: Array) -> dict[str, float]:
+def spread_of_values(parameters: Sequence[FreeParameter], x: Array, covariance: Array) -> dict[str, float]:
     """Standard deviations by parameter name, in the units of files, of the parameter vector x.
 
-    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,) on `axes`.
+    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,) on `parameters`.
     """
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = {
         FRICTION: per_100mm(float(spread[0] * np.exp(x[0]))),
         TORSIONAL_RIGIDITY: float(spread[1] * np.exp(x[1]) * NMM2_PER_NM2),
     }
-    for axis, at, error in zip(axes, x[2:], spread[2:], strict=True):
-        low, high = (axis.value(float(np.clip(at + s * error, *axis.bounds))) for s in (-1, 1))
+    for parameter, at, error in zip(parameters, x[2:], spread[2:], strict=True):
+        low, high = (parameter.value(float(np.clip(at + s * error, *parameter.bounds))) for s in (-1, 1))
         size = abs(high - low) / 2
         if np.isfinite(size):
-            known[f"{axis.effect}.{axis.name}"] = size
+            known[f"{parameter.effect}.{parameter.name}"] = size
     return known
 
 
@@ -151,7 +153,7 @@ def _known(value: float) -> float | None:
 
 
 def _training(problem: Problem, found: Fit) -> Array:
-    readings = problem.predict(found.axes, found.point)
+    readings = problem.predict(found.parameters, found.vector)
     return _rms(problem, tuple(b.mean - r for b, r in zip(problem.trials, readings, strict=True)))
 
 

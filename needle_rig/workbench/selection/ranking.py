@@ -29,14 +29,14 @@ def order(search: SearchTrace, named: list[str]) -> list[str]:
 def values_of(fit: Fit, effect: str) -> tuple[Value, ...]:
     """Fitted parameters of one effect with their 95 % intervals."""
     found = []
-    for axis, at, error in zip(fit.axes, fit.point.positions, fit.position_error, strict=True):
-        if axis.effect != effect:
+    for parameter, at, error in zip(fit.parameters, fit.vector.scaled_values, fit.scaled_errors, strict=True):
+        if parameter.effect != effect:
             continue
-        ends = [axis.value(float(np.clip(at + s * 1.96 * error, *axis.bounds))) for s in (-1, 1)]
-        value = axis.value(float(at))
-        low, high = axis.info.literature
-        plausible = low <= value <= high or value == axis.info.off
-        found.append(Value(axis.name, value, min(ends), max(ends), axis.info.unit, plausible))
+        ends = [parameter.value(float(np.clip(at + s * 1.96 * error, *parameter.bounds))) for s in (-1, 1)]
+        value = parameter.value(float(at))
+        low, high = parameter.info.literature
+        plausible = low <= value <= high or value == parameter.info.off
+        found.append(Value(parameter.name, value, min(ends), max(ends), parameter.info.unit, plausible))
     return tuple(found)
 
 

@@ -125,7 +125,7 @@ def limit_sigmas(significance: float, tried: int) -> float:
 def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Leftover:
     """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
     project = LinearisedFit.of(problem, found).projection
-    readings = problem.predict(found.axes, found.point)
+    readings = problem.predict(found.parameters, found.vector)
     columns, names = _signatures(problem, readings, sensors)
     lengths = np.sqrt((columns**2).sum(0))
     projected = np.column_stack([project(columns), project.rigidity()])
@@ -178,7 +178,7 @@ def _pattern(
 
 def _trend(problem: Problem, found: Fit) -> list[Pattern]:
     """How the trials' own friction goes along with their order, where that is beyond chance."""
-    own = found.point.trial_friction
+    own = found.vector.trial_friction
     along = {
         "changes with the order of the trials": np.array([float(b.trial.index) for b in problem.trials]),
         "changes with the angle turned before": np.array([b.trial.travel_before_rad for b in problem.trials]),

@@ -70,8 +70,8 @@ def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> floa
 
 def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
     """How many σ apart the rival's best fit to the noise-free prediction of `truth` would be."""
-    perfect = problem.with_means(problem.predict(truth.axes, truth.point))
-    found = fit(perfect, rival.effects, rival.point, nuisance=rival.nuisance)
+    perfect = problem.with_means(problem.predict(truth.parameters, truth.vector))
+    found = fit(perfect, rival.effects, rival.vector, nuisance=rival.nuisance)
     return float(np.sqrt(found.chi2)) if found is not None else float("inf")
 
 

@@ -17,9 +17,9 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.parameters import Coordinate, against_mean
+from needle_rig.workbench.estimation.parameters import FreeParameter, against_mean
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
 
 
@@ -27,7 +27,7 @@ from needle_rig.workbench.policy import POLICY
 class Start:
     """Where to start a fit, and the fall of the objective that the preview expects there."""
 
-    positions: Array
+    scaled_values: Array
     gain: float
 
 
@@ -50,15 +50,15 @@ class Preview:
         return self.gain >= worth or not self.whole
 
 
-def forms(axes: Sequence[Coordinate]) -> list[Array]:
+def forms(parameters: Sequence[FreeParameter]) -> list[Array]:
     """Positions of the form parameters to try, typical first; entries of strengths are 0."""
     choices = []
-    for axis in axes:
-        if not axis.info.shapes:
+    for parameter in parameters:
+        if not parameter.info.shapes:
             choices.append([0.0])
             continue
-        low, high = axis.bounds
-        if axis.info.scale == "log":
+        low, high = parameter.bounds
+        if parameter.info.scale == "log":
             options = [0.0, -0.6, 0.6]
         else:
             options = [0.0, *[low + (high - low) * f for f in (0.125, 0.375, 0.625, 0.875)]]
@@ -79,10 +79,10 @@ def out_of_reach(gain: float, asked: float) -> bool:
     return asked > policy.in_full_up_to and gain < policy.form_share * asked
 
 
-def _patterns(axes: Sequence[Coordinate]) -> list[list[int]]:
+def _tried_together(parameters: Sequence[FreeParameter]) -> list[list[int]]:
     """Groups of coordinates that are tried together: items of a field one by one, single fields at once."""
-    single = [i for i, a in enumerate(axes) if not a.info.shapes and a.item is None]
-    each = [[i] for i, a in enumerate(axes) if not a.info.shapes and a.item is not None]
+    single = [i for i, a in enumerate(parameters) if not a.info.shapes and a.item is None]
+    each = [[i] for i, a in enumerate(parameters) if not a.info.shapes and a.item is not None]
     return ([single] if single else []) + each
 
 
@@ -93,10 +93,10 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     the typical one are left out where that one stays far below `worth` and below what is to be explained.
     """
     project = LinearisedFit.of(problem, parent).projection
-    own = problem.axes([effect])
-    axes = (*parent.axes, *own)
+    added = problem.parameters([effect])
+    parameters = (*parent.parameters, *added)
     residual = project.missed
-    patterns = _patterns(own)
+    groups = _tried_together(added)
     asked = max(worth, excess(problem, parent.objective))
     starts: list[Start] = []
     error, estimate = float("inf"), 0.0
@@ -104,41 +104,43 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     def tried(form: Array, strengths: Sequence[float]) -> list[tuple[Array, Array]]:
         nonlocal error, estimate
         signatures: list[tuple[Array, Array]] = []
-        for pattern, strength in itertools.product(patterns, strengths):
-            for sign in (1.0, -1.0) if not all(own[i].one_sided for i in pattern) else (1.0,):
-                positions = form.copy()
-                for i in pattern:
-                    low, high = own[i].bounds
-                    direction = 1.0 if own[i].one_sided and high > 0 else (-1.0 if own[i].one_sided else sign)
-                    positions[i] = np.clip(direction * strength, low, high)
-                if not np.any([positions[i] != 0 for i in pattern]):
+        for group, strength in itertools.product(groups, strengths):
+            for sign in (1.0, -1.0) if not all(added[i].one_sided for i in group) else (1.0,):
+                scaled_values = form.copy()
+                for i in group:
+                    low, high = added[i].bounds
+                    direction = (
+                        1.0 if added[i].one_sided and high > 0 else (-1.0 if added[i].one_sided else sign)
+                    )
+                    scaled_values[i] = np.clip(direction * strength, low, high)
+                if not np.any([scaled_values[i] != 0 for i in group]):
                     continue
-                change = signature(problem, parent, axes, positions)
+                change = signature(problem, parent, parameters, scaled_values)
                 if change is None:
                     continue
                 projected = project(*change)
-                signatures.append((positions, projected))
+                signatures.append((scaled_values, projected))
                 size = float(projected @ projected)
                 along = float(residual @ projected)
-                starts.append(Start(positions, 2 * along - size))
+                starts.append(Start(scaled_values, 2 * along - size))
                 scale = float(np.clip(along / size, -4.0, 4.0)) if size > 0 else 0.0
-                scaled = positions.copy()
-                for i in pattern:
-                    low, high = own[i].bounds
-                    scaled[i] = np.clip(scale * positions[i], low, high)
-                if abs(scale) > 0.02 and (scale > 0 or not all(own[i].one_sided for i in pattern)):
-                    starts.append(Start(scaled, 0.9 * along**2 / size if size > 0 else 0.0))
+                at_best = scaled_values.copy()
+                for i in group:
+                    low, high = added[i].bounds
+                    at_best[i] = np.clip(scale * scaled_values[i], low, high)
+                if abs(scale) > 0.02 and (scale > 0 or not all(added[i].one_sided for i in group)):
+                    starts.append(Start(at_best, 0.9 * along**2 / size if size > 0 else 0.0))
                 if strength == POLICY.screening.strengths[0] and size > 0:
                     here = POLICY.screening.strengths[0] / np.sqrt(size)
                     if here < error:
                         error = here
                         estimate = (
-                            abs(float(along / size * strength)) if along > 0 or len(patterns) > 1 else 0.0
+                            abs(float(along / size * strength)) if along > 0 or len(groups) > 1 else 0.0
                         )
         return signatures
 
     seen: list[tuple[float, int, Array, list[tuple[Array, Array]]]] = []
-    for place, form in enumerate(forms(own)):
+    for place, form in enumerate(forms(added)):
         begun = len(starts)
         signatures = tried(
             form, POLICY.screening.strengths if place == 0 else POLICY.screening.strengths[1:2]
@@ -150,22 +152,22 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     for rank, (_, place, form, signatures) in enumerate(seen):
         if rank < POLICY.screening.forms_in_full and place > 0:
             signatures += tried(form, (POLICY.screening.strengths[0], *POLICY.screening.strengths[2:]))
-        if len(patterns) > 1 and signatures:
-            starts += _joint(own, patterns, signatures, residual, form)
+        if len(groups) > 1 and signatures:
+            starts += _joint(added, groups, signatures, residual, form)
     starts.sort(key=lambda s: -s.gain)
     kept: list[Start] = []
     for start in starts:
-        if all(_apart(start.positions, k.positions) for k in kept):
+        if all(_apart(start.scaled_values, k.scaled_values) for k in kept):
             kept.append(start)
         if len(kept) == 4:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
-    return Preview(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(own)))
+    return Preview(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)))
 
 
 def _joint(
-    own: Sequence[Coordinate],
-    patterns: list[list[int]],
+    added: Sequence[FreeParameter],
+    groups: list[list[int]],
     signatures: list[tuple[Array, Array]],
     residual: Array,
     form: Array,
@@ -174,26 +176,26 @@ def _joint(
     found = []
     for strength in POLICY.screening.strengths[:2]:
         columns, places = [], []
-        for pattern in patterns:
+        for group in groups:
             near = [
-                (abs(abs(pos[pattern[0]]) - strength), -float(residual @ s), pos, s)
+                (abs(abs(pos[group[0]]) - strength), -float(residual @ s), pos, s)
                 for pos, s in signatures
-                if pos[pattern[0]] != 0
+                if pos[group[0]] != 0
             ]
             if near:
                 _, _, pos, s = min(near, key=lambda n: (n[0], n[1]))
-                columns.append(s / pos[pattern[0]])
-                places.append(pattern)
+                columns.append(s / pos[group[0]])
+                places.append(group)
         if not columns:
             continue
         matrix = np.column_stack(columns)
         square = matrix.T @ matrix + np.eye(len(columns)) * 0.01
         best = np.linalg.solve(square, matrix.T @ residual)
-        positions = form.copy()
-        for amount, pattern in zip(best, places, strict=True):
-            for i in pattern:
-                positions[i] = np.clip(amount, *own[i].bounds)
-        found.append(Start(positions, 0.8 * float(best @ (matrix.T @ residual))))
+        scaled_values = form.copy()
+        for amount, group in zip(best, places, strict=True):
+            for i in group:
+                scaled_values[i] = np.clip(amount, *added[i].bounds)
+        found.append(Start(scaled_values, 0.8 * float(best @ (matrix.T @ residual))))
     return found
 
 
@@ -202,42 +204,47 @@ def _apart(a: Array, b: Array) -> bool:
     return max(gap, default=0.0) > 1.0
 
 
-def beside(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Point:
-    """The parent's optimum with an effect at `positions`, each trial's slip limits as large as they were.
+def beside(
+    problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
+) -> ParameterVector:
+    """The parent's optimum with an effect at `scaled_values`, each trial's slip limits as large as they were.
 
     Otherwise what the parent took for the trials' own friction would be there twice.
     """
-    every = against_mean(axes, np.r_[parent.point.positions, positions])
-    point = dataclasses.replace(parent.point, positions=every)
+    every = against_mean(parameters, np.r_[parent.vector.scaled_values, scaled_values])
+    vector = dataclasses.replace(parent.vector, scaled_values=every)
     try:
-        before, after = _slip_limits(problem, parent.axes, parent.point), _slip_limits(problem, axes, point)
+        before, after = (
+            _slip_limits(problem, parent.parameters, parent.vector),
+            _slip_limits(problem, parameters, vector),
+        )
     except BadInput:
-        return point
+        return vector
     scale = np.log(np.where((before > 0) & (after > 0), before / np.maximum(after, 1e-300), 1.0))
-    return dataclasses.replace(point, trial_friction=point.trial_friction + scale)
+    return dataclasses.replace(vector, trial_friction=vector.trial_friction + scale)
 
 
-def _slip_limits(problem: Problem, axes: Sequence[Coordinate], point: Point) -> Array:
+def _slip_limits(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Array:
     """Sum of both slip limits of all nodes in each trial (T,), N·m."""
     trials = enumerate(problem.trials)
-    rods = [problem.model(axes, point, t).rod(binned.trial) for t, binned in trials]
+    rods = [problem.model(parameters, vector, t).rod(binned.trial) for t, binned in trials]
     return np.array([float(rod.slip_plus_nm.sum() + rod.slip_minus_nm.sum()) for rod in rods])
 
 
 def signature(
-    problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array
+    problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
 ) -> tuple[Array, Array] | None:
-    """Whitened change of the model (n,) over all trials when the effect is put at `positions`, and what it
+    """Whitened change of the model (n,) over all trials when the effect is put at `scaled_values`, and what it
     moves in the trials' own friction (T,)."""
-    point = beside(problem, parent, axes, positions)
+    vector = beside(problem, parent, parameters, scaled_values)
     trials = range(len(problem.trials))
     try:
-        readings = problem.predict(axes, point)
+        readings = problem.predict(parameters, vector)
     except (SolverError, BadInput):
         return None
     after = problem.residuals(readings, trials)
     change = []
     for t in trials:
         change.append(parent.residuals[t] + problem.nuisance[t] @ parent.nuisance - after[t])
-    found, moved = np.concatenate(change), point.trial_friction - parent.point.trial_friction
+    found, moved = np.concatenate(change), vector.trial_friction - parent.vector.trial_friction
     return (found, moved - moved.mean()) if np.all(np.isfinite(found)) else None

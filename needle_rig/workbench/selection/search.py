@@ -20,7 +20,7 @@ from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
 from needle_rig.workbench.estimation.map_fit import LOOSE, Fit, fit
 from needle_rig.workbench.estimation.multistart import fit_without_derivatives, through_valleys
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import (
@@ -74,14 +74,14 @@ def try_effect(
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     names = (*parent.effects, effect)
-    axes = problem.axes(names)
+    parameters = problem.parameters(names)
     starts = [*more, *_worth_fitting(ahead)]
     best: Fit | None = None
     for start in starts:
         found = fit(
             problem,
             names,
-            beside(problem, parent, axes, start.positions),
+            beside(problem, parent, parameters, start.scaled_values),
             nuisance=parent.nuisance,
             enough=POLICY.search.rough,
         )
@@ -89,18 +89,22 @@ def try_effect(
             best = found
     if best is not None and refinable(problem, best):
         if parent.objective - best.objective > POLICY.search.promising:
-            best = fit(problem, names, best.point, nuisance=best.nuisance) or best
+            best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
         best = through_valleys(problem, best)
     room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
-    off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
+    off = best is not None and bool(
+        np.all(np.abs(best.vector.scaled_values[len(parent.parameters) :]) < 1e-3)
+    )
     if starts and not off and (best is None or best.objective > parent.objective + room):
         # from the parent's optimum with the effect off nothing can become worse
-        idle = np.zeros(len(starts[0].positions))
-        retry = fit(problem, names, beside(problem, parent, axes, idle), nuisance=parent.nuisance)
+        idle = np.zeros(len(starts[0].scaled_values))
+        retry = fit(problem, names, beside(problem, parent, parameters, idle), nuisance=parent.nuisance)
         hoped = parent.objective - 0.5 * ahead.gain
         if ahead.gain > POLICY.search.promising and (retry is None or retry.objective > hoped):
             retry = (
-                fit_without_derivatives(problem, names, beside(problem, parent, axes, starts[0].positions))
+                fit_without_derivatives(
+                    problem, names, beside(problem, parent, parameters, starts[0].scaled_values)
+                )
                 or retry
             )
         if retry is not None and (best is None or retry.objective < best.objective):
@@ -108,20 +112,22 @@ def try_effect(
     return Candidate(effect, best, held_out(problem, best) if best is not None else None, ahead)
 
 
-def refit(problem: Problem, names: tuple[str, ...], start: Point) -> tuple[Fit | None, HeldOut | None]:
+def refit(
+    problem: Problem, names: tuple[str, ...], start: ParameterVector
+) -> tuple[Fit | None, HeldOut | None]:
     """Fit from a given point, with its held-out error."""
     found = fit(problem, names, start)
     return found, held_out(problem, found) if found is not None else None
 
 
-def without(found: Fit, effect: str) -> Point:
+def without(found: Fit, effect: str) -> ParameterVector:
     """A fit's point with one effect taken out."""
-    keep = [i for i, a in enumerate(found.axes) if a.effect != effect]
-    return Point(
-        found.point.log_friction,
-        found.point.log_rigidity,
-        found.point.positions[keep],
-        found.point.trial_friction,
+    keep = [i for i, a in enumerate(found.parameters) if a.effect != effect]
+    return ParameterVector(
+        found.vector.log_friction,
+        found.vector.log_rigidity,
+        found.vector.scaled_values[keep],
+        found.vector.trial_friction,
     )
 
 
@@ -329,19 +335,19 @@ def _limit_start(
     problem: Problem, effect: str, known: Fit, limit: str, extremes: Mapping[str, float]
 ) -> Start:
     """Where `effect` is the fitted `limit`: fields of the same name taken over, the rest extreme."""
-    own = problem.axes([effect])
+    own = problem.parameters([effect])
     values = {
         (a.field, a.item): a.value(float(x))
-        for a, x in zip(known.axes, known.point.positions, strict=True)
+        for a, x in zip(known.parameters, known.vector.scaled_values, strict=True)
         if a.effect == limit
     }
-    positions = np.zeros(len(own))
-    for i, axis in enumerate(own):
-        value = extremes.get(axis.field, values.get((axis.field, axis.item)))
-        if value is not None and (value != axis.info.off or axis.info.shapes):
-            inside = min(max(value, axis.info.lower), axis.info.upper)
-            positions[i] = np.clip(axis.position(inside), *axis.bounds)
-    return Start(positions, np.inf)
+    scaled_values = np.zeros(len(own))
+    for i, parameter in enumerate(own):
+        value = extremes.get(parameter.field, values.get((parameter.field, parameter.item)))
+        if value is not None and (value != parameter.info.off or parameter.info.shapes):
+            inside = min(max(value, parameter.info.lower), parameter.info.upper)
+            scaled_values[i] = np.clip(parameter.scaled_value(inside), *parameter.bounds)
+    return Start(scaled_values, np.inf)
 
 
 def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
@@ -373,7 +379,7 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
         trace.best: trace.fits[trace.best],
     }
     for fitted, (old, old_held) in fits.items():
-        new, new_held = refit(problem, old.effects, old.point)
+        new, new_held = refit(problem, old.effects, old.vector)
         if new is None:
             new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
         fits[fitted] = new, new_held
@@ -398,12 +404,12 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
 
 def _with_direction(problem: Problem, found: Fit, effect: str) -> tuple[Array, ...]:
     """Nuisances (n, q + 1) a trial with what `effect` does in a fit, at the smallest size that matters."""
-    off = found.point.positions.copy()
-    for i, axis in enumerate(found.axes):
-        if axis.effect == effect and not axis.info.shapes:
+    off = found.vector.scaled_values.copy()
+    for i, parameter in enumerate(found.parameters):
+        if parameter.effect == effect and not parameter.info.shapes:
             off[i] = 0.0
-    on = problem.predict(found.axes, found.point)
-    gone = problem.predict(found.axes, dataclasses.replace(found.point, positions=off))
+    on = problem.predict(found.parameters, found.vector)
+    gone = problem.predict(found.parameters, dataclasses.replace(found.vector, scaled_values=off))
     largest = size_of(found, effect)
     return tuple(
         np.hstack([n, w(a - b)[:, None] / largest])

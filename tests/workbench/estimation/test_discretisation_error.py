@@ -13,7 +13,7 @@ from needle_rig.workbench.estimation.discretisation_error import (
     solver_error,
 )
 from needle_rig.workbench.estimation.map_fit import fit
-from needle_rig.workbench.estimation.parameters import positions_of
+from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import may_be_ours
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -36,7 +36,7 @@ def test_our_own_error_is_a_direction_of_every_fit():
             mean[c, use] += 20.0 * np.linalg.solve(inverse, n[w.channel == c, 0]) / np.linalg.norm(error)
         shifted.append(dataclasses.replace(b, mean=mean))
     moved = dataclasses.replace(problem, trials=tuple(shifted))
-    again = fit(moved, (), found.point)
+    again = fit(moved, (), found.vector)
     assert again.nuisance[0] > found.nuisance[0] + 0.5
 
 
@@ -54,15 +54,15 @@ def test_a_claim_under_three_times_our_own_error_is_refused():
     assert not may_be_ours(problem, parent, child(3.1))
     freed = dataclasses.replace(child(1.0), pull_rigidity=parent.pull_rigidity + 12.0)
     assert not may_be_ours(problem, parent, freed)
-    own = parent.point.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
-    steadied = dataclasses.replace(child(1.0), point=dataclasses.replace(parent.point, trial_friction=own))
+    own = parent.vector.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
+    steadied = dataclasses.replace(child(1.0), vector=dataclasses.replace(parent.vector, trial_friction=own))
     assert not may_be_ours(problem, parent, steadied)
 
 
 def test_a_finer_solver_leaves_less_of_our_own_error():
     data = dataset(seed=23)
     problem = prepare(data, None, few()).problem
-    found = fit(problem, (), prepare(data, None, few()).present.point)
+    found = fit(problem, (), prepare(data, None, few()).present.vector)
     sizes = []
     for length_m in (4e-3, 0.5e-3):
         used = dataclasses.replace(
@@ -79,9 +79,9 @@ def ageing():
     hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
     data = dataset(hidden, seed=25)
     prepared = prepare(data, None, few("stiction_ageing"))
-    at = positions_of(prepared.problem.axes(["stiction_ageing"]), [hidden])
+    at = scaled_values_of(prepared.problem.parameters(["stiction_ageing"]), [hidden])
     coarse = fit(
-        prepared.problem, ["stiction_ageing"], dataclasses.replace(prepared.present.point, positions=at)
+        prepared.problem, ["stiction_ageing"], dataclasses.replace(prepared.present.vector, scaled_values=at)
     )
     assert coarse is not None
     return data, prepared, coarse
@@ -98,7 +98,7 @@ def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
     assert [b.trial.time_s.size for b in problem.trials] == [t.trial.time_s.size for t in data.trials]
     assert sum(np.linalg.norm(n[:, 0]) for n in problem.nuisance) < 0.3 * sum(before)
     assert held.error < 1.05
-    growth = found.axes[0].value(float(found.point.positions[0]))
+    growth = found.parameters[0].value(float(found.vector.scaled_values[0]))
     assert growth == pytest.approx(0.4, abs=0.08)
 
 
@@ -107,7 +107,7 @@ def test_a_comparison_drives_an_adopted_model_as_finely():
     data, prepared, coarse = ageing()
     problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
     length_m = load_parameters("rig_rigid").element_length_m
-    model = dataclasses.replace(problem.model(found.axes, found.point), element_length_m=length_m)
+    model = dataclasses.replace(problem.model(found.parameters, found.vector), element_length_m=length_m)
     assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
 
 
@@ -117,8 +117,10 @@ def slipping(encoder_deg):
     noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)
     data = dataset(hidden, seed=42, noise=noise)
     prepared = prepare(data, None, few("stribeck"))
-    at = positions_of(prepared.problem.axes(["stribeck"]), [hidden])
-    found = fit(prepared.problem, ["stribeck"], dataclasses.replace(prepared.present.point, positions=at))
+    at = scaled_values_of(prepared.problem.parameters(["stribeck"]), [hidden])
+    found = fit(
+        prepared.problem, ["stribeck"], dataclasses.replace(prepared.present.vector, scaled_values=at)
+    )
     return data, prepared.problem, found
 
 
@@ -128,7 +130,7 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     wider, again = by_every_sample(problem, found, data.trials)
     sensors_alone = tuple(dataclasses.replace(b, from_encoder=None) for b in wider.trials)
     narrow = dataclasses.replace(wider, trials=sensors_alone, whiteners=())
-    assert held_out(narrow, fit(narrow, ["stribeck"], again.point)).error > 1.03
+    assert held_out(narrow, fit(narrow, ["stribeck"], again.vector)).error > 1.03
     assert held_out(wider, again).error < 1.0
     assert (
         0.0 < np.linalg.norm(wider.whiteners[0].inverse[1]) < np.linalg.norm(narrow.whiteners[0].inverse[1])
@@ -148,8 +150,8 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch)
     far = dataclasses.replace(found, objective=3.0 * problem.size)
     assert at_own_error(problem, far, data.trials, fine_m)[0].trials == problem.trials
     # the encoder's noise moves the minimum further than derivatives between two slips tell
-    assert np.all(again.position_error > 1.5 * met[0].position_error)
-    assert np.all(np.abs(again.point.positions - [1.0, 0.0, 0.0]) < 3.0 * again.position_error)
+    assert np.all(again.scaled_errors > 1.5 * met[0].scaled_errors)
+    assert np.all(np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0]) < 3.0 * again.scaled_errors)
 
 
 def test_an_encoder_without_noise_adds_none():

@@ -26,10 +26,10 @@ def test_an_effect_that_the_data_cannot_show_has_no_limit():
 
 def test_signs_alternate_over_sensors_and_follow_the_turn():
     problem = prepare(dataset(), None, few()).problem
-    offsets = at_strength(problem.axes(["hall_offset"]), 2.0, turn=-1.0)
+    offsets = at_strength(problem.parameters(["hall_offset"]), 2.0, turn=-1.0)
     assert offsets.tolist() == [-2.0, 2.0, -2.0, 2.0]
-    assert at_strength(problem.axes(["chuck_backlash"]), 2.0, turn=-1.0).tolist() == [2.0]
-    assert smallest_strength(problem.axes(["hall_offset"])) > 0
+    assert at_strength(problem.parameters(["chuck_backlash"]), 2.0, turn=-1.0).tolist() == [2.0]
+    assert smallest_strength(problem.parameters(["hall_offset"])) > 0
 
 
 def test_what_the_trials_own_friction_can_take_up_shows_only_above_its_scatter():

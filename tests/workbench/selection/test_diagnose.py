@@ -278,7 +278,7 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
     problem, names = prepared.problem, ("tissue_elasticity", "torque_bias")
     good = try_effect(problem, prepared.present, "tissue_elasticity")
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
-    idle = dataclasses.replace(good.fit.point, positions=np.r_[good.fit.point.positions, 0.0])
+    idle = dataclasses.replace(good.fit.vector, scaled_values=np.r_[good.fit.vector.scaled_values, 0.0])
     began = search.SearchTrace.begin(problem, names, prepared.present, prepared.held)
     before = began.keep(worse, good.held).keep(*search.refit(problem, names, idle))
     after = search.take_out(before, frozenset(names), "torque_bias")

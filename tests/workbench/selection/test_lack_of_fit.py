@@ -53,7 +53,7 @@ def test_a_wrong_noise_level_passes_for_no_effect():
     low = dataclasses.replace(noise, white=noise.white / 2, offset=noise.offset / 2, motion=noise.motion / 2)
     louder = problem.with_noise(low)
 
-    found = fit(louder, (), prepared.present.point)
+    found = fit(louder, (), prepared.present.vector)
     assert found.chi2 > 2.5 * louder.size
     assert lack_of_fit(louder, found, data.sensor_names).p > 0.01
     assert prepared.present.chi2 < 1.2 * problem.size

@@ -42,9 +42,9 @@ WORKBENCH_TESTS = Path(__file__).resolve().parents[1]
 
 def fit(**known: Any) -> Any:
     """A stand-in for a fit, with what a rule looks at."""
-    point = SimpleNamespace(trial_friction=np.zeros(1))
-    common: dict[str, Any] = {"objective": 0.0, "rank": 0, "scatter": 0.025, "scatter_dof": 9.0, "axes": ()}
-    return SimpleNamespace(**{**common, "effects": (), "pull_rigidity": 0.0, "point": point, **known})
+    vector = SimpleNamespace(trial_friction=np.zeros(1))
+    common: dict[str, Any] = {"objective": 0.0, "rank": 0, "scatter": 0.025, "scatter_dof": 9.0, "parameters": ()}
+    return SimpleNamespace(**{**common, "effects": (), "pull_rigidity": 0.0, "vector": vector, **known})
 
 
 @pytest.fixture(scope="module")
@@ -89,17 +89,17 @@ def test_a_change_of_three_times_our_own_error_is_not_ours(change, ours):
 
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
 def test_a_size_is_limited_at_its_one_sided_95_percent(prepared, error_share, decision):
-    (axis,) = prepared.problem.axes(["torque_bias"])
-    error = axis.smallest / 1.645 * error_share
-    point = SimpleNamespace(positions=np.zeros(1))
-    found = fit(axes=(axis,), point=point, position_error=np.array([error]))
+    (parameter,) = prepared.problem.parameters(["torque_bias"])
+    error = parameter.smallest / 1.645 * error_share
+    vector = SimpleNamespace(scaled_values=np.zeros(1))
+    found = fit(parameters=(parameter,), vector=vector, scaled_errors=np.array([error]))
     assert _decision("torque_bias", found, None).decision == decision
 
 
 @pytest.mark.parametrize(("information", "seen"), [(0.7, 1), (1.4, 2)])
 def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(prepared, information, seen):
     problem = prepared.problem
-    axes = problem.axes(["torque_bias", "tip_friction"])
+    parameters = problem.parameters(["torque_bias", "tip_friction"])
     rows = [np.zeros(w.channel.size) for w in problem.whiteners]
     jacobians = [np.zeros((r.size, 5)) for r in rows]
     for jacobian in jacobians:
@@ -107,7 +107,7 @@ def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(prepared, 
     jacobians[0][4, 3] = np.sqrt(information)
     x = np.r_[np.log(1e-3), np.log(problem.base.torsional_rigidity_nm2), 0.0, 0.0, np.zeros(len(rows))]
     x = np.r_[x, np.zeros(problem.nuisance[0].shape[1])]
-    assert LinearisedFit.at(problem, axes, x, rows, jacobians, 1600.0).rank == seen
+    assert LinearisedFit.at(problem, parameters, x, rows, jacobians, 1600.0).rank == seen
 
 
 @pytest.mark.parametrize(
@@ -197,8 +197,10 @@ def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind, taken):
      (1.5, 0, "forward")],
 )  # fmt: skip
 def test_what_becomes_of_an_effect_that_is_too_small(prepared, size, set_aside_before, move):
-    (axis,) = prepared.problem.axes(["torque_bias"])
-    found = fit(axes=(axis,), point=SimpleNamespace(positions=np.array([size * axis.smallest])))
+    (parameter,) = prepared.problem.parameters(["torque_bias"])
+    found = fit(
+        parameters=(parameter,), vector=SimpleNamespace(scaled_values=np.array([size * parameter.smallest]))
+    )
     key = frozenset(["torque_bias"])
     negligible = dict.fromkeys(range(set_aside_before))
     large = key if size >= 1.0 else frozenset()
@@ -231,7 +233,7 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(prepared, monkeypat
     assert np.ravel(tried) == pytest.approx([0.1, 0.5, 1.5])
     tried.clear()
     preview(problem, prepared.present, "tissue_viscoelasticity")
-    every = len(forms(problem.axes(["tissue_viscoelasticity"])))
+    every = len(forms(problem.parameters(["tissue_viscoelasticity"])))
     assert every == 6
     # the typical form and the best other one at three sizes, the rest at one
     assert len({tuple(t) for t in tried}) == every + 2 * 2
@@ -297,9 +299,11 @@ def test_five_patterns_are_told():
 @pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
 def test_more_than_two_effects_are_named_with_plausible_values_only(prepared, count, described_only):
     names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
-    axes = prepared.problem.axes(names)
-    point = SimpleNamespace(positions=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in axes]))
-    found = fit(axes=axes, point=point, position_error=np.ones(len(axes)))
+    parameters = prepared.problem.parameters(names)
+    vector = SimpleNamespace(
+        scaled_values=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in parameters])
+    )
+    found = fit(parameters=parameters, vector=vector, scaled_errors=np.ones(len(parameters)))
     trace: Any = SimpleNamespace(best=frozenset(names), fits={frozenset(names): (found, None)})
     assert bool(_contrived(trace, names)) is described_only
 
@@ -310,22 +314,22 @@ def test_settled_values_must_leave_half_a_degree_of_freedom(freedom, testable):
     assert SettledCandidate("x", found, 1.0).testable is testable
 
 
-def _smallest(axis):
+def _smallest(parameter):
     """Position at which an effect begins to matter; of several items the first."""
-    if axis.info.shapes or axis.item not in (None, 0):
+    if parameter.info.shapes or parameter.item not in (None, 0):
         return 0.0
-    return float(np.clip(axis.position(axis.info.smallest), *axis.bounds))
+    return float(np.clip(parameter.scaled_value(parameter.info.smallest), *parameter.bounds))
 
 
 def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(prepared):
     """The same size, measured over whole trials: between the quartiles of what the library's effects do."""
     problem, present = prepared.problem, prepared.present
-    here = problem.predict(present.axes, present.point)
+    here = problem.predict(present.parameters, present.vector)
     angles_deg, torques_nmm = [], []
     for name in few():
-        own = problem.axes([name])
+        own = problem.parameters([name])
         at = np.array([_smallest(a) for a in own])
-        there = problem.predict((*present.axes, *own), screening.beside(problem, present, own, at))
+        there = problem.predict((*present.parameters, *own), screening.beside(problem, present, own, at))
         change = [x - y for x, y in zip(there, here, strict=True)]
         rms = [float(np.sqrt(np.mean(np.concatenate([c[k] for c in change]) ** 2))) for k in range(5)]
         torques_nmm.append(rms[0] * 1e3)
