@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.baseline import Prepared
+from needle_rig.workbench.estimation.baseline import Baseline
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
@@ -44,13 +44,13 @@ def smallest_strength(parameters: Sequence[FreeParameter]) -> float:
     return max(a.smallest for a in parameters if not a.info.shapes)
 
 
-def detection_limit(prepared: Prepared, effect: str, turn: float = 1.0) -> float:
+def detection_limit(baseline: Baseline, effect: str, turn: float = 1.0) -> float:
     """Strength, in typical sizes, at which `effect` would lower the objective by 16 on average.
 
     From readings without noise of the model with the effect: what the present model, all its parameters
     fitted again, cannot take up. Infinite where not even thirty typical sizes show.
     """
-    problem, parent = prepared.problem, prepared.present
+    problem, parent = baseline.problem, baseline.current
     parameters = problem.parameters([effect])
     idle = _missed(problem, parent, parameters, np.zeros(len(parameters)))
 

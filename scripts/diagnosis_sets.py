@@ -19,7 +19,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
-from needle_rig.workbench.estimation.baseline import Prepared, prepare
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.parameters import against_mean, free_parameters, make_effects
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -158,17 +158,17 @@ def simulated(setup: int, effects, seed: int, finer: float = 1.0):
     return simulate_dataset(model, given.protocol, seed, given.noise, name="x", rate_hz=given.rate_hz)
 
 
-_PREPARED: dict[int, Prepared] = {}
+_BASELINES: dict[int, Baseline] = {}
 
 
 def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float]:
     """(detection limit, smallest strength that matters, where multiples of 1 and more count from)."""
     library = find_effects()
-    if setup not in _PREPARED:
-        _PREPARED[setup] = prepare(simulated(setup, (), 987), None, library)
-    prepared = _PREPARED[setup]
-    limit = detection_limit(prepared, effect, turn)
-    smallest = smallest_strength(prepared.problem.parameters([effect]))
+    if setup not in _BASELINES:
+        _BASELINES[setup] = fit_baseline(simulated(setup, (), 987), None, library)
+    baseline = _BASELINES[setup]
+    limit = detection_limit(baseline, effect, turn)
+    smallest = smallest_strength(baseline.problem.parameters([effect]))
     return limit, smallest, max(limit, smallest)
 
 
@@ -272,7 +272,7 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         "decisions": {n: found.decisions[n].decision for n in truth if n in found.decisions},
         "covered": [v.low <= value <= v.high for v, value in values if value is not None],
         "relatives": relatives(list(truth)),
-        "left": [p.sentence() for p in found.left_over.patterns[:2]],
+        "left": [p.sentence() for p in found.residual_patterns.patterns[:2]],
         **(naive(found) if task["kind"] in ("one", "none") else {}),
     }
 

@@ -13,8 +13,8 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
-from needle_rig.workbench.estimation.discretisation_error import again, at_own_error
+from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
+from needle_rig.workbench.estimation.discretisation_error import refitted, with_discretisation_error
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
@@ -29,13 +29,13 @@ CELLS_PER_SECTION = 6
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Baseline:
     """A problem with the present model fitted to it."""
 
     dataset: Dataset
     problem: Problem
-    present: Fit
-    held: HeldOut
+    current: Fit
+    validation: CrossValidation
     notes: tuple[str, ...]
     fine_m: float
     """Element length of the present model as it was given."""
@@ -53,58 +53,60 @@ def element_length(model: NeedleModel) -> float:
     return max(model.element_length_m, min(COARSE_M, shortest / CELLS_PER_SECTION))
 
 
-def prepare(dataset: Dataset, model: NeedleModel | None, library: Mapping[str, type[Effect]]) -> Prepared:
+def fit_baseline(
+    dataset: Dataset, model: NeedleModel | None, library: Mapping[str, type[Effect]]
+) -> Baseline:
     """Measure the noise, fit the present model (default: the null model), make the solver a suspect.
 
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
         raise BadInput(f"{dataset.name}: no trial is left to compare with; see its notes")
-    present = model or null_model(dataset)
-    if len(present.layout.sensor_positions_m) != len(dataset.layout.sensor_positions_m):
+    current = model or null_model(dataset)
+    if len(current.layout.sensor_positions_m) != len(dataset.layout.sensor_positions_m):
         raise BadInput(
             f"{dataset.name} has {len(dataset.layout.sensor_positions_m)} Hall sensors and the model"
-            f" {present.name} {len(present.layout.sensor_positions_m)}; give a model made for this rig"
+            f" {current.name} {len(current.layout.sensor_positions_m)}; give a model made for this rig"
         )
     binned = tuple(bin_trial(t) for t in dataset.trials)
     noise = measure_noise(dataset.trials, binned)
     base = dataclasses.replace(
-        present,
+        current,
         layout=dataset.layout,
         torsional_rigidity_nm2=dataset.needle.torsional_rigidity_nm2,
         effects=(),
-        element_length_m=element_length(present),
+        element_length_m=element_length(current),
     )
-    effects = {e.name(): type(e) for e in present.effects}
+    effects = {e.name(): type(e) for e in current.effects}
     problem = Problem(
         dataset.name, base, {**library, **effects}, binned, noise, max(dataset.needle.rigidity_sigma, 1e-4)
     )
     names = tuple(effects)
-    at = scaled_values_of(problem.parameters(names), present.effects)
-    first = _first_fit(problem, names, at, present.friction_n if model else None)
+    at = scaled_values_of(problem.parameters(names), current.effects)
+    first = _first_fit(problem, names, at, current.friction_n if model else None)
     notes = list(_notes(problem))
     if noise.replicates:
         left = _left(problem, first)
         noise = with_replicate_scatter(noise, binned, left, problem.groups)
         problem = problem.with_noise(noise)
-        first = again(problem, first)
-    fine_m = present.element_length_m
-    problem, final = at_own_error(problem, first, dataset.trials, fine_m)
-    return Prepared(dataset, problem, final, held_out(problem, final), tuple(notes), fine_m)
+        first = refitted(problem, first)
+    fine_m = current.element_length_m
+    problem, final = with_discretisation_error(problem, first, dataset.trials, fine_m)
+    return Baseline(dataset, problem, final, cross_validate(problem, final), tuple(notes), fine_m)
 
 
-def as_compared(
-    prepared: Prepared, problem: Problem, found: Fit, held: HeldOut | None
-) -> tuple[Problem, Fit, HeldOut]:
+def as_baseline(
+    baseline: Baseline, problem: Problem, found: Fit, validation: CrossValidation | None
+) -> tuple[Problem, Fit, CrossValidation]:
     """A fit as a comparison with its model sees it: our solver's error is the one there, not where it began.
 
     What cannot be solved finely stays as it is.
     """
     try:
-        problem, found = at_own_error(problem, found, prepared.dataset.trials, prepared.fine_m)
+        problem, found = with_discretisation_error(problem, found, baseline.dataset.trials, baseline.fine_m)
     except SolverError:
-        return problem, found, held or held_out(problem, found)
-    return problem, found, held_out(problem, found)
+        return problem, found, validation or cross_validate(problem, found)
+    return problem, found, cross_validate(problem, found)
 
 
 def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:

@@ -13,7 +13,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import LOOSE, Fit
+from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
@@ -28,7 +28,7 @@ FARTHEST = 1.2
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class CrossValidation:
     """Prediction of every trial by a fit to the trials of other commands."""
 
     error: float
@@ -39,14 +39,14 @@ class HeldOut:
     """Data minus prediction in bin means (C, K), with the friction that the other trials share."""
 
 
-def held_out(problem: Problem, fit: Fit) -> HeldOut:
+def cross_validate(problem: Problem, fit: Fit) -> CrossValidation:
     """Leave every command out in turn; parameters move to where the rest puts them.
 
     A held-out trial is then simulated afresh; its own friction is unknown and integrated out, and in the
     predictive density so are the parameters, as far as the rest leaves them uncertain. Infinite where there
     is one command only, or the model cannot be solved.
     """
-    nothing = HeldOut(float("inf"), float("inf"), (np.zeros((0, 0)),) * len(problem.trials))
+    nothing = CrossValidation(float("inf"), float("inf"), (np.zeros((0, 0)),) * len(problem.trials))
     if len(problem.groups) < 2:
         return nothing
     try:
@@ -83,7 +83,7 @@ class _LeaveOut:
         self.problem, self.fit = problem, fit
         self.linear = LinearisedFit.of(problem, fit)
         self.p, self.told = self.linear.p, self.linear.trials
-        self.own_precision = fit.scatter**-2
+        self.random_effect_precision = fit.scatter**-2
         free = np.full(fit.nuisance.size, np.inf)
         self.prior = self.linear.precision[self.linear.shared]
         self.centre = np.zeros(self.prior.size)
@@ -94,7 +94,7 @@ class _LeaveOut:
         self.low = np.r_[self.at[:2] - reach, [a.bounds[0] for a in fit.parameters], -free]
         self.high = np.r_[self.at[:2] + reach, [a.bounds[1] for a in fit.parameters], free]
 
-    def every_command(self) -> HeldOut:
+    def every_command(self) -> CrossValidation:
         """Each command left out. Raises SolverError, BadInput."""
         problem, groups = self.problem, self.problem.groups
         left, information = [self._without(group) for group in groups], self.linear.information
@@ -103,13 +103,13 @@ class _LeaveOut:
         common = problem.readings([self._model(place[t]) for t in order], order)
         own = self._own_friction(place)
         chi2 = sum(o.chi2 for o in own.values())
-        loss = chi2 + sum(float(np.log(t.stiffness / t.own_precision)) for t in self.told)
+        loss = chi2 + sum(float(np.log(t.stiffness / t.random_effect_precision)) for t in self.told)
         for group, (_, spread) in zip(groups, left, strict=True):
             push = sum(self.told[t].push(own[t].rows, own[t].at) for t in group)
             inner = np.eye(len(spread)) + spread @ sum(information[t] for t in group)
             loss += float(np.linalg.slogdet(inner)[1] - push @ np.linalg.solve(inner, spread @ push))
         residuals = tuple(problem.trials[t].mean - r for t, r in zip(order, common, strict=True))
-        return HeldOut(float(np.sqrt(chi2 / problem.size)), loss, residuals)
+        return CrossValidation(float(np.sqrt(chi2 / problem.size)), loss, residuals)
 
     def _without(self, group: Sequence[int]) -> tuple[Array, Array]:
         """(shared parameters that the other trials prefer (s,), their covariance (s, s)).
@@ -121,14 +121,16 @@ class _LeaveOut:
         x, own = self.at, {t: float(self.fit.vector.trial_friction[t]) for t in told}
         rows = {t: self.fit.residuals[t] for t in told}
         value = self._chi2(x, own, rows)
-        near, share = NEAR + LOOSE * excess(self.problem, self.fit.objective), 1.0
+        near, share = NEAR + EXCESS_TOLERANCE * excess(self.problem, self.fit.objective), 1.0
         for _ in range(MOST_STEPS):
             push = sum(told[t].push(rows[t], own[t]) for t in told) - self.prior * (x - self.centre)
             step = np.clip(x + share * spread @ push, self.low, self.high) - x
             after = x + step
             if float(step @ left @ step) < near:
                 return after, spread
-            moved = {t: own[t] + told[t].own_step(rows[t] - told[t].shared @ step, own[t]) for t in told}
+            moved = {
+                t: own[t] + told[t].random_effect_step(rows[t] - told[t].shared @ step, own[t]) for t in told
+            }
             after_rows = self._rows(dict.fromkeys(told, after), moved)
             after_value = self._chi2(after, moved, after_rows)
             if after_value < value:
@@ -141,7 +143,9 @@ class _LeaveOut:
         """Each trial at its shared parameters, at the own friction that its data prefer, found by secants."""
         begin = {t: float(self.fit.vector.trial_friction[t]) for t in place}
         rows = self._rows(place, begin)
-        best = {t: _Own(at, rows[t], self.told[t].own, self.own_precision) for t, at in begin.items()}
+        best = {
+            t: _Own(at, rows[t], self.told[t].own, self.random_effect_precision) for t, at in begin.items()
+        }
         for _ in range(MOST_ESTIMATES):
             further = {}
             for t, own in best.items():
@@ -154,7 +158,7 @@ class _LeaveOut:
             for t, after in self._rows(place, further).items():
                 old, at = best[t], further[t]
                 slope = (old.rows - after) / (at - old.at)
-                new = _Own(at, after, slope, self.own_precision)
+                new = _Own(at, after, slope, self.random_effect_precision)
                 best[t] = new if new.chi2 < old.chi2 else dataclasses.replace(old, slope=slope)
         return best
 
@@ -172,5 +176,5 @@ class _LeaveOut:
         return {t: r - nuisance[t] @ place[t][self.p :] for t, r in zip(order, rows, strict=True)}
 
     def _chi2(self, x: Array, own: Mapping[int, float], rows: Mapping[int, Array]) -> float:
-        parts = sum(float(r @ r) + self.own_precision * own[t] ** 2 for t, r in rows.items())
+        parts = sum(float(r @ r) + self.random_effect_precision * own[t] ** 2 for t, r in rows.items())
         return parts + float(self.prior @ (x - self.centre) ** 2)

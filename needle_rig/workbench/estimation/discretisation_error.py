@@ -12,7 +12,7 @@ from needle_rig.errors import SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import predict_batch
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.multistart import FINE_SHAPE_STEPS, SHAPE_STEPS, over_shapes
+from needle_rig.workbench.estimation.multistart import FINE_FORM_STEPS, FORM_STEPS, over_forms
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import driven_by_samples, sample_weights
@@ -27,7 +27,7 @@ FAR_SIGMAS = 5.0
 """and from how far: minima of stick-slip lie close together."""
 
 
-def at_own_error(
+def with_discretisation_error(
     problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float
 ) -> tuple[Problem, Fit]:
     """The problem with the solver's error at a fit as its first nuisance, and the fit to that problem.
@@ -35,17 +35,17 @@ def at_own_error(
     Where that error is large beside the noise, and the noise is what remains, trials drive the model by every
     sample from then on. Raises SolverError where the model cannot be solved finely.
     """
-    error = solver_error(problem, found, trials, fine_m)
+    error = whitened_error(problem, found, trials, fine_m)
     near = excess(problem, found.objective) < problem.size
     if not near or np.linalg.norm(np.vstack(error)) <= POLICY.noise.straight_error_sigmas:
-        return _with_suspect(problem, found, error)
+        return _as_first_nuisance(problem, found, error)
     problem, found = by_every_sample(problem, found, trials)
-    problem, found = _with_suspect(problem, found, solver_error(problem, found, trials, fine_m))
-    found = over_shapes(problem, found, (*SHAPE_STEPS, *FINE_SHAPE_STEPS))
-    return problem, _over_paths(problem, found, trials)
+    problem, found = _as_first_nuisance(problem, found, whitened_error(problem, found, trials, fine_m))
+    found = over_forms(problem, found, (*FORM_STEPS, *FINE_FORM_STEPS))
+    return problem, _multiple_imputation(problem, found, trials)
 
 
-def solver_error(
+def whitened_error(
     problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float
 ) -> tuple[Array, ...]:
     """What our own numerics do, whitened (n, 1) a trial: the model solved finely minus the model as used.
@@ -73,7 +73,7 @@ def by_every_sample(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
     """
     driven = tuple(driven_by_samples(b, t) for b, t in zip(problem.trials, trials, strict=True))
     problem = dataclasses.replace(problem, trials=driven)
-    found = again(problem, found)
+    found = refitted(problem, found)
     scatter = _encoder_scatter(problem, found, trials)
     noisy = tuple(
         dataclasses.replace(b, from_encoder=s) for b, s in zip(problem.trials, scatter, strict=True)
@@ -84,10 +84,10 @@ def by_every_sample(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]
         for old, new, n in zip(problem.whiteners, wider.whiteners, problem.nuisance, strict=True)
     )
     wider = dataclasses.replace(wider, nuisance=nuisance)
-    return wider, again(wider, found)
+    return wider, refitted(wider, found)
 
 
-def again(problem: Problem, old: Fit) -> Fit:
+def refitted(problem: Problem, old: Fit) -> Fit:
     """The fit from where another problem's ended. Raises SolverError where the model cannot be solved."""
     found = fit(problem, old.effects, old.vector, nuisance=old.nuisance)
     if found is None:
@@ -95,11 +95,11 @@ def again(problem: Problem, old: Fit) -> Fit:
     return found
 
 
-def _with_suspect(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple[Problem, Fit]:
+def _as_first_nuisance(problem: Problem, found: Fit, error: Sequence[Array]) -> tuple[Problem, Fit]:
     """The solver's error in the place of the first nuisance, and the fit with it."""
     nuisance = tuple(np.hstack([e, n[:, 1:]]) for e, n in zip(error, problem.nuisance, strict=True))
-    suspect = dataclasses.replace(problem, nuisance=nuisance)
-    return suspect, again(suspect, found)
+    corrected = dataclasses.replace(problem, nuisance=nuisance)
+    return corrected, refitted(corrected, found)
 
 
 def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> tuple[Array, ...]:
@@ -112,7 +112,7 @@ def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial
     return tuple(np.stack(each, axis=-1) for each in zip(*draws, strict=True))
 
 
-def _over_paths(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> Fit:
+def _multiple_imputation(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> Fit:
     """A fit with the spread in its covariance that fits on other paths have, each begun elsewhere.
 
     Derivatives know the slope between two slips, not how far the slips move a minimum: what the encoder's

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.linalg import null_space
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.parameters import FreeParameter, held_means
+from needle_rig.workbench.estimation.parameters import FreeParameter, constrained_means
 from needle_rig.workbench.estimation.posterior import LEVEL
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
@@ -48,7 +48,7 @@ class TrialTerms:
     columns: Array
     """Derivatives of the model (n, p + 1 + q): shared parameters, own friction, nuisances."""
     p: int
-    own_precision: float
+    random_effect_precision: float
     """Prior precision of the trial's own friction."""
 
     @cached_property
@@ -64,20 +64,20 @@ class TrialTerms:
     @property
     def stiffness(self) -> float:
         """Curvature along the trial's own friction."""
-        return float(self.own @ self.own) + self.own_precision
+        return float(self.own @ self.own) + self.random_effect_precision
 
     def information(self) -> Array:
         """Curvature (s, s) of the shared parameters, the trial's own friction profiled out."""
         cross = self.shared.T @ self.own
         return np.asarray(self.shared.T @ self.shared - np.outer(cross, cross) / self.stiffness)
 
-    def own_step(self, residuals: Array, at: float) -> float:
+    def random_effect_step(self, residuals: Array, at: float) -> float:
         """Where residuals (n,) take the own friction from `at`."""
-        return (float(self.own @ residuals) - self.own_precision * at) / self.stiffness
+        return (float(self.own @ residuals) - self.random_effect_precision * at) / self.stiffness
 
     def push(self, residuals: Array, at: float) -> Array:
         """Half the slope of −χ² (s,) for residuals (n,) at own friction `at`, which follows."""
-        return np.asarray(self.shared.T @ (residuals - self.own * self.own_step(residuals, at)))
+        return np.asarray(self.shared.T @ (residuals - self.own * self.random_effect_step(residuals, at)))
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class LinearisedFit:
     """The parameters' distance d from the priors' centre (P,)."""
     precision: Array
     """Of the priors (P,); 0 where there is none."""
-    held: tuple[Array, ...]
+    constrained_means: tuple[Array, ...]
     """Places of the items whose mean is held, an array for each such field."""
 
     @classmethod
@@ -100,7 +100,7 @@ class LinearisedFit:
         x: Array,
         residuals: Sequence[Array],
         jacobians: Sequence[Array],
-        own_precision: float,
+        random_effect_precision: float,
     ) -> LinearisedFit:
         """About parameters x (P,), from whitened residuals (n,) and derivatives (n, p or p + 1) a trial.
 
@@ -109,7 +109,10 @@ class LinearisedFit:
         p = 2 + len(parameters)
         trials = tuple(
             TrialTerms(
-                rows, np.column_stack([j[:, :p], j[:, p if j.shape[1] > p else 0], n]), p, own_precision
+                rows,
+                np.column_stack([j[:, :p], j[:, p if j.shape[1] > p else 0], n]),
+                p,
+                random_effect_precision,
             )
             for rows, j, n in zip(residuals, jacobians, problem.nuisance, strict=True)
         )
@@ -117,9 +120,11 @@ class LinearisedFit:
         from_centre[0] = 0.0
         from_centre[1] -= float(np.log(problem.base.torsional_rigidity_nm2))
         widths = np.array([a.prior_sd for a in parameters])
-        own, nuisances = np.full(len(trials), own_precision), np.ones(x.size - p - len(trials))
+        own, nuisances = np.full(len(trials), random_effect_precision), np.ones(x.size - p - len(trials))
         precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, own, nuisances]
-        return cls(trials, from_centre, precision, tuple(2 + places for places in held_means(parameters)))
+        return cls(
+            trials, from_centre, precision, tuple(2 + places for places in constrained_means(parameters))
+        )
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit) -> LinearisedFit:
@@ -186,7 +191,7 @@ class LinearisedFit:
     def level(self) -> Array:
         """Curvature (P, P) that holds the means: of items that count against it, of the trials' friction."""
         curvature = np.zeros((self.precision.size, self.precision.size))
-        for places in (self.own, *self.held):
+        for places in (self.own, *self.constrained_means):
             curvature[places[:, None], places] += LEVEL / places.size**2
         return curvature
 
@@ -228,7 +233,7 @@ class LinearisedFit:
         cross = self.curvature[np.ix_(inside, outside)]
         rest = self.curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
         left = self.curvature[np.ix_(inside, inside)] - cross @ np.linalg.solve(rest, cross.T)
-        free = _free([places - 2 for places in self.held], np.ones(inside.size))
+        free = _free([places - 2 for places in self.constrained_means], np.ones(inside.size))
         return max(
             1, int((np.linalg.eigvalsh(free.T @ left @ free) > POLICY.evidence.seen_information).sum())
         )
@@ -261,7 +266,7 @@ class LinearisedFit:
         left = whole - sum(self.information[t] for t in group)
         size = np.sqrt(np.diag(left))
         alike = left / np.outer(size, size)
-        free = _free(self.held, size)
+        free = _free(self.constrained_means, size)
         seen = np.linalg.pinv(free.T @ alike @ free, rcond=UNSEEN, hermitian=True)
         return left, free @ seen @ free.T / np.outer(size, size)
 
@@ -286,7 +291,9 @@ class Projection:
         self._tight = np.sqrt(fit.precision)
         self.size = residuals.size
         self._own = self.size + fit.own
-        matrix = np.vstack([columns, np.diag(self._tight)]) @ _free(fit.held, np.ones_like(fit.precision))
+        matrix = np.vstack([columns, np.diag(self._tight)]) @ _free(
+            fit.constrained_means, np.ones_like(fit.precision)
+        )
         self._basis, _ = np.linalg.qr(matrix)
         self._own_tight = self._tight[fit.own]
         left = np.r_[residuals, -self._tight * fit.from_centre]
@@ -311,20 +318,20 @@ class Projection:
         return np.asarray(stated)
 
 
-def prediction_covariance(covariance: Array, own_variance: float, columns: Array) -> Array:
+def prediction_covariance(covariance: Array, random_effect_variance: float, columns: Array) -> Array:
     """Covariance (n, n) of n values of a trial not seen yet, from that of p shared parameters (p, p).
 
     `columns` (n, p + 1) are its derivatives, by its own friction last.
     """
     shared, own = columns[:, :-1], columns[:, -1]
-    return np.asarray(shared @ covariance @ shared.T + own_variance * np.outer(own, own))
+    return np.asarray(shared @ covariance @ shared.T + random_effect_variance * np.outer(own, own))
 
 
-def _free(held: Sequence[Array], size: Array) -> Array:
+def _free(constrained_means: Sequence[Array], size: Array) -> Array:
     """Orthonormal directions (m, ≤ m) of m parameters, in units of 1 / `size`, that change no held mean."""
-    if not held:
+    if not constrained_means:
         return np.eye(size.size)
-    rows = np.zeros((len(held), size.size))
-    for row, places in zip(rows, held, strict=True):
+    rows = np.zeros((len(constrained_means), size.size))
+    for row, places in zip(rows, constrained_means, strict=True):
         row[places] = 1.0 / size[places]
     return np.asarray(null_space(rows))

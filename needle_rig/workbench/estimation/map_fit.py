@@ -16,9 +16,9 @@ from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
-ENOUGH = 0.05
+OBJECTIVE_TOLERANCE = 0.05
 """A fit ends when the next step would lower the objective by less than this,"""
-LOOSE = 2e-3
+EXCESS_TOLERANCE = 2e-3
 """or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
 
 
@@ -64,7 +64,7 @@ def fit(
     *,
     nuisance: Array | None = None,
     iterations: int = 25,
-    enough: float = ENOUGH,
+    tolerance: float = OBJECTIVE_TOLERANCE,
 ) -> Fit | None:
     """The nearest minimum from `start`, or None where the model cannot be solved at `start`."""
     parameters = problem.parameters(effects)
@@ -83,13 +83,13 @@ def fit(
             fresh = True
             if jacobians is None:
                 return None
-        linear = LinearisedFit.at(problem, parameters, x, rows, jacobians, state.own_precision(x))
+        linear = LinearisedFit.at(problem, parameters, x, rows, jacobians, state.random_effect_precision(x))
         curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
         for _ in range(7):
             step = _bounded_step(state, x, curvature, descent, damping)
             expected = float(2 * descent @ step - step @ curvature @ step)
-            if expected < enough + LOOSE * excess(problem, value):
+            if expected < tolerance + EXCESS_TOLERANCE * excess(problem, value):
                 converged = True
                 break
             after = np.clip(x + step, state.low, state.high)
@@ -130,8 +130,8 @@ def _bounded_step(state: Objective, x: Array, curvature: Array, descent: Array, 
     for _ in range(4):
         damped = curvature + damping * np.diag(np.diag(curvature) + 1e-9)
         step[:] = np.where(free, 0.0, step)
-        held = ~free
-        right = descent[free] - curvature[np.ix_(free, held)] @ step[held]
+        active = ~free
+        right = descent[free] - curvature[np.ix_(free, active)] @ step[active]
         step[free] = np.linalg.solve(damped[np.ix_(free, free)], right)
         out = free & ((x + step > state.high) | (x + step < state.low))
         if not out.any():
@@ -173,7 +173,7 @@ def _finish(
 ) -> Fit:
     problem, p, trials = state.problem, state.p, state.trials
     noise = problem.noise
-    linear = LinearisedFit.at(problem, state.parameters, x, rows, jacobians, state.own_precision(x))
+    linear = LinearisedFit.at(problem, state.parameters, x, rows, jacobians, state.random_effect_precision(x))
     own = x[p : p + trials]
     room = noise.scatter_dof * noise.scatter**2
     log_det = np.array([np.log1p(t.own @ t.own * noise.scatter**2) for t in linear.trials])
@@ -189,7 +189,7 @@ def _finish(
         chi2=sum_of_squares(rows),
         trial_loss=loss,
         pull_rigidity=float((x[1] - state.stated) / problem.rigidity_prior),
-        scatter=state.own_precision(x) ** -0.5,
+        scatter=state.random_effect_precision(x) ** -0.5,
         scatter_dof=noise.scatter_dof + trials,
         covariance=linear.covariance,
         residuals=tuple(rows),

@@ -11,15 +11,15 @@ from scipy.optimize import minimize
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import ENOUGH, Fit, fit
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 MOST_WALKS = 4
 """How often a fit goes on from a lower place along its least certain direction."""
-SHAPE_STEPS = (0.3, -0.3)
+FORM_STEPS = (0.3, -0.3)
 """How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis;"""
-FINE_SHAPE_STEPS = (0.1, -0.1)
+FINE_FORM_STEPS = (0.1, -0.1)
 """nearer ones that are tried, too, where minima lie close together."""
 
 
@@ -35,30 +35,30 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
         if lower is None:
             break
         again = fit(problem, found.effects, lower[0], nuisance=lower[1])
-        if again is None or again.objective >= found.objective - ENOUGH:
+        if again is None or again.objective >= found.objective - OBJECTIVE_TOLERANCE:
             break
         found = again
-    return over_shapes(problem, found) if excess(problem, found.objective) > 0.0 else found
+    return over_forms(problem, found) if excess(problem, found.objective) > 0.0 else found
 
 
-def over_shapes(problem: Problem, found: Fit, steps: Sequence[float] = SHAPE_STEPS) -> Fit:
+def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS) -> Fit:
     """A fit, or a lower one from other shapes of its last effect, as long as that helps.
 
     Its covariance is that over all the minima met, each as likely as its objective says.
     """
     met = [found]
     for _ in range(MOST_WALKS):
-        further = _from_other_shapes(problem, found, steps)
+        further = _from_other_forms(problem, found, steps)
         met += further
         again = min(further, key=lambda f: f.objective, default=found)
         if again.objective > found.objective - 1.0:
             break
         found = again
     found = min(met, key=lambda f: f.objective)
-    return dataclasses.replace(found, covariance=_over_minima(found, met))
+    return dataclasses.replace(found, covariance=_mixture_covariance(found, met))
 
 
-def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
+def _mixture_covariance(lowest: Fit, met: Sequence[Fit]) -> Array:
     """Covariance (p, p) about the lowest of several minima; one met twice counts once."""
     at = [np.r_[f.vector.log_friction, f.vector.log_rigidity, f.vector.scaled_values] for f in met]
     centre = np.r_[lowest.vector.log_friction, lowest.vector.log_rigidity, lowest.vector.scaled_values]
@@ -75,7 +75,7 @@ def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
     return np.asarray(sum(parts) / weights.sum(), dtype=np.float64)
 
 
-def _from_other_shapes(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
+def _from_other_forms(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
     fits = []
     for i, parameter in enumerate(found.parameters):
         if parameter.info.shapes and parameter.effect == found.effects[-1]:
@@ -97,7 +97,7 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array]
     move = LinearisedFit.of(problem, found).loosest()
     if move is None:
         return None
-    lowest, lower = found.chi2 + state.prior(at) - ENOUGH, None
+    lowest, lower = found.chi2 + state.prior(at) - OBJECTIVE_TOLERANCE, None
     for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
         moved = np.clip(at + sigmas * move, state.low, state.high)
         rows = state.rows(moved)

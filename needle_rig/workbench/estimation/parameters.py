@@ -118,7 +118,7 @@ def free_parameters(
     return tuple(found)
 
 
-def held_means(parameters: Sequence[FreeParameter]) -> list[Array]:
+def constrained_means(parameters: Sequence[FreeParameter]) -> list[Array]:
     """Places of the items that count against their mean, an array for each such field."""
     fields: dict[tuple[str, str], list[int]] = {}
     for place, parameter in enumerate(parameters):
@@ -130,7 +130,7 @@ def held_means(parameters: Sequence[FreeParameter]) -> list[Array]:
 def against_mean(parameters: Sequence[FreeParameter], scaled_values: Array) -> Array:
     """The same effects with items that count against their mean put so that it is off."""
     moved = scaled_values.copy()
-    for places in held_means(parameters):
+    for places in constrained_means(parameters):
         values = np.array([parameters[i].value(float(scaled_values[i])) for i in places])
         if values.mean() > 0.0:
             share = parameters[places[0]].info.off / values.mean()

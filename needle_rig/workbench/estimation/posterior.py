@@ -14,7 +14,7 @@ import numpy as np
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
-from needle_rig.workbench.estimation.parameters import FreeParameter, held_means
+from needle_rig.workbench.estimation.parameters import FreeParameter, constrained_means
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
 
@@ -54,7 +54,7 @@ class Objective:
         self.own = self.p if problem.lumps_friction(parameters) else 0
         """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
         self.prior_sd = np.array([a.prior_sd for a in parameters])
-        self.means = [2 + places for places in held_means(parameters)]
+        self.constrained_means = [2 + places for places in constrained_means(parameters)]
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
@@ -71,7 +71,7 @@ class Objective:
         own = vector.trial_friction
         common = vector.log_friction + own.mean()
         x = np.r_[common, vector.log_rigidity, vector.scaled_values, own - own.mean(), nuisance]
-        for places in self.means:
+        for places in self.constrained_means:
             x[places] -= x[places].mean()
         return np.asarray(np.clip(x, self.low, self.high), dtype=np.float64)
 
@@ -94,11 +94,11 @@ class Objective:
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.prior_sd) ** 2).sum()
             + (noise.scatter_dof + self.trials) * np.log1p((own**2).sum() / room)
-            + LEVEL * (own.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.means))
+            + LEVEL * (own.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.constrained_means))
             + (x[self.p + self.trials :] ** 2).sum()
         )
 
-    def own_precision(self, x: Array) -> float:
+    def random_effect_precision(self, x: Array) -> float:
         """Precision of a normal prior of the trials' own friction that bounds theirs from above at `x`."""
         noise = self.problem.noise
         own = x[self.p : self.p + self.trials]

@@ -14,7 +14,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
-from needle_rig.workbench.estimation.baseline import Prepared, prepare
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
 
 WORST = 8
@@ -67,7 +67,7 @@ class Place:
 class TraceComparison:
     """The answer to `needle-rig compare` on traces."""
 
-    prepared: Prepared = field(repr=False)
+    baseline: Baseline = field(repr=False)
     every_place: tuple[Place, ...]
     """Every channel × motion × state × direction."""
     worst: tuple[Place, ...]
@@ -78,8 +78,8 @@ class TraceComparison:
 
     def headline(self) -> tuple[str, str]:
         """The dataset's name, and what is said of it."""
-        return self.prepared.dataset.name, (
-            f"against the model {self.prepared.problem.base.name}: error on commands left out"
+        return self.baseline.dataset.name, (
+            f"against the model {self.baseline.problem.base.name}: error on commands left out"
             f" {left_out_error(self.held_out_error)} × the noise, reduced χ² {self.reduced_chi2:.2f}"
         )
 
@@ -100,7 +100,7 @@ class TraceComparison:
     @property
     def notes(self) -> tuple[str, ...]:
         """Of the dataset, and of how it was prepared."""
-        return *self.prepared.dataset.notes, *self.prepared.notes
+        return *self.baseline.dataset.notes, *self.baseline.notes
 
     def places(self) -> list[dict[str, Any]]:
         """Every channel × motion × state × direction."""
@@ -113,8 +113,8 @@ class TraceComparison:
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""
         return {
-            "dataset": self.prepared.dataset.name,
-            "model": self.prepared.problem.base.name,
+            "dataset": self.baseline.dataset.name,
+            "model": self.baseline.problem.base.name,
             "free_parameters": self.free_parameters,
             "held_out_error": _finite(self.held_out_error),
             "noise_floor": 1.0,
@@ -133,15 +133,15 @@ def compare(
     dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
 ) -> TraceComparison:
     """Fit the model to the dataset and look where it still fails. Raises BadInput, SolverError."""
-    return compared(prepare(dataset, model, library))
+    return compared(fit_baseline(dataset, model, library))
 
 
-def compared(prepared: Prepared) -> TraceComparison:
+def compared(baseline: Baseline) -> TraceComparison:
     """The comparison of a model that is fitted already."""
-    problem, found = prepared.problem, prepared.present
+    problem, found = baseline.problem, baseline.current
     readings = problem.predict(found.parameters, found.vector)
-    names = ("torque", *prepared.dataset.sensor_names)
-    places = _places(prepared, readings, names)
+    names = ("torque", *baseline.dataset.sensor_names)
+    places = _places(baseline, readings, names)
     worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)
     shown: list[Place] = []
     for place in worst:
@@ -164,13 +164,13 @@ def compared(prepared: Prepared) -> TraceComparison:
             "unit": parameter.info.unit,
         }
     return TraceComparison(
-        prepared=prepared,
+        baseline=baseline,
         every_place=tuple(places),
         worst=tuple(shown),
-        channels=_channels(prepared, readings, names, places),
+        channels=_channels(baseline, readings, names, places),
         free_parameters=free,
         reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.parameters)),
-        held_out_error=prepared.held.error,
+        held_out_error=baseline.validation.error,
     )
 
 
@@ -184,8 +184,8 @@ def motion_words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _places(prepared: Prepared, readings: list[Array], names: tuple[str, ...]) -> list[Place]:
-    problem = prepared.problem
+def _places(baseline: Baseline, readings: list[Array], names: tuple[str, ...]) -> list[Place]:
+    problem = baseline.problem
     noise = problem.noise
     groups: dict[tuple[int, str, str, str], list[tuple[float, float, float, float, str]]] = {}
     for binned, reading in zip(problem.trials, readings, strict=True):
@@ -291,9 +291,9 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
 
 
 def _channels(
-    prepared: Prepared, readings: list[Array], names: tuple[str, ...], places: list[Place]
+    baseline: Baseline, readings: list[Array], names: tuple[str, ...], places: list[Place]
 ) -> dict[str, dict[str, Any]]:
-    problem = prepared.problem
+    problem = baseline.problem
     found: dict[str, dict[str, Any]] = {}
     for c, name in enumerate(names):
         factor, unit = scale_of(c)
@@ -313,7 +313,7 @@ def _channels(
                     "sigmas": round(p.sigmas, 2),
                 }
         whitened = np.concatenate(
-            [r[w.channel == c] for r, w in zip(prepared.present.residuals, problem.whiteners, strict=True)]
+            [r[w.channel == c] for r, w in zip(baseline.current.residuals, problem.whiteners, strict=True)]
         )
         found[name] = {
             "rmse": float(f"{factor * np.sqrt(squares / max(count, 1.0)):.4g}"),

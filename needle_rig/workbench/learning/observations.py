@@ -17,7 +17,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.baseline import as_compared, prepare
+from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
 from needle_rig.workbench.learning.compare import TraceComparison, compare
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import Work
@@ -29,7 +29,7 @@ from needle_rig.workbench.published.search import settled_problem, values_to_mee
 from needle_rig.workbench.published.search import try_effect as try_settled
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.evidence import foretells
+from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, explanation, training_errors
 from needle_rig.workbench.selection.search import try_effect
 
@@ -144,13 +144,15 @@ class Traces:
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
-        prepared = prepare(self.data, model, library)
-        tried = try_effect(prepared.problem, prepared.present, effect)
-        if tried.fit is None or tried.held is None:
+        baseline = fit_baseline(self.data, model, library)
+        tried = try_effect(baseline.problem, baseline.current, effect)
+        if tried.fit is None or tried.validation is None:
             return None
-        improves = foretells(prepared.present, prepared.held, tried.fit, tried.held)
-        compared = as_compared(prepared, prepared.problem, tried.fit, tried.held)
-        return explanation(prepared, *compared, improves=improves)
+        improves = improves_cross_validation(
+            baseline.current, baseline.validation, tried.fit, tried.validation
+        )
+        compared = as_baseline(baseline, baseline.problem, tried.fit, tried.validation)
+        return explanation(baseline, *compared, improves=improves)
 
     def errors(self, found: Explanation) -> dict[str, float]:
         """Of bin means, each trial at its own friction, from one simulation of every trial.

@@ -258,11 +258,11 @@ def with_replicate_scatter(
             means, variances = [], []
             for i in group:
                 b = binned[i]
-                held = (b.motion == m) & ~b.moving
-                weight = np.where(np.isfinite(b.mean), b.count, 0.0) * held
+                settled = (b.motion == m) & ~b.moving
+                weight = np.where(np.isfinite(b.mean), b.count, 0.0) * settled
                 total_weight = np.maximum(weight.sum(1), 1e-9)
                 means.append((np.nan_to_num(residuals[i]) * weight).sum(1) / total_weight)
-                span = b.duration_s[held].sum()
+                span = b.duration_s[settled].sum()
                 slow = noise.correlated**2 / np.maximum(1.0, span / (2 * noise.correlation_s))
                 variances.append(noise.white**2 / total_weight + slow + noise.offset**2)
             spread = np.var(np.asarray(means), axis=0, ddof=1)

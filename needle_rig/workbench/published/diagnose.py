@@ -36,7 +36,7 @@ from needle_rig.workbench.published.search import (
 from needle_rig.workbench.selection.answer import Answer, Decision, Ranked, Say, Value
 from needle_rig.workbench.selection.decisions import decision_at
 from needle_rig.workbench.selection.explanation import Explanation
-from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern
+from needle_rig.workbench.selection.residual_patterns import Pattern, ResidualPatterns
 from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 UNUSUAL = 1.0
@@ -98,7 +98,7 @@ def diagnose_settled(
         effects=(tied[0].effect,) if tied else (),
         ranking=tuple(_ranking(problem, root, tried, tied)),
         decisions={c.effect: _decision(problem, c, tied, missing) for c in tried},
-        left_over=Leftover(tuple(patterns), best.chi2),
+        residual_patterns=ResidualPatterns(tuple(patterns), best.chi2),
         explained=verdict != "unknown",
         reasons=why,
         lack_before=None,

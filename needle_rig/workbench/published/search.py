@@ -62,15 +62,15 @@ def settled_problem(
     data: SettledData, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
 ) -> tuple[SettledProblem, SettledFit]:
     """The values with the present model (default: the null model) fitted to them. Raises BadInput."""
-    present = model or NeedleModel(
+    current = model or NeedleModel(
         "null", data.layout, data.needle.torsional_rigidity_nm2, FRICTIONS_N[2], element_length_m=0.5e-3
     )
-    problem = values_to_meet(data, library, present)
-    effects = tuple(e.name() for e in present.effects)
+    problem = values_to_meet(data, library, current)
+    effects = tuple(e.name() for e in current.effects)
     start = None
     if effects:
-        at = scaled_values_of(problem.parameters(effects), present.effects)
-        start = [np.r_[np.log(f), 0.0, at] for f in (present.friction_n, *FRICTIONS_N)]
+        at = scaled_values_of(problem.parameters(effects), current.effects)
+        start = [np.r_[np.log(f), 0.0, at] for f in (current.friction_n, *FRICTIONS_N)]
     found = fit_settled(problem, effects, start)
     if found is None:
         raise BadInput(
@@ -80,22 +80,22 @@ def settled_problem(
 
 
 def values_to_meet(
-    data: SettledData, library: Mapping[str, type[Effect]], present: NeedleModel
+    data: SettledData, library: Mapping[str, type[Effect]], current: NeedleModel
 ) -> SettledProblem:
-    """The weighed values, to be met by a model that begins as `present`. Raises BadInput."""
-    if len(present.layout.sensor_positions_m) != len(data.sensor_names):
+    """The weighed values, to be met by a model that begins as `current`. Raises BadInput."""
+    if len(current.layout.sensor_positions_m) != len(data.sensor_names):
         raise BadInput(
-            f"{data.name} has {len(data.sensor_names)} Hall sensors and the model {present.name}"
-            f" {len(present.layout.sensor_positions_m)}; give a model made for this rig"
+            f"{data.name} has {len(data.sensor_names)} Hall sensors and the model {current.name}"
+            f" {len(current.layout.sensor_positions_m)}; give a model made for this rig"
         )
     base = dataclasses.replace(
-        present,
+        current,
         layout=data.layout,
         torsional_rigidity_nm2=data.needle.torsional_rigidity_nm2,
         effects=(),
-        element_length_m=element_length(present),
+        element_length_m=element_length(current),
     )
-    effects = {e.name(): type(e) for e in present.effects}
+    effects = {e.name(): type(e) for e in current.effects}
     return SettledProblem(data, base, {**library, **effects}, data.weighed)
 
 

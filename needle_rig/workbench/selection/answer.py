@@ -12,7 +12,7 @@ import numpy as np
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
-from needle_rig.workbench.selection.residual_patterns import Leftover
+from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
 from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 Say = Callable[[str], None]
@@ -112,7 +112,7 @@ class Answer:
     effects: tuple[str, ...]
     ranking: tuple[Ranked, ...]
     decisions: dict[str, Decision]
-    left_over: Leftover
+    residual_patterns: ResidualPatterns
     explained: bool
     reasons: tuple[Reason, ...]
     """Why it is unknown; empty for the other verdicts."""
@@ -163,7 +163,7 @@ class Answer:
         """What is left: patterns, and what replicates share beyond how they differ."""
         lack = self.lack_after
         shared = [lack.sentence()] if lack is not None and lack.significant else []
-        return [p.sentence() for p in self.left_over.patterns] + shared
+        return [p.sentence() for p in self.residual_patterns.patterns] + shared
 
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""

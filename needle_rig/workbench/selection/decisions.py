@@ -9,7 +9,7 @@ from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
-from needle_rig.workbench.selection.evidence import chance, is_negligible
+from needle_rig.workbench.selection.evidence import adjusted_p, is_negligible
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
 
 
@@ -49,7 +49,7 @@ def _decision(name: str, found: Fit, fixed: str | None) -> Decision:
 
 
 def decision_at(name: str, parameter: FreeParameter, limit: float, decision: str, at: float) -> Decision:
-    """The decision on the effect whose size, `limit` at most, is measured along `parameter`; it stands at `at`."""
+    """The decision on the effect whose size along `parameter` is `at`, `limit` at most."""
     low, high = parameter.bounds
     way = (1.0 if at > 0 else -1.0) if at else (1.0 if high > 0 else -1.0)
     value = parameter.value(float(np.clip(way * limit, low, high)))
@@ -80,12 +80,12 @@ def _undetected(
         return decision_at(name, strength, np.inf, "cannot_tell", 0.0)
     found = candidate.fit
     if found is None or not np.all(np.isfinite(found.scaled_errors)):
-        limit = candidate.preview.estimate + POLICY.evidence.limit_sigmas * candidate.preview.error
+        limit = candidate.screening.estimate + POLICY.evidence.limit_sigmas * candidate.screening.error
         return decision_at(
             name, strength, limit, "absent" if limit < strength.smallest else "cannot_tell", 0.0
         )
     decided = _decision(name, found, None)
-    if chance(best, found, len(search.names)) < POLICY.evidence.significance:
+    if adjusted_p(best, found, len(search.names)) < POLICY.evidence.significance:
         fixed = "negligible" if is_negligible(found, name) else "cannot_tell"
         return _decision(name, found, fixed)
     return decided

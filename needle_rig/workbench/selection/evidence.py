@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 
 
-def chance(parent: Fit, child: Fit, library: int) -> float:
+def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
     """Probability, adjusted over the library, that noise makes a gain like this.
 
     The share of the gain that comes from trials whose own friction scatters less counts as that of an F-test:
@@ -32,7 +32,7 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
     return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))
 
 
-def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
+def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:
     """Whether what the child changes is under three times our solver's own error along it.
 
     What the needle's constants and the trials' own friction are relieved of is a part of the change that our
@@ -49,7 +49,7 @@ def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
     )
 
 
-def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
+def predictive_gain(parent: CrossValidation | None, child: CrossValidation | None) -> float:
     """Fall of −2 log predictive density on commands left out."""
     if parent is None or child is None:
         return 0.0
@@ -57,15 +57,20 @@ def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
     return 0.0 if np.isnan(gain) else gain
 
 
-def foretells(parent: Fit, parent_held: HeldOut | None, child: Fit, child_held: HeldOut | None) -> bool:
+def improves_cross_validation(
+    parent: Fit,
+    parent_validation: CrossValidation | None,
+    child: Fit,
+    child_validation: CrossValidation | None,
+) -> bool:
     """Whether commands left out speak for the child, or the needle's stated constants do and these do not
     speak against it."""
-    if held_gain(parent_held, child_held) > 0:
+    if predictive_gain(parent_validation, child_validation) > 0:
         return True
     relieved = parent.pull_rigidity**2 - child.pull_rigidity**2
-    if parent_held is None or child_held is None or relieved <= POLICY.evidence.relieved_pull:
+    if parent_validation is None or child_validation is None or relieved <= POLICY.evidence.relieved_pull:
         return False
-    return bool(child_held.error <= POLICY.evidence.held_out_rise * parent_held.error)
+    return bool(child_validation.error <= POLICY.evidence.held_out_rise * parent_validation.error)
 
 
 def is_negligible(found: Fit, effect: str) -> bool:

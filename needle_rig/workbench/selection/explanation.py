@@ -15,8 +15,8 @@ from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Prepared, element_length
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.baseline import Baseline, element_length
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
@@ -47,20 +47,20 @@ class Explanation:
 
 
 def explanation(
-    prepared: Prepared, problem: Problem, found: Fit, held: HeldOut, *, improves: bool
+    baseline: Baseline, problem: Problem, found: Fit, validation: CrossValidation, *, improves: bool
 ) -> Explanation:
     """A fit to traces with everything that it adds to the current model, however small.
 
-    `problem`, `found` and `held` are those of a comparison with its model (`as_compared`).
+    `problem`, `found` and `validation` are those of a comparison with its model (`as_baseline`).
     """
-    present = prepared.present
+    current = baseline.current
     model = problem.model(found.parameters, found.vector)
     return Explanation(
-        added=tuple(e for e in found.effects if e not in present.effects),
-        model=dataclasses.replace(model, element_length_m=prepared.fine_m),
+        added=tuple(e for e in found.effects if e not in current.effects),
+        model=dataclasses.replace(model, element_length_m=baseline.fine_m),
         uncertainties=uncertainties(found),
-        values_before=prepared.problem.model(present.parameters, present.vector).values(),
-        errors=errors_by_channel(prepared, found, held),
+        values_before=baseline.problem.model(current.parameters, current.vector).values(),
+        errors=errors_by_channel(baseline, found, validation),
         improves=improves,
         trial_friction=tuple(float(f) for f in np.exp(found.vector.trial_friction)),
     )
@@ -102,7 +102,7 @@ def uncertainties(found: Fit) -> dict[str, float]:
 def spread_of_values(parameters: Sequence[FreeParameter], x: Array, covariance: Array) -> dict[str, float]:
     """Standard deviations by parameter name, in the units of files, of the parameter vector x.
 
-    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,) on `parameters`.
+    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,).
     """
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = {
@@ -117,14 +117,19 @@ def spread_of_values(parameters: Sequence[FreeParameter], x: Array, covariance: 
     return known
 
 
-def errors_by_channel(prepared: Prepared, found: Fit, held: HeldOut) -> dict[str, ChannelErrors]:
+def errors_by_channel(
+    baseline: Baseline, found: Fit, validation: CrossValidation
+) -> dict[str, ChannelErrors]:
     """Errors of bin means before and after, by channel and over all; each channel's floor."""
-    problem = prepared.problem
-    before, after = _training(problem, prepared.present), _training(problem, found)
-    held_before, held_after = _rms(problem, prepared.held.residuals), _rms(problem, held.residuals)
+    problem = baseline.problem
+    before, after = _training(problem, baseline.current), _training(problem, found)
+    held_before, held_after = (
+        _rms(problem, baseline.validation.residuals),
+        _rms(problem, validation.residuals),
+    )
     floor = _floors(problem, found)
     errors = {}
-    for c, name in enumerate(channel_names(prepared.dataset)):
+    for c, name in enumerate(channel_names(baseline.dataset)):
         factor = nmm(1.0) if c == 0 else deg(1.0)
         errors[name] = ChannelErrors(
             training_before=factor * before[c],
@@ -134,10 +139,10 @@ def errors_by_channel(prepared: Prepared, found: Fit, held: HeldOut) -> dict[str
             floor=factor * floor[c],
         )
     errors[IN_NOISE_UNITS] = ChannelErrors(
-        training_before=float(np.sqrt(prepared.present.chi2 / problem.size)),
+        training_before=float(np.sqrt(baseline.current.chi2 / problem.size)),
         training_after=float(np.sqrt(found.chi2 / problem.size)),
-        held_out_before=_known(prepared.held.error),
-        held_out_after=_known(held.error),
+        held_out_before=_known(baseline.validation.error),
+        held_out_after=_known(validation.error),
         floor=1.0,
     )
     return errors

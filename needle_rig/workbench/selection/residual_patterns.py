@@ -47,7 +47,7 @@ class Pattern:
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualPatterns:
     """What is left, and how much signatures would explain of it."""
 
     patterns: tuple[Pattern, ...]
@@ -122,7 +122,7 @@ def limit_sigmas(significance: float, tried: int) -> float:
     return float(-ndtri(significance / 2 / max(1, tried)))
 
 
-def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Leftover:
+def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> ResidualPatterns:
     """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
     project = LinearisedFit.of(problem, found).projection
     readings = problem.predict(found.parameters, found.vector)
@@ -155,7 +155,7 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
         _pattern(problem, readings, sensors, names[i], z, abs(z) / lengths[i], z**2 / gain) for i, z in picked
     ]
     both = (*patterns, *(replace(p, share=p.sigmas**2 / gain) for p in trend))
-    return Leftover(both, gain)
+    return ResidualPatterns(both, gain)
 
 
 def _pattern(

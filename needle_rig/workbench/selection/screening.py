@@ -32,7 +32,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Preview:
+class Screening:
     """What one effect would buy on top of a fit."""
 
     effect: str
@@ -86,7 +86,7 @@ def _tried_together(parameters: Sequence[FreeParameter]) -> list[list[int]]:
     return ([single] if single else []) + each
 
 
-def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Preview:
+def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Screening:
     """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing.
 
     Every form is tried at the middle strength, the best two and the typical one at all; forms other than
@@ -162,7 +162,7 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
         if len(kept) == 4:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
-    return Preview(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)))
+    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)))
 
 
 def _joint(

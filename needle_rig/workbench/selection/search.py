@@ -16,21 +16,21 @@ from typing import Literal
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
-from needle_rig.workbench.estimation.map_fit import LOOSE, Fit, fit
+from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
+from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit, fit
 from needle_rig.workbench.estimation.multistart import fit_without_derivatives, through_valleys
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import (
-    chance,
-    foretells,
+    adjusted_p,
+    improves_cross_validation,
     is_negligible,
-    may_be_ours,
     size_of,
+    within_discretisation_error,
 )
-from needle_rig.workbench.selection.screening import Preview, Start, beside, preview
+from needle_rig.workbench.selection.screening import Screening, Start, beside, screen
 
 EffectSet = frozenset[str]
 
@@ -41,8 +41,8 @@ class Candidate:
 
     effect: str
     fit: Fit | None
-    held: HeldOut | None
-    preview: Preview
+    validation: CrossValidation | None
+    screening: Screening
 
 
 def penalty(problem: Problem) -> float:
@@ -57,10 +57,10 @@ def score(problem: Problem, found: Fit) -> float:
 
 def refinable(problem: Problem, found: Fit) -> bool:
     """Whether a first fit ended early: one that misses by far ends where a refined one would."""
-    return LOOSE * excess(problem, found.objective) < 10 * POLICY.search.rough
+    return EXCESS_TOLERANCE * excess(problem, found.objective) < 10 * POLICY.search.rough
 
 
-def _worth_fitting(ahead: Preview) -> list[Start]:
+def _worth_fitting(ahead: Screening) -> list[Start]:
     """The best start, and those of the next two that promise half as much and more than chance."""
     least = max(0.5 * ahead.gain, POLICY.search.promising)
     return [*ahead.starts[:1], *(s for s in ahead.starts[1:3] if s.gain > least)]
@@ -70,7 +70,7 @@ def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
     """Fit `effect` on top of `parent` from its best starts, unless its preview gains less than `worth`."""
-    ahead = preview(problem, parent, effect, worth)
+    ahead = screen(problem, parent, effect, worth)
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     names = (*parent.effects, effect)
@@ -83,7 +83,7 @@ def try_effect(
             names,
             beside(problem, parent, parameters, start.scaled_values),
             nuisance=parent.nuisance,
-            enough=POLICY.search.rough,
+            tolerance=POLICY.search.rough,
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
@@ -91,7 +91,7 @@ def try_effect(
         if parent.objective - best.objective > POLICY.search.promising:
             best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
         best = through_valleys(problem, best)
-    room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
+    room = 1.0 + 3 * EXCESS_TOLERANCE * excess(problem, parent.objective)
     off = best is not None and bool(
         np.all(np.abs(best.vector.scaled_values[len(parent.parameters) :]) < 1e-3)
     )
@@ -109,15 +109,15 @@ def try_effect(
             )
         if retry is not None and (best is None or retry.objective < best.objective):
             best = retry
-    return Candidate(effect, best, held_out(problem, best) if best is not None else None, ahead)
+    return Candidate(effect, best, cross_validate(problem, best) if best is not None else None, ahead)
 
 
 def refit(
     problem: Problem, names: tuple[str, ...], start: ParameterVector
-) -> tuple[Fit | None, HeldOut | None]:
+) -> tuple[Fit | None, CrossValidation | None]:
     """Fit from a given point, with its held-out error."""
     found = fit(problem, names, start)
-    return found, held_out(problem, found) if found is not None else None
+    return found, cross_validate(problem, found) if found is not None else None
 
 
 def without(found: Fit, effect: str) -> ParameterVector:
@@ -136,7 +136,7 @@ def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
     if candidate.fit is None:
         return candidate
     level = dataclasses.replace(candidate.fit, objective=parent.objective)
-    return Candidate(candidate.effect, level, None, candidate.preview)
+    return Candidate(candidate.effect, level, None, candidate.screening)
 
 
 @dataclass(frozen=True)
@@ -157,9 +157,9 @@ class SearchTrace:
     """Effects to try."""
     root: Fit
     """The present model's, on top of which effects are added."""
-    root_held: HeldOut
+    root_validation: CrossValidation
     best: EffectSet
-    fits: Mapping[EffectSet, tuple[Fit, HeldOut | None]]
+    fits: Mapping[EffectSet, tuple[Fit, CrossValidation | None]]
     """The best of each set of effects."""
     children: Mapping[EffectSet, tuple[Candidate, ...]]
     """All effects on top of a set."""
@@ -170,10 +170,12 @@ class SearchTrace:
     steps: tuple[Step, ...] = ()
 
     @classmethod
-    def begin(cls, problem: Problem, names: tuple[str, ...], root: Fit, root_held: HeldOut) -> SearchTrace:
+    def begin(
+        cls, problem: Problem, names: tuple[str, ...], root: Fit, root_validation: CrossValidation
+    ) -> SearchTrace:
         """At the present model."""
         start = frozenset(root.effects)
-        return cls(problem, names, root, root_held, start, {start: (root, root_held)}, {}, {}, {})
+        return cls(problem, names, root, root_validation, start, {start: (root, root_validation)}, {}, {}, {})
 
     @property
     def start(self) -> EffectSet:
@@ -190,14 +192,14 @@ class SearchTrace:
 
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
         """Whether the child's extra effects are seen, and foretell what they have not seen."""
-        (old, old_held), (new, new_held) = self.fits[parent], self.fits[child]
-        if chance(old, new, len(self.names)) >= POLICY.evidence.significance or may_be_ours(
-            self.problem, old, new
-        ):
+        (old, old_validation), (new, new_validation) = self.fits[parent], self.fits[child]
+        if adjusted_p(
+            old, new, len(self.names)
+        ) >= POLICY.evidence.significance or within_discretisation_error(self.problem, old, new):
             return False
-        if old_held is not None and not np.isfinite(old_held.error):
+        if old_validation is not None and not np.isfinite(old_validation.error):
             return True  # a single command: nothing can be left out, and the report says so
-        return foretells(old, old_held, new, new_held)
+        return improves_cross_validation(old, old_validation, new, new_validation)
 
     def named(self, key: EffectSet) -> list[str]:
         """Effects of a set that are large enough to matter and were not in the present model."""
@@ -210,7 +212,7 @@ class SearchTrace:
         own |= {n for n in self.names if effect in self.problem.library[n].relatives}
         return sorted(own & set(self.names))
 
-    def keep(self, found: Fit | None, held: HeldOut | None) -> SearchTrace:
+    def keep(self, found: Fit | None, validation: CrossValidation | None) -> SearchTrace:
         """With a fit, if it is the best of its set of effects."""
         if found is None:
             return self
@@ -218,7 +220,7 @@ class SearchTrace:
         old = self.fits.get(key)
         if old is not None and found.objective >= old[0].objective - 1e-9:
             return self
-        return dataclasses.replace(self, fits={**self.fits, key: (found, held)})
+        return dataclasses.replace(self, fits={**self.fits, key: (found, validation)})
 
     def stepped(self, kind: Literal["forward", "set aside", "taken out", "back"]) -> SearchTrace:
         """With one more step, which led to where it stands."""
@@ -229,14 +231,14 @@ def search(
     problem: Problem,
     names: tuple[str, ...],
     root: Fit,
-    root_held: HeldOut,
+    root_validation: CrossValidation,
     *,
     max_effects: int,
     work: Work,
 ) -> SearchTrace:
     """Search among `names` on top of `root`, until nothing more passes or more would be named."""
     work.share(problem)
-    trace = SearchTrace.begin(problem, names, root, root_held)
+    trace = SearchTrace.begin(problem, names, root, root_validation)
     frontier = [trace.start]
     while True:
         trace, options = _forward(trace, work, frontier)
@@ -296,14 +298,14 @@ def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) 
     wanted = [
         n
         for n in names
-        if n not in known or (known[n].fit is None and worth < before and known[n].preview.may_reach(worth))
+        if n not in known or (known[n].fit is None and worth < before and known[n].screening.may_reach(worth))
     ]
     if not wanted:
         return dataclasses.replace(trace, children={**trace.children, key: trace.children.get(key, ())})
     known |= {c.effect: c for c in work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
     found = _from_limits(trace.problem, work, parent, [known[n] for n in names])
     for candidate in found:
-        trace = trace.keep(candidate.fit, candidate.held)
+        trace = trace.keep(candidate.fit, candidate.validation)
     return dataclasses.replace(
         trace,
         children={**trace.children, key: tuple(found)},
@@ -372,18 +374,21 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
     again = [
         c.effect
         for c in stale
-        if c.fit is not None and c.effect != effect and chance(parent, c.fit, len(trace.names)) < 0.5
+        if c.fit is not None and c.effect != effect and adjusted_p(parent, c.fit, len(trace.names)) < 0.5
     ]
-    fits: dict[EffectSet, tuple[Fit, HeldOut | None]] = {
-        trace.start: (trace.root, trace.root_held),
+    fits: dict[EffectSet, tuple[Fit, CrossValidation | None]] = {
+        trace.start: (trace.root, trace.root_validation),
         trace.best: trace.fits[trace.best],
     }
-    for fitted, (old, old_held) in fits.items():
-        new, new_held = refit(problem, old.effects, old.vector)
+    for fitted, (old, old_validation) in fits.items():
+        new, new_validation = refit(problem, old.effects, old.vector)
         if new is None:
-            new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
-        fits[fitted] = new, new_held
-    root, root_held = fits[trace.start]
+            new, new_validation = (
+                dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)),
+                old_validation,
+            )
+        fits[fitted] = new, new_validation
+    root, root_validation = fits[trace.start]
     parent = fits[trace.best][0]
     redone = {c.effect: c for c in work.run(try_effect, [(parent, n) for n in sorted(again)])}
     kept = tuple(redone.get(c.effect) or _silenced(c, parent) for c in stale if c.effect != effect)
@@ -391,14 +396,14 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
         trace,
         problem=problem,
         root=root,
-        root_held=root_held or trace.root_held,
+        root_validation=root_validation or trace.root_validation,
         fits=fits,
         children={trace.best: kept},
         asked={trace.best: -1.0},
         negligible={**trace.negligible, effect: found},
     )
     for candidate in kept:
-        trace = trace.keep(candidate.fit, candidate.held)
+        trace = trace.keep(candidate.fit, candidate.validation)
     return trace.stepped("set aside")
 
 
@@ -473,7 +478,7 @@ def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTra
                 if relative not in key and rest | {relative} not in trace.fits:
                     tasks.append((trace.fits[rest][0], relative))
         for candidate in work.run(try_effect, tasks):
-            trace = trace.keep(candidate.fit, candidate.held)
+            trace = trace.keep(candidate.fit, candidate.validation)
         near = [
             k for k in trace.fits if len(k) == len(key) and len(k & key) == len(key) - 1 and trace.start <= k
         ]

@@ -8,7 +8,7 @@ from typing import Literal
 
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
-from needle_rig.workbench.selection.residual_patterns import Leftover
+from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
 
 Verdict = Literal["none", "effect", "unknown"]
 """Nothing is missing, the named effects are, or something that they are not."""
@@ -19,7 +19,7 @@ class Findings:
     """What the rules judge: the effects that a search names, and what they leave."""
 
     named: tuple[str, ...]
-    left: Leftover
+    left: ResidualPatterns
     lack: LackOfFit | None
     explained_share: float
     held_out_error: float

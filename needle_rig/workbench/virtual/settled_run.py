@@ -221,9 +221,9 @@ class RampDrive:
             fade[-1] = 0.0
             rate = 2.0 * math.pi * waypoint.dither.frequency_hz
             base = base + waypoint.dither.amplitude_rad * fade * np.sin(rate * times)
-        held = times[-1] + settle_s + np.array([0.0, 0.5 * WINDOW_S, WINDOW_S])
-        times = np.append(times, held)
-        base = np.append(base, np.full(len(held), waypoint.angle_rad))
+        still_s = times[-1] + settle_s + np.array([0.0, 0.5 * WINDOW_S, WINDOW_S])
+        times = np.append(times, still_s)
+        base = np.append(base, np.full(len(still_s), waypoint.angle_rad))
         path = Trial(self._time_s + times, base)
         moved_s, self._time_s = self._time_s, self._time_s + float(times[-1])
         self._base_rad = waypoint.angle_rad

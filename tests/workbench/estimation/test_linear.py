@@ -16,7 +16,7 @@ ITEMS = np.array([3, 4, 5])
 PRECISION = np.r_[0.0, 2500.0, 0.01, 0.25, 0.25, 0.25, np.full(T, 400.0), np.ones(Q)]
 
 
-def toy(*, held=(), lumped=True, blind=False, alike=False):
+def toy(*, constrained=(), lumped=True, blind=False, alike=False):
     """Three trials; `lumped`: own friction is a direction of its own; `blind`: nothing tells of
     the first position; `alike`: two positions can hardly be told apart."""
     random = np.random.default_rng(5)
@@ -33,9 +33,9 @@ def toy(*, held=(), lumped=True, blind=False, alike=False):
     from_centre = 0.1 * random.standard_normal(P + T + Q)
     from_centre[0] = 0.0
     from_centre[P : P + T] -= from_centre[P : P + T].mean()
-    for places in held:
+    for places in constrained:
         from_centre[places] -= from_centre[places].mean()
-    return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(held))
+    return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(constrained))
 
 
 def dense(linear, *, trials=range(T), mean_of_trials=False):
@@ -51,7 +51,7 @@ def dense(linear, *, trials=range(T), mean_of_trials=False):
     kept = np.repeat([t in trials for t in range(T)], SIZES)
     tight = np.sqrt(PRECISION)
     means = np.zeros((0, P + T + Q))
-    for places in [*linear.held, *([np.arange(P, P + T)] if mean_of_trials else [])]:
+    for places in [*linear.constrained_means, *([np.arange(P, P + T)] if mean_of_trials else [])]:
         row = np.zeros((1, P + T + Q))
         row[0, places] = (np.sqrt(LEVEL) if mean_of_trials else 1e6) / places.size
         means = np.vstack([means, row])
@@ -68,9 +68,9 @@ def test_a_step_is_the_least_squares_solution_of_the_stacked_rows():
     assert abs((step + linear.from_centre)[P : P + T].mean()) < 1e-4 < np.abs(step[P : P + T]).max()
 
 
-@pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(held):
-    linear = toy(held=held)
+@pytest.mark.parametrize("constrained", [(), (ITEMS,)])
+def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(constrained):
+    linear = toy(constrained=constrained)
     rows, _ = dense(linear, mean_of_trials=True)
     inverse = np.linalg.inv(rows.T @ rows)[:P, :P]
     data = rows[: sum(SIZES)]
@@ -79,9 +79,9 @@ def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_
     assert linear.covariance == pytest.approx(expected, rel=0.01, abs=1e-5)
 
 
-@pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_projection_leaves_the_residual_of_least_squares(held):
-    linear = toy(held=held)
+@pytest.mark.parametrize("constrained", [(), (ITEMS,)])
+def test_projection_leaves_the_residual_of_least_squares(constrained):
+    linear = toy(constrained=constrained)
     rows, values = dense(linear)
     left = values - rows @ np.linalg.lstsq(rows, values, rcond=None)[0]
     size = sum(SIZES) + P + T + Q
@@ -90,12 +90,12 @@ def test_projection_leaves_the_residual_of_least_squares(held):
 
 def test_a_held_mean_cannot_be_made_by_the_parameters():
     """All items together are a direction that the fit does not have: what looks like it is left."""
-    free, held = toy().projection, toy(held=(ITEMS,)).projection
+    free, constrained = toy().projection, toy(constrained=(ITEMS,)).projection
     together = toy().columns[:, ITEMS].sum(1)
     apart = toy().columns[:, ITEMS] @ np.array([1.0, -0.5, -0.5])
     assert np.linalg.norm(free(together)) < 0.05 * np.linalg.norm(together)
-    assert np.linalg.norm(held(together)) > 0.5 * np.linalg.norm(together)
-    assert np.linalg.norm(held(apart)) < 0.05 * np.linalg.norm(apart)
+    assert np.linalg.norm(constrained(together)) > 0.5 * np.linalg.norm(together)
+    assert np.linalg.norm(constrained(apart)) < 0.05 * np.linalg.norm(apart)
 
 
 def test_a_projected_change_brings_its_share_of_the_trials_own_friction():
@@ -128,16 +128,16 @@ def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row()
     assert linear.projection.rigidity() == pytest.approx(left, abs=1e-9)
 
 
-@pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_without_a_trial_the_covariance_is_that_of_the_other_rows(held):
-    linear = toy(held=held)
+@pytest.mark.parametrize("constrained", [(), (ITEMS,)])
+def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained):
+    linear = toy(constrained=constrained)
     shared = np.r_[0:P, P + T : P + T + Q]
     rows, _ = dense(linear, trials=(0, 2))
     curvature, covariance = linear.without([1])
     assert covariance == pytest.approx(
         np.linalg.inv(rows.T @ rows)[np.ix_(shared, shared)], rel=1e-4, abs=1e-8
     )
-    if not held:
+    if not constrained:
         assert curvature @ covariance == pytest.approx(np.eye(shared.size), abs=1e-6)
 
 
@@ -156,7 +156,7 @@ def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_when_its_own_fricti
 
 def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_held():
     assert toy().rank == 4
-    assert toy(held=(ITEMS,)).rank == 3
+    assert toy(constrained=(ITEMS,)).rank == 3
     assert toy(blind=True).rank == 3
 
 

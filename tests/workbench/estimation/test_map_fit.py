@@ -9,14 +9,14 @@ from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.workbench.estimation import multistart as minima_module
-from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.estimation.cross_validation import held_out
+from needle_rig.workbench.estimation import multistart as multistart
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.map_fit import fit
-from needle_rig.workbench.estimation.multistart import over_shapes
+from needle_rig.workbench.estimation.multistart import over_forms
 from needle_rig.workbench.estimation.parameters import free_parameters, make_effects, scaled_values_of
 from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.selection.evidence import chance, held_gain
+from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few
@@ -51,19 +51,19 @@ def test_off_is_the_origin(name):
 
 
 def test_the_null_model_finds_friction_and_the_noise():
-    prepared = prepare(dataset(), None, few())
-    friction = np.exp(prepared.present.vector.log_friction)
+    baseline = fit_baseline(dataset(), None, few())
+    friction = np.exp(baseline.current.vector.log_friction)
     assert friction * 100 == pytest.approx(0.0996, rel=0.03)
-    assert abs(prepared.present.pull_rigidity) < 3
-    assert prepared.held.error == pytest.approx(1.0, abs=0.1)
-    assert 0.7 < prepared.present.chi2 / prepared.problem.size < 1.15
+    assert abs(baseline.current.pull_rigidity) < 3
+    assert baseline.validation.error == pytest.approx(1.0, abs=0.1)
+    assert 0.7 < baseline.current.chi2 / baseline.problem.size < 1.15
 
 
 def test_a_hidden_stiffness_is_found_within_its_error():
-    prepared = prepare(
+    baseline = fit_baseline(
         dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
     )
-    found = try_effect(prepared.problem, prepared.present, "tissue_elasticity")
+    found = try_effect(baseline.problem, baseline.current, "tissue_elasticity")
     parameter, at, error = (
         found.fit.parameters[0],
         found.fit.vector.scaled_values[0],
@@ -71,33 +71,33 @@ def test_a_hidden_stiffness_is_found_within_its_error():
     )
     assert parameter.value(at) == pytest.approx(0.45, rel=0.01)
     assert abs(at - parameter.scaled_value(0.45)) < 4 * error
-    assert chance(prepared.present, found.fit, 5) < 1e-6
-    assert held_gain(prepared.held, found.held) > 0
+    assert adjusted_p(baseline.current, found.fit, 5) < 1e-6
+    assert predictive_gain(baseline.validation, found.validation) > 0
 
 
 def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
-    parent = prepare(dataset(), None, few()).present
+    parent = fit_baseline(dataset(), None, few()).current
     gain = 2.0 * parent.scatter_dof * math.log(2.0)
     seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
     steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
     assert parent.scatter_dof == 9.0
-    assert chance(parent, seen, 22) < 0.01
+    assert adjusted_p(parent, seen, 22) < 0.01
     # t² = (2² - 1) · 7 with 7 degrees of freedom: p = 0.00254, halved for want of a second sign
-    assert chance(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
+    assert adjusted_p(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
 
 
 def test_a_child_is_never_worse_than_its_parent():
-    prepared = prepare(dataset(), None, few())
+    baseline = fit_baseline(dataset(), None, few())
     for name in few():
-        found = try_effect(prepared.problem, prepared.present, name).fit
-        assert found.objective < prepared.present.objective + 1.0
+        found = try_effect(baseline.problem, baseline.current, name).fit
+        assert found.objective < baseline.current.objective + 1.0
 
 
 def test_held_out_prediction_needs_a_second_command():
     data = dataset()
     one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
-    prepared = prepare(one, None, few())
-    assert held_out(prepared.problem, prepared.present).error == float("inf")
+    baseline = fit_baseline(one, None, few())
+    assert cross_validate(baseline.problem, baseline.current).error == float("inf")
 
 
 def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
@@ -119,16 +119,16 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
 def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
     """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
     quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
-    prepared = prepare(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
-    found = try_effect(prepared.problem, prepared.present, name).fit
+    baseline = fit_baseline(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
+    found = try_effect(baseline.problem, baseline.current, name).fit
     factors = [
         1.0 + 0.15 * np.random.default_rng([3, i + 1]).standard_normal()
-        for i in range(len(prepared.problem.trials))
+        for i in range(len(baseline.problem.trials))
     ]
     own = np.exp(found.vector.trial_friction)
     assert abs(np.log(own).mean()) < 0.005
     assert own / own.mean() == pytest.approx(np.array(factors) / np.mean(factors), rel=0.01)
-    assert found.chi2 < 1.1 * prepared.problem.size
+    assert found.chi2 < 1.1 * baseline.problem.size
 
 
 @pytest.mark.parametrize(
@@ -136,15 +136,15 @@ def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
     [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
 )
 def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
-    problem = prepare(dataset(), None, few(*names) if names else few()).problem
+    problem = fit_baseline(dataset(), None, few(*names) if names else few()).problem
     assert problem.lumps_friction(problem.parameters(names)) is lumped
 
 
 def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
     data = dataset(effect("tip_friction", torque_nmm=0.03))
-    prepared = prepare(data, None, few("tip_friction"))
-    problem = prepared.problem
-    found = try_effect(problem, prepared.present, "tip_friction").fit
+    baseline = fit_baseline(data, None, few("tip_friction"))
+    problem = baseline.problem
+    found = try_effect(problem, baseline.current, "tip_friction").fit
     moved = dataclasses.replace(found.vector, trial_friction=found.vector.trial_friction + STEP)
     readings = [problem.predict(found.parameters, p) for p in (found.vector, moved)]
     for t in range(len(problem.trials)):
@@ -158,10 +158,10 @@ def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
 def test_commands_left_out_are_foretold_at_their_own_friction():
     """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
-    prepared = prepare(data, None, few("tip_friction"))
-    found = try_effect(prepared.problem, prepared.present, "tip_friction")
+    baseline = fit_baseline(data, None, few("tip_friction"))
+    found = try_effect(baseline.problem, baseline.current, "tip_friction")
     assert np.abs(found.fit.vector.trial_friction).max() > 0.1
-    assert found.held.error < 1.1
+    assert found.validation.error < 1.1
 
 
 def left_out_and_fitted_again(problem, found):
@@ -204,23 +204,25 @@ def left_out_and_fitted_again(problem, found):
 )
 def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, seed):
     data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
-    prepared = prepare(data, None, few(hidden.name()))
-    found = try_effect(prepared.problem, prepared.present, hidden.name())
-    exact = left_out_and_fitted_again(prepared.problem, found.fit)
+    baseline = fit_baseline(data, None, few(hidden.name()))
+    found = try_effect(baseline.problem, baseline.current, hidden.name())
+    exact = left_out_and_fitted_again(baseline.problem, found.fit)
     assert exact == pytest.approx(1.0, abs=0.06)
-    assert found.held.error == pytest.approx(exact, rel=0.01)
+    assert found.validation.error == pytest.approx(exact, rel=0.01)
 
 
 def test_leaving_a_command_out_may_take_several_steps():
     """From a place where the other commands would not leave the parameters, one linear step is not enough."""
     data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
-    prepared = prepare(data, None, few())
-    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, "tissue_elasticity").fit
+    baseline = fit_baseline(data, None, few())
+    problem, found = baseline.problem, try_effect(baseline.problem, baseline.current, "tissue_elasticity").fit
     away = dataclasses.replace(found.vector, scaled_values=0.6 * found.vector.scaled_values)
     there = fit(problem, found.effects, away, iterations=0)
     assert np.sqrt(there.chi2 / problem.size) > 3.0
     near = dataclasses.replace(there, objective=found.objective, scatter=found.scatter)
-    assert held_out(problem, near).error == pytest.approx(held_out(problem, found).error, rel=0.02)
+    assert cross_validate(problem, near).error == pytest.approx(
+        cross_validate(problem, found).error, rel=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -230,8 +232,8 @@ def test_leaving_a_command_out_may_take_several_steps():
 def test_the_predictive_density_is_that_of_a_linear_model(hidden):
     """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
     data = dataset(hidden, noise=Noise(friction_scatter=0.01))
-    prepared = prepare(data, None, few(hidden.name()))
-    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, hidden.name()).fit
+    baseline = fit_baseline(data, None, few(hidden.name()))
+    problem, found = baseline.problem, try_effect(baseline.problem, baseline.current, hidden.name()).fit
     p, trials, q = 2 + len(found.parameters), len(problem.trials), found.nuisance.size
     design = []
     for t in range(trials):
@@ -255,32 +257,32 @@ def test_the_predictive_density_is_that_of_a_linear_model(hidden):
         rows = np.concatenate([found.residuals[t] for t in group]) - left_out @ inverse @ push
         spread = np.eye(rows.size) + left_out @ inverse @ left_out.T
         loss += rows @ np.linalg.solve(spread, rows) + np.linalg.slogdet(spread)[1]
-    assert held_out(problem, found).loss == pytest.approx(loss, abs=1.0)
+    assert cross_validate(problem, found).loss == pytest.approx(loss, abs=1.0)
 
 
 def test_wear_that_one_command_shows_foretells_better_than_scatter():
     data = dataset(effect("friction_wear", loss_per_turn=0.5))
-    prepared = prepare(data, None, few("friction_wear"))
-    found = try_effect(prepared.problem, prepared.present, "friction_wear")
-    assert found.fit.scatter < 0.5 * prepared.present.scatter
-    assert held_gain(prepared.held, found.held) > 5.0
+    baseline = fit_baseline(data, None, few("friction_wear"))
+    found = try_effect(baseline.problem, baseline.current, "friction_wear")
+    assert found.fit.scatter < 0.5 * baseline.current.scatter
+    assert predictive_gain(baseline.validation, found.validation) > 5.0
 
 
 def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
     """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
     noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
     data = dataset(effect("friction_wear", loss_per_turn=0.06), noise=noise, seed=3)
-    prepared = prepare(data, None, few("friction_wear"))
-    found = try_effect(prepared.problem, prepared.present, "friction_wear").fit
-    assert prepared.present.objective - found.objective > 9.0
+    baseline = fit_baseline(data, None, few("friction_wear"))
+    found = try_effect(baseline.problem, baseline.current, "friction_wear").fit
+    assert baseline.current.objective - found.objective > 9.0
     assert found.vector.scaled_values[0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
-    prepared = prepare(data, None, few("tip_friction"))
-    found = try_effect(prepared.problem, prepared.present, "tip_friction").fit
-    mean = found.scatter / np.sqrt(len(prepared.problem.trials))
+    baseline = fit_baseline(data, None, few("tip_friction"))
+    found = try_effect(baseline.problem, baseline.current, "tip_friction").fit
+    mean = found.scatter / np.sqrt(len(baseline.problem.trials))
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(mean, rel=0.3)
     assert found.scaled_errors[0] / found.vector.scaled_values[0] == pytest.approx(mean, rel=0.3)
     assert abs(found.parameters[0].value(found.vector.scaled_values[0]) - 0.035) < 0.035 * 3 * mean
@@ -289,10 +291,10 @@ def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
 def test_factors_of_sections_count_against_their_mean():
     """What all sections share is friction, to the last digit: only their ratios can be known, and are."""
     given = np.array([1.6, 0.8, 1.2, 1.2])
-    prepared = prepare(
+    baseline = fit_baseline(
         dataset(effect("layered_friction", factor=tuple(given))), None, few("layered_friction")
     )
-    found = try_effect(prepared.problem, prepared.present, "layered_friction").fit
+    found = try_effect(baseline.problem, baseline.current, "layered_friction").fit
     assert found is not None
     factors = np.array(
         [a.value(float(x)) for a, x in zip(found.parameters, found.vector.scaled_values, strict=True)]
@@ -302,15 +304,15 @@ def test_factors_of_sections_count_against_their_mean():
     errors = 0.5 * found.scaled_errors
     assert np.all(errors < 0.02)
     assert np.all(np.abs(factors - given / given.mean()) < 4 * errors)
-    assert held_out(prepared.problem, found).error < 1.1
+    assert cross_validate(baseline.problem, found).error < 1.1
 
 
 def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(monkeypatch):
-    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(
-        prepared.present.vector, scaled_values=np.zeros(len(EVERY["stribeck"].parameters()))
+        baseline.current.vector, scaled_values=np.zeros(len(EVERY["stribeck"].parameters()))
     )
-    found = fit(prepared.problem, ["stribeck"], start)
+    found = fit(baseline.problem, ["stribeck"], start)
     assert found is not None
 
     def moved(by, worse):
@@ -320,17 +322,17 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
         return dataclasses.replace(found, vector=vector, objective=found.objective + worse)
 
     others = [moved(0.5, 0.0), moved(0.5, 0.9), moved(-0.7, 40.0)]
-    monkeypatch.setattr(minima_module, "_from_other_shapes", lambda *_: others)
-    spread = over_shapes(prepared.problem, found).scaled_errors
+    monkeypatch.setattr(multistart, "_from_other_forms", lambda *_: others)
+    spread = over_forms(baseline.problem, found).scaled_errors
     assert spread[0] == pytest.approx(np.hypot(found.scaled_errors[0], 0.5 / np.sqrt(2)), rel=0.02)
     assert spread[1:] == pytest.approx(found.scaled_errors[1:], rel=1e-6)
 
 
 def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest():
-    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
-    start = dataclasses.replace(prepared.present.vector, scaled_values=np.array([0.9, -0.6, 0.0]))
-    stuck = fit(prepared.problem, ["stribeck"], start)
+    baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, 0.0]))
+    stuck = fit(baseline.problem, ["stribeck"], start)
     assert stuck is not None
-    found = over_shapes(prepared.problem, stuck)
+    found = over_forms(baseline.problem, stuck)
     assert found.objective < stuck.objective - 10.0
     assert found.parameters[0].value(float(found.vector.scaled_values[0])) == pytest.approx(0.3, abs=0.01)
