@@ -120,10 +120,10 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
             start_vector(problem, float(np.log(level)), parameters), scaled_values=at
         )
         try:
-            rows = problem.residuals(problem.predict(parameters, vector), range(len(problem.trials)))
+            residuals = problem.residuals(problem.predict(parameters, vector), range(len(problem.trials)))
         except SolverError:
             continue
-        rated.append((sum(float(r @ r) for r in rows), level, vector))
+        rated.append((sum(float(r @ r) for r in residuals), level, vector))
     rated.sort(key=lambda r: r[0])
     for _, _, vector in rated[:2]:
         found = fit(problem, names, vector)

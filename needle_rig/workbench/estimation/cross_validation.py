@@ -56,23 +56,23 @@ def cross_validate(problem: Problem, fit: Fit) -> CrossValidation:
 
 
 @dataclass(frozen=True)
-class _Own:
+class _RandomEffect:
     """A trial at own friction `at`: whitened residuals (n,), and how they fall with it (n,)."""
 
     at: float
-    rows: Array
+    residuals: Array
     slope: Array
     precision: float
     """Of its prior."""
 
     @property
     def chi2(self) -> float:
-        return float(self.rows @ self.rows) + self.precision * self.at**2
+        return float(self.residuals @ self.residuals) + self.precision * self.at**2
 
     def step(self) -> tuple[float, float]:
         """The next step, and what χ² should fall by."""
         stiff = float(self.slope @ self.slope) + self.precision
-        toward = float(self.slope @ self.rows) - self.precision * self.at
+        toward = float(self.slope @ self.residuals) - self.precision * self.at
         return toward / stiff, toward**2 / stiff
 
 
@@ -82,7 +82,7 @@ class _LeaveOut:
     def __init__(self, problem: Problem, fit: Fit) -> None:
         self.problem, self.fit = problem, fit
         self.linear = LinearisedFit.of(problem, fit)
-        self.p, self.told = self.linear.p, self.linear.trials
+        self.p, self.terms = self.linear.p, self.linear.trials
         self.random_effect_precision = fit.scatter**-2
         free = np.full(fit.nuisance.size, np.inf)
         self.prior = self.linear.precision[self.linear.shared]
@@ -101,11 +101,11 @@ class _LeaveOut:
         place = {t: x for group, (x, _) in zip(groups, left, strict=True) for t in group}
         order = sorted(place)
         common = problem.readings([self._model(place[t]) for t in order], order)
-        own = self._own_friction(place)
-        chi2 = sum(o.chi2 for o in own.values())
-        loss = chi2 + sum(float(np.log(t.stiffness / t.random_effect_precision)) for t in self.told)
+        random_effects = self._random_effects(place)
+        chi2 = sum(o.chi2 for o in random_effects.values())
+        loss = chi2 + sum(float(np.log(t.stiffness / t.random_effect_precision)) for t in self.terms)
         for group, (_, spread) in zip(groups, left, strict=True):
-            push = sum(self.told[t].push(own[t].rows, own[t].at) for t in group)
+            push = sum(self.terms[t].push(random_effects[t].residuals, random_effects[t].at) for t in group)
             inner = np.eye(len(spread)) + spread @ sum(information[t] for t in group)
             loss += float(np.linalg.slogdet(inner)[1] - push @ np.linalg.solve(inner, spread @ push))
         residuals = tuple(problem.trials[t].mean - r for t, r in zip(order, common, strict=True))
@@ -117,48 +117,53 @@ class _LeaveOut:
         Steps keep the derivatives of the fit to all; they are shortened where they do not lower χ².
         """
         left, spread = self.linear.without(group)
-        told = {t: told for t, told in enumerate(self.told) if t not in group}
-        x, own = self.at, {t: float(self.fit.vector.trial_friction[t]) for t in told}
-        rows = {t: self.fit.residuals[t] for t in told}
-        value = self._chi2(x, own, rows)
+        terms = {t: terms for t, terms in enumerate(self.terms) if t not in group}
+        x, friction = self.at, {t: float(self.fit.vector.trial_friction[t]) for t in terms}
+        residuals = {t: self.fit.residuals[t] for t in terms}
+        value = self._chi2(x, friction, residuals)
         near, share = NEAR + EXCESS_TOLERANCE * excess(self.problem, self.fit.objective), 1.0
         for _ in range(MOST_STEPS):
-            push = sum(told[t].push(rows[t], own[t]) for t in told) - self.prior * (x - self.centre)
+            push = sum(terms[t].push(residuals[t], friction[t]) for t in terms) - self.prior * (
+                x - self.centre
+            )
             step = np.clip(x + share * spread @ push, self.low, self.high) - x
             after = x + step
             if float(step @ left @ step) < near:
                 return after, spread
             moved = {
-                t: own[t] + told[t].random_effect_step(rows[t] - told[t].shared @ step, own[t]) for t in told
+                t: friction[t]
+                + terms[t].random_effect_step(residuals[t] - terms[t].shared @ step, friction[t])
+                for t in terms
             }
-            after_rows = self._rows(dict.fromkeys(told, after), moved)
-            after_value = self._chi2(after, moved, after_rows)
+            after_residuals = self._residuals(dict.fromkeys(terms, after), moved)
+            after_value = self._chi2(after, moved, after_residuals)
             if after_value < value:
-                x, own, rows, value = after, moved, after_rows, after_value
+                x, friction, residuals, value = after, moved, after_residuals, after_value
             else:
                 share *= 0.3
         return x, spread
 
-    def _own_friction(self, place: Mapping[int, Array]) -> dict[int, _Own]:
+    def _random_effects(self, place: Mapping[int, Array]) -> dict[int, _RandomEffect]:
         """Each trial at its shared parameters, at the own friction that its data prefer, found by secants."""
         begin = {t: float(self.fit.vector.trial_friction[t]) for t in place}
-        rows = self._rows(place, begin)
+        residuals = self._residuals(place, begin)
         best = {
-            t: _Own(at, rows[t], self.told[t].own, self.random_effect_precision) for t, at in begin.items()
+            t: _RandomEffect(at, residuals[t], self.terms[t].random_effect, self.random_effect_precision)
+            for t, at in begin.items()
         }
         for _ in range(MOST_ESTIMATES):
             further = {}
-            for t, own in best.items():
-                step, worth = own.step()
-                at = float(np.clip(own.at + step, -FARTHEST, FARTHEST))
-                if worth > SETTLED and at != own.at:
+            for t, effect in best.items():
+                step, worth = effect.step()
+                at = float(np.clip(effect.at + step, -FARTHEST, FARTHEST))
+                if worth > SETTLED and at != effect.at:
                     further[t] = at
             if not further:
                 break
-            for t, after in self._rows(place, further).items():
+            for t, after in self._residuals(place, further).items():
                 old, at = best[t], further[t]
-                slope = (old.rows - after) / (at - old.at)
-                new = _Own(at, after, slope, self.random_effect_precision)
+                slope = (old.residuals - after) / (at - old.at)
+                new = _RandomEffect(at, after, slope, self.random_effect_precision)
                 best[t] = new if new.chi2 < old.chi2 else dataclasses.replace(old, slope=slope)
         return best
 
@@ -167,14 +172,18 @@ class _LeaveOut:
         vector = ParameterVector(float(x[0]), float(x[1]), x[2 : self.p], np.zeros(0))
         return self.problem.model(self.fit.parameters, vector)
 
-    def _rows(self, place: Mapping[int, Array], own: Mapping[int, float]) -> dict[int, Array]:
-        """Whitened residuals of the trials in `own`, each at its shared parameters and own friction."""
-        order = list(own)
-        models = [self._model(place[t]).with_effects(FrictionOfTrial(float(np.exp(own[t])))) for t in order]
-        rows = self.problem.residuals(self.problem.readings(models, order), order)
+    def _residuals(self, place: Mapping[int, Array], friction: Mapping[int, float]) -> dict[int, Array]:
+        """Whitened residuals of the trials in `friction`, each at its shared parameters and own friction."""
+        order = list(friction)
+        models = [
+            self._model(place[t]).with_effects(FrictionOfTrial(float(np.exp(friction[t])))) for t in order
+        ]
+        residuals = self.problem.residuals(self.problem.readings(models, order), order)
         nuisance = self.problem.nuisance
-        return {t: r - nuisance[t] @ place[t][self.p :] for t, r in zip(order, rows, strict=True)}
+        return {t: r - nuisance[t] @ place[t][self.p :] for t, r in zip(order, residuals, strict=True)}
 
-    def _chi2(self, x: Array, own: Mapping[int, float], rows: Mapping[int, Array]) -> float:
-        parts = sum(float(r @ r) + self.random_effect_precision * own[t] ** 2 for t, r in rows.items())
+    def _chi2(self, x: Array, friction: Mapping[int, float], residuals: Mapping[int, Array]) -> float:
+        parts = sum(
+            float(r @ r) + self.random_effect_precision * friction[t] ** 2 for t, r in residuals.items()
+        )
         return parts + float(self.prior @ (x - self.centre) ** 2)

@@ -57,27 +57,29 @@ class TrialTerms:
         return np.delete(self.columns, self.p, axis=1)
 
     @property
-    def own(self) -> Array:
+    def random_effect(self) -> Array:
         """Derivative by the trial's own friction (n,)."""
         return np.asarray(self.columns[:, self.p])
 
     @property
     def stiffness(self) -> float:
         """Curvature along the trial's own friction."""
-        return float(self.own @ self.own) + self.random_effect_precision
+        return float(self.random_effect @ self.random_effect) + self.random_effect_precision
 
     def information(self) -> Array:
         """Curvature (s, s) of the shared parameters, the trial's own friction profiled out."""
-        cross = self.shared.T @ self.own
+        cross = self.shared.T @ self.random_effect
         return np.asarray(self.shared.T @ self.shared - np.outer(cross, cross) / self.stiffness)
 
     def random_effect_step(self, residuals: Array, at: float) -> float:
         """Where residuals (n,) take the own friction from `at`."""
-        return (float(self.own @ residuals) - self.random_effect_precision * at) / self.stiffness
+        return (float(self.random_effect @ residuals) - self.random_effect_precision * at) / self.stiffness
 
     def push(self, residuals: Array, at: float) -> Array:
         """Half the slope of −χ² (s,) for residuals (n,) at own friction `at`, which follows."""
-        return np.asarray(self.shared.T @ (residuals - self.own * self.random_effect_step(residuals, at)))
+        return np.asarray(
+            self.shared.T @ (residuals - self.random_effect * self.random_effect_step(residuals, at))
+        )
 
 
 @dataclass(frozen=True)
@@ -120,8 +122,11 @@ class LinearisedFit:
         from_centre[0] = 0.0
         from_centre[1] -= float(np.log(problem.base.torsional_rigidity_nm2))
         widths = np.array([a.prior_sd for a in parameters])
-        own, nuisances = np.full(len(trials), random_effect_precision), np.ones(x.size - p - len(trials))
-        precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, own, nuisances]
+        random_effect, nuisances = (
+            np.full(len(trials), random_effect_precision),
+            np.ones(x.size - p - len(trials)),
+        )
+        precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, random_effect, nuisances]
         return cls(
             trials, from_centre, precision, tuple(2 + places for places in constrained_means(parameters))
         )
@@ -145,18 +150,18 @@ class LinearisedFit:
         return self.trials[0].p
 
     @cached_property
-    def own(self) -> Places:
+    def random_effects(self) -> Places:
         """Places of the trials' own friction."""
         return np.arange(self.p, self.p + len(self.trials), dtype=np.int64)
 
     @cached_property
     def shared(self) -> Places:
         """Places of what all trials share, nuisances last."""
-        return np.delete(np.arange(self.precision.size, dtype=np.int64), self.own)
+        return np.delete(np.arange(self.precision.size, dtype=np.int64), self.random_effects)
 
     def _places(self, trial: int) -> Places:
         """Places of a trial's columns."""
-        return np.concatenate([self.shared[: self.p], self.own[[trial]], self.shared[self.p :]])
+        return np.concatenate([self.shared[: self.p], self.random_effects[[trial]], self.shared[self.p :]])
 
     @cached_property
     def residuals(self) -> Array:
@@ -191,7 +196,7 @@ class LinearisedFit:
     def level(self) -> Array:
         """Curvature (P, P) that holds the means: of items that count against it, of the trials' friction."""
         curvature = np.zeros((self.precision.size, self.precision.size))
-        for places in (self.own, *self.constrained_means):
+        for places in (self.random_effects, *self.constrained_means):
             curvature[places[:, None], places] += LEVEL / places.size**2
         return curvature
 
@@ -216,10 +221,10 @@ class LinearisedFit:
         The trials' mean, which is held, is a draw of their scatter: how far it would carry the parameters
         that it can stand for is added.
         """
-        shared, own = (
+        shared, random_effect = (
             np.concatenate([t.columns[:, places] for t in self.trials]) for places in (slice(self.p), self.p)
         )
-        carried = np.linalg.lstsq(shared, own, rcond=1e-9)[0]
+        carried = np.linalg.lstsq(shared, random_effect, rcond=1e-9)[0]
         variance_of_mean = 1.0 / self.precision[self.p] / len(self.trials)
         return np.asarray(self._inverse[: self.p, : self.p] + variance_of_mean * np.outer(carried, carried))
 
@@ -288,26 +293,26 @@ class Projection:
         columns, residuals = fit.columns, fit.residuals
         if means is not None:
             columns, residuals = means @ columns, means @ residuals
-        self._tight = np.sqrt(fit.precision)
+        self._prior_weight = np.sqrt(fit.precision)
         self.size = residuals.size
-        self._own = self.size + fit.own
-        matrix = np.vstack([columns, np.diag(self._tight)]) @ _free(
+        self._random_effects = self.size + fit.random_effects
+        matrix = np.vstack([columns, np.diag(self._prior_weight)]) @ _free(
             fit.constrained_means, np.ones_like(fit.precision)
         )
         self._basis, _ = np.linalg.qr(matrix)
-        self._own_tight = self._tight[fit.own]
-        left = np.r_[residuals, -self._tight * fit.from_centre]
+        self._random_effect_weight = self._prior_weight[fit.random_effects]
+        left = np.r_[residuals, -self._prior_weight * fit.from_centre]
         self.missed: Array = left - self._basis @ (self._basis.T @ left)
 
-    def __call__(self, vectors: Array, own: Array | None = None) -> Array:
+    def __call__(self, vectors: Array, random_effects: Array | None = None) -> Array:
         """(n,) or (n, m) over all trials to what the fit's parameters cannot make; n becomes longer.
 
-        `own` (T,) is what goes with it of the trials' own friction, of which their prior tells.
+        `random_effects` (T,) is what goes with it of the trials' own friction, of which their prior tells.
         """
         padded = np.zeros((self._basis.shape[0], *vectors.shape[1:]))
         padded[: self.size] = vectors
-        if own is not None:
-            padded[self._own] = own * self._own_tight
+        if random_effects is not None:
+            padded[self._random_effects] = random_effects * self._random_effect_weight
         return np.asarray(padded - self._basis @ (self._basis.T @ padded))
 
     def rigidity(self) -> Array:
@@ -323,8 +328,8 @@ def prediction_covariance(covariance: Array, random_effect_variance: float, colu
 
     `columns` (n, p + 1) are its derivatives, by its own friction last.
     """
-    shared, own = columns[:, :-1], columns[:, -1]
-    return np.asarray(shared @ covariance @ shared.T + random_effect_variance * np.outer(own, own))
+    shared, last = columns[:, :-1], columns[:, -1]
+    return np.asarray(shared @ covariance @ shared.T + random_effect_variance * np.outer(last, last))
 
 
 def _free(constrained_means: Sequence[Array], size: Array) -> Array:

@@ -68,42 +68,48 @@ def fit(
 ) -> Fit | None:
     """The nearest minimum from `start`, or None where the model cannot be solved at `start`."""
     parameters = problem.parameters(effects)
-    state = Objective(problem, parameters)
-    x = state.packed(
-        start, nuisance if nuisance is not None and nuisance.size == state.q else np.zeros(state.q)
+    objective = Objective(problem, parameters)
+    x = objective.packed(
+        start, nuisance if nuisance is not None and nuisance.size == objective.q else np.zeros(objective.q)
     )
-    rows = state.rows(x)
-    if rows is None:
+    residuals = objective.residuals(x)
+    if residuals is None:
         return None
-    value = sum_of_squares(rows) + state.prior(x)
+    value = sum_of_squares(residuals) + objective.prior(x)
     damping, jacobians, converged, fresh = 1e-3, None, False, False
     for _ in range(iterations):
         if jacobians is None:
-            jacobians = state.derivatives(x, rows)
+            jacobians = objective.derivatives(x, residuals)
             fresh = True
             if jacobians is None:
                 return None
-        linear = LinearisedFit.at(problem, parameters, x, rows, jacobians, state.random_effect_precision(x))
+        linear = LinearisedFit.at(
+            problem, parameters, x, residuals, jacobians, objective.random_effect_precision(x)
+        )
         curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
         for _ in range(7):
-            step = _bounded_step(state, x, curvature, descent, damping)
+            step = _bounded_step(objective, x, curvature, descent, damping)
             expected = float(2 * descent @ step - step @ curvature @ step)
             if expected < tolerance + EXCESS_TOLERANCE * excess(problem, value):
                 converged = True
                 break
-            after = np.clip(x + step, state.low, state.high)
-            after_rows = state.rows(after)
-            after_value = np.inf if after_rows is None else sum_of_squares(after_rows) + state.prior(after)
-            if after_rows is not None and after_value < value:
+            after = np.clip(x + step, objective.low, objective.high)
+            after_residuals = objective.residuals(after)
+            after_value = (
+                np.inf
+                if after_residuals is None
+                else sum_of_squares(after_residuals) + objective.prior(after)
+            )
+            if after_residuals is not None and after_value < value:
                 gained = value - after_value
                 jacobians = (
-                    _updated(state, jacobians, x, after, rows, after_rows)
+                    _updated(objective, jacobians, x, after, residuals, after_residuals)
                     if gained > 0.7 * expected
                     else None
                 )
                 damping = max(damping * 0.2, 1e-6) if gained > 0.5 * expected else damping
-                x, rows, value = after, after_rows, after_value
+                x, residuals, value = after, after_residuals, after_value
                 improved, fresh = True, False
                 break
             damping = max(damping * 8, 1e-3)
@@ -117,13 +123,13 @@ def fit(
                 break
             jacobians = None
     if jacobians is None or not fresh:
-        jacobians = state.derivatives(x, rows)
+        jacobians = objective.derivatives(x, residuals)
         if jacobians is None:
             return None
-    return _finish(state, tuple(effects), x, rows, value, jacobians, converged)
+    return _finish(objective, tuple(effects), x, residuals, value, jacobians, converged)
 
 
-def _bounded_step(state: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:
+def _bounded_step(objective: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:
     """Damped step that stays within bounds: parameters that run into one are held there."""
     free = np.ones(x.size, bool)
     step = np.zeros(x.size)
@@ -133,66 +139,76 @@ def _bounded_step(state: Objective, x: Array, curvature: Array, descent: Array, 
         active = ~free
         right = descent[free] - curvature[np.ix_(free, active)] @ step[active]
         step[free] = np.linalg.solve(damped[np.ix_(free, free)], right)
-        out = free & ((x + step > state.high) | (x + step < state.low))
+        out = free & ((x + step > objective.high) | (x + step < objective.low))
         if not out.any():
             break
-        step[out] = np.clip(x[out] + step[out], state.low[out], state.high[out]) - x[out]
+        step[out] = np.clip(x[out] + step[out], objective.low[out], objective.high[out]) - x[out]
         free &= ~out
-    return np.asarray(np.clip(x + step, state.low, state.high) - x)
+    return np.asarray(np.clip(x + step, objective.low, objective.high) - x)
 
 
 def _updated(
-    state: Objective,
+    objective: Objective,
     jacobians: list[Array],
     x: Array,
     after: Array,
-    rows: list[Array],
-    after_rows: list[Array],
+    residuals: list[Array],
+    after_residuals: list[Array],
 ) -> list[Array]:
     """Broyden's update of each trial's derivatives from a step that was taken anyway."""
-    move = (after - x)[: state.p]
+    move = (after - x)[: objective.p]
     updated = []
     for t, jacobian in enumerate(jacobians):
-        own = np.zeros(jacobian.shape[1])
-        own[: state.p] = move
-        own[state.own] += after[state.p + t] - x[state.p + t]
-        size = own @ own
-        change = rows[t] - after_rows[t] - state.problem.nuisance[t] @ (after - x)[state.p + state.trials :]
-        updated.append(jacobian + np.outer(change - jacobian @ own, own) / size if size > 1e-16 else jacobian)
+        step = np.zeros(jacobian.shape[1])
+        step[: objective.p] = move
+        step[objective.random_effect_column] += after[objective.p + t] - x[objective.p + t]
+        size = step @ step
+        change = (
+            residuals[t]
+            - after_residuals[t]
+            - objective.problem.nuisance[t] @ (after - x)[objective.p + objective.trials :]
+        )
+        updated.append(
+            jacobian + np.outer(change - jacobian @ step, step) / size if size > 1e-16 else jacobian
+        )
     return updated
 
 
 def _finish(
-    state: Objective,
+    objective: Objective,
     effects: tuple[str, ...],
     x: Array,
-    rows: list[Array],
+    residuals: list[Array],
     value: float,
     jacobians: list[Array],
     converged: bool,
 ) -> Fit:
-    problem, p, trials = state.problem, state.p, state.trials
+    problem, p, trials = objective.problem, objective.p, objective.trials
     noise = problem.noise
-    linear = LinearisedFit.at(problem, state.parameters, x, rows, jacobians, state.random_effect_precision(x))
-    own = x[p : p + trials]
+    linear = LinearisedFit.at(
+        problem, objective.parameters, x, residuals, jacobians, objective.random_effect_precision(x)
+    )
+    trial_friction = x[p : p + trials]
     room = noise.scatter_dof * noise.scatter**2
-    log_det = np.array([np.log1p(t.own @ t.own * noise.scatter**2) for t in linear.trials])
-    share = np.log1p((own**2).sum() / room) * (noise.scatter_dof + trials)
-    part = own**2 / max((own**2).sum(), 1e-30)
-    loss = np.array([r @ r for r in rows]) + log_det + share * part
+    log_det = np.array(
+        [np.log1p(t.random_effect @ t.random_effect * noise.scatter**2) for t in linear.trials]
+    )
+    share = np.log1p((trial_friction**2).sum() / room) * (noise.scatter_dof + trials)
+    part = trial_friction**2 / max((trial_friction**2).sum(), 1e-30)
+    loss = np.array([r @ r for r in residuals]) + log_det + share * part
     return Fit(
         effects=effects,
-        parameters=state.parameters,
-        vector=state.unpacked(x.copy()),
+        parameters=objective.parameters,
+        vector=objective.unpacked(x.copy()),
         nuisance=x[p + trials :].copy(),
         objective=value + float(log_det.sum()),
-        chi2=sum_of_squares(rows),
+        chi2=sum_of_squares(residuals),
         trial_loss=loss,
-        pull_rigidity=float((x[1] - state.stated) / problem.rigidity_prior),
-        scatter=state.random_effect_precision(x) ** -0.5,
+        pull_rigidity=float((x[1] - objective.stated) / problem.rigidity_prior),
+        scatter=objective.random_effect_precision(x) ** -0.5,
         scatter_dof=noise.scatter_dof + trials,
         covariance=linear.covariance,
-        residuals=tuple(rows),
+        residuals=tuple(residuals),
         jacobians=tuple(t.columns[:, : p + 1] for t in linear.trials),
         rank=linear.rank,
         converged=converged,

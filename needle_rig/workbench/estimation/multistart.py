@@ -92,19 +92,19 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array]
 
     All other parameters follow as the fit's derivatives say: the trials' own friction, too.
     """
-    state = Objective(problem, found.parameters)
-    at = state.packed(found.vector, found.nuisance)
+    objective = Objective(problem, found.parameters)
+    at = objective.packed(found.vector, found.nuisance)
     move = LinearisedFit.of(problem, found).loosest()
     if move is None:
         return None
-    lowest, lower = found.chi2 + state.prior(at) - OBJECTIVE_TOLERANCE, None
+    lowest, lower = found.chi2 + objective.prior(at) - OBJECTIVE_TOLERANCE, None
     for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
-        moved = np.clip(at + sigmas * move, state.low, state.high)
-        rows = state.rows(moved)
-        value = np.inf if rows is None else sum_of_squares(rows) + state.prior(moved)
+        moved = np.clip(at + sigmas * move, objective.low, objective.high)
+        residuals = objective.residuals(moved)
+        value = np.inf if residuals is None else sum_of_squares(residuals) + objective.prior(moved)
         if value < lowest:
             lowest, lower = value, moved
-    return None if lower is None else (state.unpacked(lower), lower[state.p + state.trials :])
+    return None if lower is None else (objective.unpacked(lower), lower[objective.p + objective.trials :])
 
 
 def fit_without_derivatives(
@@ -112,23 +112,27 @@ def fit_without_derivatives(
 ) -> Fit | None:
     """A simplex search over friction, rigidity and positions, then the usual fit from where it ended."""
     parameters = problem.parameters(effects)
-    state = Objective(problem, parameters)
-    x = state.packed(start, np.zeros(state.q))
-    scale = np.r_[0.1, 0.02, np.full(state.k, 0.3)]
+    objective = Objective(problem, parameters)
+    x = objective.packed(start, np.zeros(objective.q))
+    scale = np.r_[0.1, 0.02, np.full(objective.k, 0.3)]
 
-    def objective(moved: Array) -> float:
+    def cost(moved: Array) -> float:
         full = x.copy()
-        full[: state.p] = np.clip(x[: state.p] + scale * moved, state.low[: state.p], state.high[: state.p])
-        rows = state.rows(full)
-        return 1e12 if rows is None else sum_of_squares(rows) + state.prior(full)
+        full[: objective.p] = np.clip(
+            x[: objective.p] + scale * moved, objective.low[: objective.p], objective.high[: objective.p]
+        )
+        residuals = objective.residuals(full)
+        return 1e12 if residuals is None else sum_of_squares(residuals) + objective.prior(full)
 
     search: Any = minimize
     found = search(
-        objective,
-        np.zeros(state.p),
+        cost,
+        np.zeros(objective.p),
         method="Nelder-Mead",
         options={"maxfev": evaluations},
     )
     full = x.copy()
-    full[: state.p] = np.clip(x[: state.p] + scale * found.x, state.low[: state.p], state.high[: state.p])
-    return fit(problem, effects, state.unpacked(full))
+    full[: objective.p] = np.clip(
+        x[: objective.p] + scale * found.x, objective.low[: objective.p], objective.high[: objective.p]
+    )
+    return fit(problem, effects, objective.unpacked(full))

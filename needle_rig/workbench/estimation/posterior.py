@@ -51,16 +51,16 @@ class Objective:
         self.k, self.trials = len(parameters), len(problem.trials)
         self.q = problem.nuisance[0].shape[1]
         self.p = 2 + self.k
-        self.own = self.p if problem.lumps_friction(parameters) else 0
+        self.random_effect_column = self.p if problem.lumps_friction(parameters) else 0
         """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
         self.prior_sd = np.array([a.prior_sd for a in parameters])
         self.constrained_means = [2 + places for places in constrained_means(parameters)]
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
-        own, free = np.full(self.trials, 1.2), np.full(self.q, 8.0)
-        self.low = np.r_[np.log(1e-7), self.stated - 1.5, low, -own, -free]
-        self.high = np.r_[np.log(0.045), self.stated + 1.5, high, own, free]
+        trial_friction, free = np.full(self.trials, 1.2), np.full(self.q, 8.0)
+        self.low = np.r_[np.log(1e-7), self.stated - 1.5, low, -trial_friction, -free]
+        self.high = np.r_[np.log(0.045), self.stated + 1.5, high, trial_friction, free]
 
     def unpacked(self, x: Array) -> ParameterVector:
         """The vector without its nuisances."""
@@ -68,44 +68,53 @@ class Objective:
 
     def packed(self, vector: ParameterVector, nuisance: Array) -> Array:
         """A point and its nuisances (q,) within bounds, with every mean that is held at its place."""
-        own = vector.trial_friction
-        common = vector.log_friction + own.mean()
-        x = np.r_[common, vector.log_rigidity, vector.scaled_values, own - own.mean(), nuisance]
+        trial_friction = vector.trial_friction
+        common = vector.log_friction + trial_friction.mean()
+        x = np.r_[
+            common,
+            vector.log_rigidity,
+            vector.scaled_values,
+            trial_friction - trial_friction.mean(),
+            nuisance,
+        ]
         for places in self.constrained_means:
             x[places] -= x[places].mean()
         return np.asarray(np.clip(x, self.low, self.high), dtype=np.float64)
 
-    def rows(self, x: Array) -> list[Array] | None:
+    def residuals(self, x: Array) -> list[Array] | None:
         """Whitened data minus model (n,) a trial, None where the model cannot be solved."""
         try:
             readings = self.problem.predict(self.parameters, self.unpacked(x), MOST_SOLVES)
         except (SolverError, BadInput):
             return None
-        rows = self.problem.residuals(readings, range(self.trials))
-        found = [r - n @ x[self.p + self.trials :] for r, n in zip(rows, self.problem.nuisance, strict=True)]
+        residuals = self.problem.residuals(readings, range(self.trials))
+        found = [
+            r - n @ x[self.p + self.trials :] for r, n in zip(residuals, self.problem.nuisance, strict=True)
+        ]
         return found if all(np.all(np.isfinite(r)) for r in found) else None
 
     def prior(self, x: Array) -> float:
         """−2 log prior, up to a constant."""
         noise = self.problem.noise
-        own = x[self.p : self.p + self.trials]
+        trial_friction = x[self.p : self.p + self.trials]
         room = noise.scatter_dof * noise.scatter**2
         return float(
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.prior_sd) ** 2).sum()
-            + (noise.scatter_dof + self.trials) * np.log1p((own**2).sum() / room)
-            + LEVEL * (own.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.constrained_means))
+            + (noise.scatter_dof + self.trials) * np.log1p((trial_friction**2).sum() / room)
+            + LEVEL
+            * (trial_friction.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.constrained_means))
             + (x[self.p + self.trials :] ** 2).sum()
         )
 
     def random_effect_precision(self, x: Array) -> float:
         """Precision of a normal prior of the trials' own friction that bounds theirs from above at `x`."""
         noise = self.problem.noise
-        own = x[self.p : self.p + self.trials]
+        trial_friction = x[self.p : self.p + self.trials]
         room = noise.scatter_dof * noise.scatter**2
-        return float((noise.scatter_dof + self.trials) / (room + (own**2).sum()))
+        return float((noise.scatter_dof + self.trials) / (room + (trial_friction**2).sum()))
 
-    def derivatives(self, x: Array, rows: list[Array]) -> list[Array] | None:
+    def derivatives(self, x: Array, residuals: list[Array]) -> list[Array] | None:
         """Whitened model derivatives (n, p or p + 1) a trial, None where the model cannot be solved near x.
 
         Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the
@@ -113,21 +122,21 @@ class Objective:
         """
         directions = np.eye(self.p, x.size)
         steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))]
-        if self.own == self.p:
+        if self.random_effect_column == self.p:
             every_trial = np.zeros(x.size)
             every_trial[self.p : self.p + self.trials] = 1.0
             directions, steps = np.vstack([directions, every_trial]), np.r_[steps, STEP]
 
         def left(moved: Array) -> Array | None:
-            after = self.rows(moved)
+            after = self.residuals(moved)
             return None if after is None else np.concatenate(after)
 
         jacobian = directional_derivatives(
-            left, x, np.concatenate(rows), directions, steps, self.low, self.high
+            left, x, np.concatenate(residuals), directions, steps, self.low, self.high
         )
         if jacobian is None:
             return None
-        return np.split(-jacobian, np.cumsum([r.size for r in rows])[:-1])
+        return np.split(-jacobian, np.cumsum([r.size for r in residuals])[:-1])
 
 
 def excess(problem: Problem, value: float) -> float:
@@ -136,6 +145,6 @@ def excess(problem: Problem, value: float) -> float:
     return max(0.0, value - size - POLICY.search.above_noise_sigmas * float(np.sqrt(2.0 * size)))
 
 
-def sum_of_squares(rows: Sequence[Array]) -> float:
+def sum_of_squares(residuals: Sequence[Array]) -> float:
     """χ² of whitened rows."""
-    return float(sum(r @ r for r in rows))
+    return float(sum(r @ r for r in residuals))

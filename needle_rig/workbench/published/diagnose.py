@@ -27,8 +27,8 @@ from needle_rig.workbench.published.fit import (
 )
 from needle_rig.workbench.published.search import (
     Candidate,
+    effect_parameters,
     fits_of,
-    own_parameters,
     settled_problem,
     tied_effects,
     try_effect,
@@ -154,11 +154,11 @@ def _ranking(
 
 def _values(found: SettledFit, effect: str) -> tuple[Value, ...]:
     values = []
-    for (parameter, at, error), own in zip(*own_parameters(found, effect), strict=True):
+    for (parameter, at, error), its_pull in zip(*effect_parameters(found, effect), strict=True):
         ends = [
             parameter.value(float(np.clip(at + s * SIGMAS_95 * error, *parameter.bounds))) for s in (-1, 1)
         ]
-        plausible = bool(abs(own) <= SIGMAS_95)
+        plausible = bool(abs(its_pull) <= SIGMAS_95)
         values.append(
             Value(parameter.name, parameter.value(at), min(ends), max(ends), parameter.info.unit, plausible)
         )
@@ -199,9 +199,9 @@ def _against(
 
 def _size(found: SettledFit, effect: str) -> tuple[str, str, float]:
     """An effect's least plausible parameter, its plausible range, and how far it lies to its edge (σ)."""
-    own, pulls = own_parameters(found, effect)
+    sizes, pulls = effect_parameters(found, effect)
     worst = int(np.argmax(np.abs(pulls)))
-    parameter, at, _ = own[worst]
+    parameter, at, _ = sizes[worst]
     unit = "" if parameter.info.unit == "1" else f" {parameter.info.unit}"
     low, high = parameter.info.literature
     pull = abs(float(pulls[worst]))
@@ -216,7 +216,7 @@ def _decision(
     if candidate.fit is None:
         unlimited = decision_at(candidate.effect, parameters[0], np.inf, "cannot_tell", 0.0)
         return dataclasses.replace(unlimited, limit=None)
-    sizes = [s for s in own_parameters(candidate.fit, candidate.effect)[0] if not s[0].info.shapes]
+    sizes = [s for s in effect_parameters(candidate.fit, candidate.effect)[0] if not s[0].info.shapes]
     parameter, at, error = max(
         sizes, key=lambda s: (abs(s[1]) + POLICY.evidence.limit_sigmas * s[2]) / max(s[0].smallest, 1e-9)
     )

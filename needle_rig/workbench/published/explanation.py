@@ -44,13 +44,14 @@ def explanation(problem: SettledProblem, root: SettledFit, found: SettledFit) ->
 def by_quantity(problem: SettledProblem, predicted: Array) -> dict[str, float]:
     """Root mean square error of `predicted` (n,) by quantity, in the unit that its name ends in."""
     left = problem.measured - predicted
-    return {name: float(np.sqrt(np.mean(left[own] ** 2))) for name, own in _quantities(problem).items()}
+    return {name: float(np.sqrt(np.mean(left[places] ** 2))) for name, places in _quantities(problem).items()}
 
 
 def scatter_by_quantity(problem: SettledProblem) -> dict[str, float]:
     """Root mean square standard error by quantity, in the unit that its name ends in."""
     return {
-        name: float(np.sqrt(np.mean(problem.errors[own] ** 2))) for name, own in _quantities(problem).items()
+        name: float(np.sqrt(np.mean(problem.errors[places] ** 2)))
+        for name, places in _quantities(problem).items()
     }
 
 

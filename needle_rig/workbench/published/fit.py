@@ -166,7 +166,7 @@ class SettledFit:
         return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
 
-class _Rows:
+class _Residuals:
     def __init__(self, problem: SettledProblem, names: Sequence[str]) -> None:
         self.problem, self.parameters = problem, problem.parameters(names)
         self.low = np.r_[math.log(1e-5), -1.5, [a.bounds[0] for a in self.parameters]]
@@ -204,34 +204,34 @@ def fit_settled(
     `within` is the fit of the model that the last of the effects is added to. None when nothing can be
     solved, or when that effect changes none of the values. Raises BadInput for a sequence that cannot be run.
     """
-    rows = _Rows(problem, names)
+    residuals = _Residuals(problem, names)
     if starts is None:
-        starts = _starts(rows, within)
+        starts = _starts(residuals, within)
     best = None
     for start in starts:
         found = least_squares(
-            rows,
-            np.clip(start, rows.low + 1e-9, rows.high - 1e-9),
-            rows.jacobian,
-            (rows.low, rows.high),
+            residuals,
+            np.clip(start, residuals.low + 1e-9, residuals.high - 1e-9),
+            residuals.jacobian,
+            (residuals.low, residuals.high),
             max_nfev=MOST_EVALUATIONS,
             xtol=1e-6,
             ftol=1e-6,
         )
         if best is None or found.cost < best.cost:
             best = found
-    if best is None or not np.all(np.isfinite(rows.predicted(best.x))):
+    if best is None or not np.all(np.isfinite(residuals.predicted(best.x))):
         return None
     n = len(problem.values)
-    jacobian = rows.jacobian(best.x)
+    jacobian = residuals.jacobian(best.x)
     covariance: Array = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True).astype(np.float64)
     data = jacobian[:n]
     used = float(np.trace(data @ covariance @ data.T))
     return SettledFit(
         tuple(names),
-        rows.parameters,
+        residuals.parameters,
         best.x,
-        rows.predicted(best.x),
+        residuals.predicted(best.x),
         float(best.fun[:n] @ best.fun[:n]),
         float(best.fun @ best.fun),
         covariance,
@@ -263,26 +263,26 @@ def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) ->
         dataclasses.replace(v, value=float(p)) for v, p in zip(problem.values, truth.predicted, strict=True)
     )
     foretold = dataclasses.replace(problem, values=values)
-    own = fit_settled(foretold, truth.effects, [truth.x])
+    best = fit_settled(foretold, truth.effects, [truth.x])
     other = fit_settled(foretold, rival.effects, [rival.x])
-    if own is None or other is None:
+    if best is None or other is None:
         return float("inf")
-    return float(np.sqrt(max(other.objective - own.objective, 0.0)))
+    return float(np.sqrt(max(other.objective - best.objective, 0.0)))
 
 
-def _starts(rows: _Rows, within: SettledFit | None) -> list[Array]:
+def _starts(residuals: _Residuals, within: SettledFit | None) -> list[Array]:
     """The most promising of a grid of frictions and strengths; none when strength changes nothing."""
     old = within.x[2:] if within is not None else np.zeros(0)
-    new = rows.parameters[old.size :]
+    new = residuals.parameters[old.size :]
     strengths = STRENGTHS if new else (0.0,)
     rated, moved = [], not new
     for friction in (*FRICTIONS_N, *([math.exp(within.x[0])] if within is not None else [])):
         off = np.r_[math.log(friction), 0.0, old, np.zeros(len(new))]
         for strength in strengths:
             x = np.r_[off[: 2 + old.size], [0.0 if a.info.shapes else strength for a in new]]
-            x = np.clip(x, rows.low + 1e-9, rows.high - 1e-9)
-            row = rows(x)
-            change = np.abs(rows.predicted(x) - rows.predicted(off)) / rows.problem.errors
+            x = np.clip(x, residuals.low + 1e-9, residuals.high - 1e-9)
+            row = residuals(x)
+            change = np.abs(residuals.predicted(x) - residuals.predicted(off)) / residuals.problem.errors
             moved |= bool(np.any(change > STEP))
             rated.append((float(row @ row), tuple(x)))
     rated.sort()

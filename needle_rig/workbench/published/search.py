@@ -47,7 +47,7 @@ class Candidate:
     def plausible(self) -> bool:
         """Whether every parameter of the effect is within its plausible range."""
         return self.fit is not None and bool(
-            np.all(np.abs(own_parameters(self.fit, self.effect)[1]) <= SIGMAS_95)
+            np.all(np.abs(effect_parameters(self.fit, self.effect)[1]) <= SIGMAS_95)
         )
 
     @property
@@ -129,7 +129,7 @@ def fits_of(candidates: list[Candidate]) -> list[SettledFit]:
     return [c.fit for c in candidates if c.fit is not None]
 
 
-def own_parameters(
+def effect_parameters(
     found: SettledFit, effect: str
 ) -> tuple[list[tuple[FreeParameter, float, float]], np.ndarray]:
     """Coordinates of one effect with position and error, and their pulls."""

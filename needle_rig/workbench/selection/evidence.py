@@ -41,11 +41,14 @@ def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bo
     if not problem.nuisance[0].shape[1]:
         return False
     change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
-    ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
+    discretisation_error = np.concatenate(
+        [n[:, 0] for n in problem.nuisance]
+    )  # the first direction is the solver's
     pull = parent.pull_rigidity - child.pull_rigidity
-    own = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
+    trial_friction = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
     return bool(
-        change @ change + pull**2 + own @ own < POLICY.evidence.discretisation_margin * abs(change @ ours)
+        change @ change + pull**2 + trial_friction @ trial_friction
+        < POLICY.evidence.discretisation_margin * abs(change @ discretisation_error)
     )
 
 
@@ -80,6 +83,6 @@ def is_negligible(found: Fit, effect: str) -> bool:
 
 def size_of(found: Fit, effect: str) -> float:
     """Largest fitted size of an effect, in units of the smallest that matters."""
-    own = [a.effect == effect and not a.info.shapes for a in found.parameters]
-    every = zip(found.parameters, found.vector.scaled_values, own, strict=True)
-    return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, is_own in every if is_own), default=0.0)
+    is_its = [a.effect == effect and not a.info.shapes for a in found.parameters]
+    every = zip(found.parameters, found.vector.scaled_values, is_its, strict=True)
+    return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, its in every if its), default=0.0)

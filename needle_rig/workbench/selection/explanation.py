@@ -179,7 +179,7 @@ def _floors(problem: Problem, found: Fit) -> Array:
             use, matrix = covariance(problem.noise, binned, c)
             if not use.size:
                 continue
-            own = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
-            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(own @ own)
+            random_effect = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
+            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(random_effect @ random_effect)
             number[c] += use.size
     return np.sqrt(total / np.maximum(number, 1))

@@ -61,7 +61,7 @@ class ResidualPatterns:
 
 
 def functions(
-    binned: BinnedTrial, torque_nm: Array, own_rad: Array, order: int, trials: int
+    binned: BinnedTrial, torque_nm: Array, angle_rad: Array, order: int, trials: int
 ) -> dict[str, Array]:
     """Generic functions of the bins (K,), by the words that say what they follow."""
     settled = ~binned.moving
@@ -99,18 +99,18 @@ def functions(
         "follows the cosine of the base angle": np.cos(binned.base_rad),
         "follows the sine of twice the base angle": np.sin(2 * binned.base_rad),
         "follows the cosine of twice the base angle": np.cos(2 * binned.base_rad),
-        "is proportional to its own angle": own_rad,
-        "follows the sine of its own angle": np.sin(own_rad),
-        "follows the cosine of its own angle": np.cos(own_rad),
-        "follows the sine of twice its own angle": np.sin(2 * own_rad),
-        "follows the cosine of twice its own angle": np.cos(2 * own_rad),
-        "follows the sine of three times its own angle": np.sin(3 * own_rad),
-        "follows the cosine of three times its own angle": np.cos(3 * own_rad),
+        "is proportional to its own angle": angle_rad,
+        "follows the sine of its own angle": np.sin(angle_rad),
+        "follows the cosine of its own angle": np.cos(angle_rad),
+        "follows the sine of twice its own angle": np.sin(2 * angle_rad),
+        "follows the cosine of twice its own angle": np.cos(2 * angle_rad),
+        "follows the sine of three times its own angle": np.sin(3 * angle_rad),
+        "follows the cosine of three times its own angle": np.cos(3 * angle_rad),
         "is proportional to the torque": scale,
         "grows with the torque, whatever its sign": np.abs(scale),
         "follows the cube of the torque": scale**3,
         "follows the torque times its size": scale * np.abs(scale),
-        "is proportional to the twist between base and sensor": binned.base_rad - own_rad,
+        "is proportional to the twist between base and sensor": binned.base_rad - angle_rad,
         "grows with the distance travelled": travel,
         "follows the torque times the distance travelled": scale * travel,
         "follows the size of the motion, while moving": way * size * binned.moving,
@@ -178,19 +178,19 @@ def _pattern(
 
 def _trend(problem: Problem, found: Fit) -> list[Pattern]:
     """How the trials' own friction goes along with their order, where that is beyond chance."""
-    own = found.vector.trial_friction
+    trial_friction = found.vector.trial_friction
     along = {
         "changes with the order of the trials": np.array([float(b.trial.index) for b in problem.trials]),
         "changes with the angle turned before": np.array([b.trial.travel_before_rad for b in problem.trials]),
     }
-    freedom = own.size - 2
+    freedom = trial_friction.size - 2
     trends = []
     for law, course in along.items():
         course = course - course.mean()
         if freedom < 2 or not course @ course > 0.0:
             continue
-        slope = float(course @ (own - own.mean()) / (course @ course))
-        left = own - own.mean() - slope * course
+        slope = float(course @ (trial_friction - trial_friction.mean()) / (course @ course))
+        left = trial_friction - trial_friction.mean() - slope * course
         t = slope * np.sqrt(freedom * (course @ course) / max(left @ left, 1e-30))
         z = float(np.sign(t) * -ndtri(max(stdtr(freedom, -abs(t)), 1e-300)))
         size = 100 * abs(slope) * float(np.sqrt(np.mean(course**2)))

@@ -234,8 +234,8 @@ def _slip_limits(problem: Problem, parameters: Sequence[FreeParameter], vector: 
 def signature(
     problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
 ) -> tuple[Array, Array] | None:
-    """Whitened change of the model (n,) over all trials when the effect is put at `scaled_values`, and what it
-    moves in the trials' own friction (T,)."""
+    """Whitened response of the model (n,) over all trials to an effect at `scaled_values`, and the change of
+    the trials' friction (T,) that goes with it. None where the model cannot be solved."""
     vector = beside(problem, parent, parameters, scaled_values)
     trials = range(len(problem.trials))
     try:

@@ -208,9 +208,9 @@ class SearchTrace:
 
     def relatives(self, effect: str) -> list[str]:
         """Effects declared to look like this one, in either file."""
-        own = set(self.problem.library[effect].relatives)
-        own |= {n for n in self.names if effect in self.problem.library[n].relatives}
-        return sorted(own & set(self.names))
+        related = set(self.problem.library[effect].relatives)
+        related |= {n for n in self.names if effect in self.problem.library[n].relatives}
+        return sorted(related & set(self.names))
 
     def keep(self, found: Fit | None, validation: CrossValidation | None) -> SearchTrace:
         """With a fit, if it is the best of its set of effects."""
@@ -337,14 +337,14 @@ def _limit_start(
     problem: Problem, effect: str, known: Fit, limit: str, extremes: Mapping[str, float]
 ) -> Start:
     """Where `effect` is the fitted `limit`: fields of the same name taken over, the rest extreme."""
-    own = problem.parameters([effect])
+    added = problem.parameters([effect])
     values = {
         (a.field, a.item): a.value(float(x))
         for a, x in zip(known.parameters, known.vector.scaled_values, strict=True)
         if a.effect == limit
     }
-    scaled_values = np.zeros(len(own))
-    for i, parameter in enumerate(own):
+    scaled_values = np.zeros(len(added))
+    for i, parameter in enumerate(added):
         value = extremes.get(parameter.field, values.get((parameter.field, parameter.item)))
         if value is not None and (value != parameter.info.off or parameter.info.shapes):
             inside = min(max(value, parameter.info.lower), parameter.info.upper)

@@ -43,9 +43,9 @@ def dense(linear, *, trials=range(T), mean_of_trials=False):
     data = np.zeros((sum(SIZES), P + T + Q))
     begin = 0
     for t, terms in enumerate(linear.trials):
-        own = np.zeros((terms.residuals.size, T))
-        own[:, t] = terms.columns[:, P]
-        part = np.hstack([terms.columns[:, :P], own, terms.columns[:, P + 1 :]])
+        random_effect = np.zeros((terms.residuals.size, T))
+        random_effect[:, t] = terms.columns[:, P]
+        part = np.hstack([terms.columns[:, :P], random_effect, terms.columns[:, P + 1 :]])
         data[begin : begin + terms.residuals.size] = part
         begin += terms.residuals.size
     kept = np.repeat([t in trials for t in range(T)], SIZES)
@@ -101,12 +101,12 @@ def test_a_held_mean_cannot_be_made_by_the_parameters():
 def test_a_projected_change_brings_its_share_of_the_trials_own_friction():
     linear = toy()
     rows, _ = dense(linear)
-    change, own = np.linspace(-1.0, 2.0, sum(SIZES)), np.array([0.02, -0.03, 0.01])
+    change, random_effect = np.linspace(-1.0, 2.0, sum(SIZES)), np.array([0.02, -0.03, 0.01])
     padded = np.zeros(len(rows))
     padded[: sum(SIZES)] = change
-    padded[sum(SIZES) + P : sum(SIZES) + P + T] = own * 20.0
+    padded[sum(SIZES) + P : sum(SIZES) + P + T] = random_effect * 20.0
     left = padded - rows @ np.linalg.lstsq(rows, padded, rcond=None)[0]
-    assert linear.projection(change, own) == pytest.approx(left, abs=1e-9)
+    assert linear.projection(change, random_effect) == pytest.approx(left, abs=1e-9)
 
 
 def test_projected_means_are_those_of_the_averaged_rows():
@@ -144,12 +144,12 @@ def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained):
 def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_when_its_own_friction_follows():
     linear = toy()
     terms, at = linear.trials[1], 0.05
-    rows = np.vstack([np.insert(terms.shared, 0, terms.own, axis=1), np.zeros((1, 1 + P + Q))])
+    rows = np.vstack([np.insert(terms.shared, 0, terms.random_effect, axis=1), np.zeros((1, 1 + P + Q))])
     rows[-1, 0] = 20.0
     values = np.r_[terms.residuals, -20.0 * at]
-    own = rows[:, :1]
-    left = values - own @ np.linalg.lstsq(own, values, rcond=None)[0]
-    freed = rows[:, 1:] - own @ np.linalg.lstsq(own, rows[:, 1:], rcond=None)[0]
+    random_effect = rows[:, :1]
+    left = values - random_effect @ np.linalg.lstsq(random_effect, values, rcond=None)[0]
+    freed = rows[:, 1:] - random_effect @ np.linalg.lstsq(random_effect, rows[:, 1:], rcond=None)[0]
     assert terms.push(terms.residuals, at) == pytest.approx(rows[:, 1:].T @ left, abs=1e-8)
     assert terms.information() == pytest.approx(freed.T @ freed, abs=1e-6)
 
@@ -176,8 +176,8 @@ def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it():
     covariance = np.diag([0.1, 0.2, 0.05]) + 0.02
     columns = random.standard_normal((5, 4))
     draws = random.multivariate_normal(np.zeros(3), covariance, 200_000)
-    own = 0.3 * random.standard_normal(200_000)
-    seen = np.cov(columns[:, :3] @ draws.T + np.outer(columns[:, 3], own))
+    random_effect = 0.3 * random.standard_normal(200_000)
+    seen = np.cov(columns[:, :3] @ draws.T + np.outer(columns[:, 3], random_effect))
     assert prediction_covariance(covariance, 0.3**2, columns) == pytest.approx(seen, abs=0.02)
 
 

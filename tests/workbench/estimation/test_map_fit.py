@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.workbench.estimation import multistart as multistart
+from needle_rig.workbench.estimation import multistart
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.map_fit import fit
