@@ -47,7 +47,7 @@ def smallest_strength(parameters: Sequence[FreeParameter]) -> float:
 def detection_limit(baseline: Baseline, effect: str, turn: float = 1.0) -> float:
     """Strength, in typical sizes, at which `effect` would lower the objective by 16 on average.
 
-    From readings without noise of the model with the effect: what the present model, all its parameters
+    From readings without noise of the model with the effect: what the current model, all its parameters
     fitted again, cannot take up. Infinite where not even thirty typical sizes show.
     """
     problem, parent = baseline.problem, baseline.current
@@ -73,7 +73,7 @@ def detection_limit(baseline: Baseline, effect: str, turn: float = 1.0) -> float
 def _missed(
     problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
 ) -> float:
-    """Objective of the present model, fitted to what it would read without noise with an effect in it.
+    """Objective of the current model, fitted to what it would read without noise with an effect in it.
 
     0 where the model cannot be solved.
     """

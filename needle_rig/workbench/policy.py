@@ -193,7 +193,10 @@ class EvidencePolicy:
         "selection/test_evidence.py",
     )
     discretisation_margin: float = _threshold(
-        3.0, "a change of less than this many times our own error along it may be that error", CHOSEN, _RULES
+        3.0,
+        "a change of the residuals below this many times the discretisation error along it may be that error",
+        CHOSEN,
+        _RULES,
     )
     seen_information: float = _threshold(
         1.0,

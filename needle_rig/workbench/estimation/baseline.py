@@ -1,4 +1,4 @@
-"""From a dataset and a present model to a problem with measured noise and the present model's best fit."""
+"""The baseline fit: a dataset's measured noise, and the current model fitted to the data."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CELLS_PER_SECTION = 6
 
 @dataclass(frozen=True)
 class Baseline:
-    """A problem with the present model fitted to it."""
+    """A problem with the current model fitted to it, and that fit's cross-validation."""
 
     dataset: Dataset
     problem: Problem
@@ -38,7 +38,7 @@ class Baseline:
     validation: CrossValidation
     notes: tuple[str, ...]
     fine_m: float
-    """Element length of the present model as it was given."""
+    """Element length of the current model as it was given, m."""
 
 
 def null_model(dataset: Dataset) -> NeedleModel:
@@ -47,7 +47,8 @@ def null_model(dataset: Dataset) -> NeedleModel:
 
 
 def element_length(model: NeedleModel) -> float:
-    """Cells for fits: 4 mm or a sixth of the shortest section; what that costs in accuracy is a nuisance."""
+    """Element length of fits, m: 4 mm or a sixth of the shortest section; its discretisation error is a
+    nuisance."""
     sections = model.layout.tissue_sections_m
     shortest = min((end - start for start, end in sections), default=COARSE_M * CELLS_PER_SECTION)
     return max(model.element_length_m, min(COARSE_M, shortest / CELLS_PER_SECTION))
@@ -56,7 +57,8 @@ def element_length(model: NeedleModel) -> float:
 def fit_baseline(
     dataset: Dataset, model: NeedleModel | None, library: Mapping[str, type[Effect]]
 ) -> Baseline:
-    """Measure the noise, fit the present model (default: the null model), make the solver a suspect.
+    """Measure the noise, fit the current model (default: the null model), make the discretisation error a
+    nuisance.
 
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
@@ -98,9 +100,10 @@ def fit_baseline(
 def as_baseline(
     baseline: Baseline, problem: Problem, found: Fit, validation: CrossValidation | None
 ) -> tuple[Problem, Fit, CrossValidation]:
-    """A fit as a comparison with its model sees it: our solver's error is the one there, not where it began.
+    """A fit as a baseline of its own model: with the discretisation error at this fit, not at the search's
+    start.
 
-    What cannot be solved finely stays as it is.
+    Where the model cannot be solved finely, the fit stays as it is.
     """
     try:
         problem, found = with_discretisation_error(problem, found, baseline.dataset.trials, baseline.fine_m)
@@ -110,7 +113,7 @@ def as_baseline(
 
 
 def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:
-    """The present model's best fit from several levels of friction."""
+    """The current model's best fit from several levels of friction."""
     levels = FRICTIONS_N if friction_n is None else (friction_n, *FRICTIONS_N)
     parameters = problem.parameters(names)
     best: Fit | None = None
@@ -139,7 +142,7 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
 
 
 def _left(problem: Problem, found: Fit) -> list[Array]:
-    """Data minus model in bin means (C, K), at each trial's own friction."""
+    """Data minus model in bin means (C, K), at each trial's random effect."""
     readings = problem.predict(found.parameters, found.vector)
     return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
 

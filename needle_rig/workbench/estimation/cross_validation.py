@@ -1,4 +1,4 @@
-"""How well a fit foretells commands that it has not seen."""
+"""Cross-validation: every command is left out in turn and predicted by a fit to the others."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ NEAR = 1.0
 """Steps of less than one standard deviation are taken as the derivatives say, without looking."""
 MOST_STEPS = 8
 SETTLED = 0.05
-"""A trial's own friction is estimated until the next step would lower χ² by less than this."""
+"""A trial's friction is estimated until the next step would lower χ² by less than this."""
 MOST_ESTIMATES = 8
 FARTHEST = 1.2
-"""Largest logarithm of a trial's own friction."""
+"""Largest logarithm of a trial's friction over the common one."""
 
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Prediction of every trial by a fit to the trials of other commands."""
+    """Every trial predicted by a fit to the trials of other commands."""
 
     error: float
     """Root mean square over all bins, in units of the noise (trial scatter included): 1 is the floor."""
@@ -40,11 +40,11 @@ class CrossValidation:
 
 
 def cross_validate(problem: Problem, fit: Fit) -> CrossValidation:
-    """Leave every command out in turn; parameters move to where the rest puts them.
+    """Leave every command out in turn, refit the parameters to the rest, and predict what was left out.
 
-    A held-out trial is then simulated afresh; its own friction is unknown and integrated out, and in the
-    predictive density so are the parameters, as far as the rest leaves them uncertain. Infinite where there
-    is one command only, or the model cannot be solved.
+    A held-out trial is simulated at the refitted parameters. Its random effect is unknown and marginalised;
+    in the predictive density the parameters are marginalised, too. Infinite where there is one command only,
+    or the model cannot be solved.
     """
     nothing = CrossValidation(float("inf"), float("inf"), (np.zeros((0, 0)),) * len(problem.trials))
     if len(problem.groups) < 2:
@@ -57,27 +57,27 @@ def cross_validate(problem: Problem, fit: Fit) -> CrossValidation:
 
 @dataclass(frozen=True)
 class _RandomEffect:
-    """A trial at own friction `at`: whitened residuals (n,), and how they fall with it (n,)."""
+    """A trial's log friction `at`, with whitened residuals (n,) and minus their derivative by it (n,)."""
 
     at: float
     residuals: Array
     slope: Array
     precision: float
-    """Of its prior."""
+    """Of the prior of `at`."""
 
     @property
     def chi2(self) -> float:
         return float(self.residuals @ self.residuals) + self.precision * self.at**2
 
     def step(self) -> tuple[float, float]:
-        """The next step, and what χ² should fall by."""
+        """The Gauss–Newton step, and the fall of χ² that it predicts."""
         stiff = float(self.slope @ self.slope) + self.precision
         toward = float(self.slope @ self.residuals) - self.precision * self.at
         return toward / stiff, toward**2 / stiff
 
 
 class _LeaveOut:
-    """Fits to all trials but some, and what these foretell of the others, from the fit to all."""
+    """Fits to all commands but one and their predictions of that one, from the fit to all."""
 
     def __init__(self, problem: Problem, fit: Fit) -> None:
         self.problem, self.fit = problem, fit
@@ -112,9 +112,9 @@ class _LeaveOut:
         return CrossValidation(float(np.sqrt(chi2 / problem.size)), loss, residuals)
 
     def _without(self, group: Sequence[int]) -> tuple[Array, Array]:
-        """(shared parameters that the other trials prefer (s,), their covariance (s, s)).
+        """(shared parameters (s,) fitted without a group of trials, their covariance (s, s)).
 
-        Steps keep the derivatives of the fit to all; they are shortened where they do not lower χ².
+        Gauss–Newton with the derivatives of the fit to all; a step that does not lower χ² is shortened.
         """
         left, spread = self.linear.without(group)
         terms = {t: terms for t, terms in enumerate(self.terms) if t not in group}
@@ -144,7 +144,7 @@ class _LeaveOut:
         return x, spread
 
     def _random_effects(self, place: Mapping[int, Array]) -> dict[int, _RandomEffect]:
-        """Each trial at its shared parameters, at the own friction that its data prefer, found by secants."""
+        """Each trial's friction fitted to its data at given shared parameters, by the secant method."""
         begin = {t: float(self.fit.vector.trial_friction[t]) for t in place}
         residuals = self._residuals(place, begin)
         best = {
@@ -168,12 +168,12 @@ class _LeaveOut:
         return best
 
     def _model(self, x: Array) -> NeedleModel:
-        """With the friction that all trials share."""
+        """The model at shared parameters x (s,), with the friction that all trials share."""
         vector = ParameterVector(float(x[0]), float(x[1]), x[2 : self.p], np.zeros(0))
         return self.problem.model(self.fit.parameters, vector)
 
     def _residuals(self, place: Mapping[int, Array], friction: Mapping[int, float]) -> dict[int, Array]:
-        """Whitened residuals of the trials in `friction`, each at its shared parameters and own friction."""
+        """Whitened residuals of the trials in `friction`, each at its shared parameters and log friction."""
         order = list(friction)
         models = [
             self._model(place[t]).with_effects(FrictionOfTrial(float(np.exp(friction[t])))) for t in order

@@ -1,15 +1,14 @@
-"""A fit as the linear-Gaussian model that its derivatives make of it: what its parameters can make, and how
-well they are known.
+"""A fit linearised: the linear-Gaussian model with its derivatives as design matrix.
 
-For steps δ of the P = p + T + q parameters (p that all trials share: friction, rigidity, positions; the own
-friction of each of T trials; q coefficients of nuisances), −2 log posterior is
+For steps δ of the P = p + T + q parameters (p shared by all trials: friction, rigidity, scaled values; the
+random effect of each of T trials; q coefficients of nuisances), −2 log posterior is
 
     Σ_t |r_t − A_t δ|² + (d + δ)ᵀ W (d + δ),
 
-with whitened residuals r_t (n,) of a trial, their columns A_t, the distance d of the parameters from the
-priors' centre, and the priors' precision W (diagonal). Items that count against their mean move so that it
-stays: δ lies in the null space of these means. The trials' own frictions are draws about a common level: no
-test may hold their mean. A fit's steps hold it, too (`level`), or it would trade places with friction.
+with whitened residuals r_t (n,) and design matrix A_t of a trial, the distance d of the parameters from the
+priors' centre, and the priors' precision W (diagonal). Constraints on means of items are linear: δ lies in
+their null space. The random effects are draws about a common level, so tests leave their mean free; the steps
+of a fit constrain it, too (`level`), since it is not identifiable beside the common friction.
 """
 
 from __future__ import annotations
@@ -36,7 +35,8 @@ if TYPE_CHECKING:
 Places = npt.NDArray[np.int64]
 
 UNSEEN = 1e-3
-"""Directions of less curvature than this, of parameters scaled alike, are not followed."""
+"""Relative curvature, of parameters scaled to unit curvature each, below which a direction has no
+information."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class TrialTerms:
     residuals: Array
     """Data minus model (n,)."""
     columns: Array
-    """Derivatives of the model (n, p + 1 + q): shared parameters, own friction, nuisances."""
+    """Design matrix (n, p + 1 + q): derivatives by shared parameters, random effect, nuisances."""
     p: int
     random_effect_precision: float
-    """Prior precision of the trial's own friction."""
+    """Prior precision of the trial's random effect."""
 
     @cached_property
     def shared(self) -> Array:
@@ -58,25 +58,25 @@ class TrialTerms:
 
     @property
     def random_effect(self) -> Array:
-        """Derivative by the trial's own friction (n,)."""
+        """Derivative by the trial's random effect (n,)."""
         return np.asarray(self.columns[:, self.p])
 
     @property
     def stiffness(self) -> float:
-        """Curvature along the trial's own friction."""
+        """Curvature along the trial's random effect."""
         return float(self.random_effect @ self.random_effect) + self.random_effect_precision
 
     def information(self) -> Array:
-        """Curvature (s, s) of the shared parameters, the trial's own friction profiled out."""
+        """Curvature (s, s) of the shared parameters, the random effect profiled out."""
         cross = self.shared.T @ self.random_effect
         return np.asarray(self.shared.T @ self.shared - np.outer(cross, cross) / self.stiffness)
 
     def random_effect_step(self, residuals: Array, at: float) -> float:
-        """Where residuals (n,) take the own friction from `at`."""
+        """Gauss–Newton step of the random effect from `at`, for residuals (n,)."""
         return (float(self.random_effect @ residuals) - self.random_effect_precision * at) / self.stiffness
 
     def push(self, residuals: Array, at: float) -> Array:
-        """Half the slope of −χ² (s,) for residuals (n,) at own friction `at`, which follows."""
+        """Half the slope of −χ² (s,) for residuals (n,) at random effect `at`, which is profiled out."""
         return np.asarray(
             self.shared.T @ (residuals - self.random_effect * self.random_effect_step(residuals, at))
         )
@@ -84,7 +84,8 @@ class TrialTerms:
 
 @dataclass(frozen=True)
 class LinearisedFit:
-    """The model of the module's text. Vectors (P,) hold p shared parameters, T own frictions, q nuisances."""
+    """The linear-Gaussian model of a fit. Vectors (P,) hold p shared parameters, T random effects, q
+    nuisances."""
 
     trials: tuple[TrialTerms, ...]
     from_centre: Array
@@ -92,7 +93,7 @@ class LinearisedFit:
     precision: Array
     """Of the priors (P,); 0 where there is none."""
     constrained_means: tuple[Array, ...]
-    """Places of the items whose mean is held, an array for each such field."""
+    """Places of the items whose mean is constrained, an array for each such field."""
 
     @classmethod
     def at(
@@ -106,7 +107,7 @@ class LinearisedFit:
     ) -> LinearisedFit:
         """About parameters x (P,), from whitened residuals (n,) and derivatives (n, p or p + 1) a trial.
 
-        The last of p + 1 columns is the trial's own friction; of p columns the first serves for it, too.
+        The last of p + 1 columns is by the random effect; of p columns the first serves for it, too.
         """
         p = 2 + len(parameters)
         trials = tuple(
@@ -146,12 +147,12 @@ class LinearisedFit:
 
     @property
     def p(self) -> int:
-        """Number of friction, rigidity and positions."""
+        """Number of shared parameters without nuisances: friction, rigidity, scaled values."""
         return self.trials[0].p
 
     @cached_property
     def random_effects(self) -> Places:
-        """Places of the trials' own friction."""
+        """Places of the random effects."""
         return np.arange(self.p, self.p + len(self.trials), dtype=np.int64)
 
     @cached_property
@@ -194,7 +195,7 @@ class LinearisedFit:
 
     @cached_property
     def level(self) -> Array:
-        """Curvature (P, P) that holds the means: of items that count against it, of the trials' friction."""
+        """Curvature (P, P) of the constraints: on means of items, and on that of the random effects."""
         curvature = np.zeros((self.precision.size, self.precision.size))
         for places in (self.random_effects, *self.constrained_means):
             curvature[places[:, None], places] += LEVEL / places.size**2
@@ -202,7 +203,7 @@ class LinearisedFit:
 
     @cached_property
     def descent(self) -> Array:
-        """Half the slope of −2 log posterior (P,), downwards, with the means held."""
+        """Half the slope of −2 log posterior (P,), downwards, with the means constrained."""
         slope = np.zeros(self.precision.size)
         for t, terms in enumerate(self.trials):
             slope[self._places(t)] += terms.columns.T @ terms.residuals
@@ -211,15 +212,15 @@ class LinearisedFit:
 
     @cached_property
     def _inverse(self) -> Array:
-        """Covariance of all parameters (P, P), every mean held."""
+        """Covariance of all parameters (P, P), every mean constrained."""
         return np.asarray(np.linalg.pinv(self.curvature + self.level, hermitian=True))
 
     @cached_property
     def covariance(self) -> Array:
-        """Of friction, rigidity and positions (p, p), all others marginalised.
+        """Of friction, rigidity and scaled values (p, p), all others marginalised.
 
-        The trials' mean, which is held, is a draw of their scatter: how far it would carry the parameters
-        that it can stand for is added.
+        The mean of the random effects, which is constrained, has itself a variance: what it does to the
+        parameters that it is confounded with is added.
         """
         shared, random_effect = (
             np.concatenate([t.columns[:, places] for t in self.trials]) for places in (slice(self.p), self.p)
@@ -230,7 +231,7 @@ class LinearisedFit:
 
     @cached_property
     def rank(self) -> int:
-        """Directions among the positions that the data see, all other parameters projected out."""
+        """Directions among the scaled values that the data see, all other parameters projected out."""
         inside = np.arange(2, self.p)
         if not inside.size:
             return 0
@@ -244,7 +245,8 @@ class LinearisedFit:
         )
 
     def loosest(self) -> Array | None:
-        """One standard deviation (P,) along the positions' least certain direction, all others following.
+        """One standard deviation (P,) along the least certain direction of the scaled values, all others
+        profiled.
 
         None where there is no such direction.
         """
@@ -259,13 +261,13 @@ class LinearisedFit:
 
     @cached_property
     def information(self) -> tuple[Array, ...]:
-        """What each trial tells of the shared parameters (s, s), its own friction profiled out."""
+        """Each trial's information on the shared parameters (s, s), its random effect profiled out."""
         return tuple(t.information() for t in self.trials)
 
     def without(self, group: Sequence[int]) -> tuple[Array, Array]:
         """Curvature and covariance (s, s) of the shared parameters without a group of trials.
 
-        What the rest does not see (friction against the depth of tissue) has no variance: it does not move.
+        Directions without information in the rest have no variance: they do not move.
         """
         whole = sum(self.information) + np.diag(self.precision[self.shared])
         left = whole - sum(self.information[t] for t in group)
@@ -277,16 +279,16 @@ class LinearisedFit:
 
     @cached_property
     def projection(self) -> Projection:
-        """What the parameters cannot make, of whitened values."""
+        """Projection of whitened values onto what the parameters cannot fit."""
         return Projection(self)
 
 
 class Projection:
     """Projects the parameters of a linearised fit out of whitened vectors (Frisch–Waugh–Lovell theorem).
 
-    `missed` is what the fit leaves, with the pulls on its parameters as rows of their own: an effect may be
-    seen by nothing but what it relieves them of. `means` (m, N) takes the values of all trials to m
-    independent ones of unit variance, which then stand in their place.
+    `missed` is the projected residual. The priors are rows of it: an effect may show in the priors' pulls
+    alone. `means` (m, N) takes the values of all trials to m independent ones of unit variance, which then
+    stand in their place.
     """
 
     def __init__(self, fit: LinearisedFit, means: Array | None = None) -> None:
@@ -305,9 +307,10 @@ class Projection:
         self.missed: Array = left - self._basis @ (self._basis.T @ left)
 
     def __call__(self, vectors: Array, random_effects: Array | None = None) -> Array:
-        """(n,) or (n, m) over all trials to what the fit's parameters cannot make; n becomes longer.
+        """The part of (n,) or (n, m) over all trials that the parameters cannot fit, with the priors' P rows
+        below.
 
-        `random_effects` (T,) is what goes with it of the trials' own friction, of which their prior tells.
+        `random_effects` (T,) are changes of the random effects that go with it: rows of their prior.
         """
         padded = np.zeros((self._basis.shape[0], *vectors.shape[1:]))
         padded[: self.size] = vectors
@@ -316,7 +319,8 @@ class Projection:
         return np.asarray(padded - self._basis @ (self._basis.T @ padded))
 
     def rigidity(self) -> Array:
-        """The direction (n longer, as above) in which the stated rigidity stands against the data."""
+        """The projected unit vector of the stated rigidity's prior row: how rigidity stands against the
+        data."""
         row = self.size + 1
         stated = -self._basis @ self._basis[row]
         stated[row] += 1.0
@@ -324,16 +328,17 @@ class Projection:
 
 
 def prediction_covariance(covariance: Array, random_effect_variance: float, columns: Array) -> Array:
-    """Covariance (n, n) of n values of a trial not seen yet, from that of p shared parameters (p, p).
+    """Covariance (n, n) of n values of a future trial, from that of p shared parameters (p, p).
 
-    `columns` (n, p + 1) are its derivatives, by its own friction last.
+    `columns` (n, p + 1) is its design matrix, its random effect last.
     """
     shared, last = columns[:, :-1], columns[:, -1]
     return np.asarray(shared @ covariance @ shared.T + random_effect_variance * np.outer(last, last))
 
 
 def _free(constrained_means: Sequence[Array], size: Array) -> Array:
-    """Orthonormal directions (m, ≤ m) of m parameters, in units of 1 / `size`, that change no held mean."""
+    """Orthonormal directions (m, ≤ m) of m parameters, in units of 1 / `size`, that change no constrained
+    mean."""
     if not constrained_means:
         return np.eye(size.size)
     rows = np.zeros((len(constrained_means), size.size))

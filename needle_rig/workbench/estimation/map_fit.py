@@ -1,6 +1,6 @@
-"""Fits of all parameters at once, in whitened units, for an objective that dry friction makes jagged.
+"""Maximum a posteriori fits: Levenberg–Marquardt steps with Broyden updates, within bounds.
 
-Steps are damped and never accepted when they make the fit worse.
+Dry friction makes the objective jagged: a step that raises it is never accepted.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 OBJECTIVE_TOLERANCE = 0.05
-"""A fit ends when the next step would lower the objective by less than this,"""
+"""A fit ends when the next step would lower the objective by less than this."""
 EXCESS_TOLERANCE = 2e-3
-"""or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
+"""A fit also ends when the next step would lower the objective by less than this share of its excess over the
+noise: a fit that misses by far need not be exact."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A minimum. T trials, p global parameters (friction, rigidity, then k positions), q nuisances."""
+    """A minimum. T trials, p shared parameters (friction, rigidity, then k scaled values), q nuisances."""
 
     effects: tuple[str, ...]
     parameters: tuple[FreeParameter, ...]
@@ -35,25 +36,25 @@ class Fit:
     chi2: float
     """Sum of squared whitened residuals."""
     trial_loss: Array
-    """Share of each trial in the objective (T,)."""
+    """Each trial's contribution to the objective (T,)."""
     pull_rigidity: float
     """Rigidity's distance from its stated value in prior standard deviations."""
     scatter: float
-    """Relative scatter of friction from trial to trial that this fit sees,"""
+    """Relative scatter of friction from trial to trial, estimated by this fit."""
     scatter_dof: float
-    """and its degrees of freedom, those of its prior included."""
+    """Degrees of freedom of `scatter`, those of its prior included."""
     covariance: Array
-    """Of the global parameters (p, p), all others marginalised."""
+    """Of the shared parameters (p, p), all others marginalised."""
     residuals: tuple[Array, ...]
     jacobians: tuple[Array, ...]
-    """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's own friction."""
+    """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's random effect."""
     rank: int
-    """How many directions the effects' positions span that the other parameters do not."""
+    """Directions of the effects' parameters that the data see with all other parameters projected out."""
     converged: bool
 
     @property
     def scaled_errors(self) -> Array:
-        """Standard deviation of each position (k,)."""
+        """Standard deviation of each scaled value (k,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
 
@@ -130,7 +131,8 @@ def fit(
 
 
 def _bounded_step(objective: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:
-    """Damped step that stays within bounds: parameters that run into one are held there."""
+    """Damped step within bounds: an active set of parameters stays at the bounds that the step would
+    cross."""
     free = np.ones(x.size, bool)
     step = np.zeros(x.size)
     for _ in range(4):
@@ -155,7 +157,7 @@ def _updated(
     residuals: list[Array],
     after_residuals: list[Array],
 ) -> list[Array]:
-    """Broyden's update of each trial's derivatives from a step that was taken anyway."""
+    """Broyden's rank-one update of each trial's derivatives by an accepted step."""
     move = (after - x)[: objective.p]
     updated = []
     for t, jacobian in enumerate(jacobians):

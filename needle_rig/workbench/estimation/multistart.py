@@ -16,19 +16,20 @@ from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 MOST_WALKS = 4
-"""How often a fit goes on from a lower place along its least certain direction."""
+"""Restarts of a fit at most."""
 FORM_STEPS = (0.3, -0.3)
-"""How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis;"""
+"""Steps of a form parameter from which a fit is restarted, in scaled values: a factor of two where the scale
+is a decade."""
 FINE_FORM_STEPS = (0.1, -0.1)
-"""nearer ones that are tried, too, where minima lie close together."""
+"""Further, smaller steps of the same where minima lie close together."""
 
 
 def through_valleys(problem: Problem, found: Fit) -> Fit:
-    """A fit, or the one that goes on from lower places along the direction that the data hardly see.
+    """A fit, restarted from lower points along the direction that the data determine least.
 
-    There the objective falls by less than its derivatives err, and a fit stops far from its minimum with a
-    spread that knows nothing of it. A valley that bends, as one of shapes does, is left by straight walks:
-    what is still above the noise is fitted again from other shapes.
+    Along that valley the objective changes by less than the error of its finite-difference derivatives, so a
+    fit may stop far from the minimum. Form parameters make the valley curved, which a straight line leaves: a
+    fit that stays above the noise is also restarted from other forms.
     """
     for _ in range(MOST_WALKS):
         lower = _along_valley(problem, found)
@@ -42,9 +43,9 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
 
 
 def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS) -> Fit:
-    """A fit, or a lower one from other shapes of its last effect, as long as that helps.
+    """The lowest of fits from several form parameters of the last effect (multistart).
 
-    Its covariance is that over all the minima met, each as likely as its objective says.
+    Its covariance is that of the mixture of all minima, weighted by their posterior probabilities.
     """
     met = [found]
     for _ in range(MOST_WALKS):
@@ -59,7 +60,8 @@ def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS
 
 
 def _mixture_covariance(lowest: Fit, met: Sequence[Fit]) -> Array:
-    """Covariance (p, p) about the lowest of several minima; one met twice counts once."""
+    """Second moment (p, p) about the lowest of several minima, as a mixture; a minimum met twice counts
+    once."""
     at = [np.r_[f.vector.log_friction, f.vector.log_rigidity, f.vector.scaled_values] for f in met]
     centre = np.r_[lowest.vector.log_friction, lowest.vector.log_rigidity, lowest.vector.scaled_values]
     near = np.sqrt(np.maximum(np.diag(lowest.covariance), 1e-18))
@@ -88,9 +90,9 @@ def _from_other_forms(problem: Problem, found: Fit, steps: Sequence[float]) -> l
 
 
 def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array] | None:
-    """The lowest place on the least certain direction of a fit if it is lower than the fit, else None.
+    """The lowest point along the least certain direction of a fit, with its nuisances; None if none is lower.
 
-    All other parameters follow as the fit's derivatives say: the trials' own friction, too.
+    All other parameters follow as the linearised fit says.
     """
     objective = Objective(problem, found.parameters)
     at = objective.packed(found.vector, found.nuisance)
@@ -110,7 +112,7 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array]
 def fit_without_derivatives(
     problem: Problem, effects: Sequence[str], start: ParameterVector, evaluations: int = 200
 ) -> Fit | None:
-    """A simplex search over friction, rigidity and positions, then the usual fit from where it ended."""
+    """A simplex search over friction, rigidity and scaled values, then the usual fit from where it ended."""
     parameters = problem.parameters(effects)
     objective = Objective(problem, parameters)
     x = objective.packed(start, np.zeros(objective.q))

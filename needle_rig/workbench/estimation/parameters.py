@@ -1,4 +1,4 @@
-"""Effects as points that a fit can move: off is 0 and the typical size is 1, whatever the unit."""
+"""Free parameters of effects, scaled: off is 0 and the typical size is 1, whatever the unit."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from needle_rig.physics.rod import Layout
 WIDE = 10.0
 """Prior standard deviation of a strength whose effect's file states none: ten typical sizes."""
 FORM_DECADES = 1.0
+"""Prior standard deviation of a form parameter, in its scale: a decade."""
 FAR = 1e3
+"""Largest scaled value: what has no bound is bounded here."""
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One number of one effect."""
+    """One number of one effect that a fit moves."""
 
     effect: str
     field: str
@@ -35,7 +37,7 @@ class FreeParameter:
 
     @cached_property
     def _scale(self) -> tuple[float, float, bool]:
-        """(zero, length, on the declared scale) of the axis."""
+        """(value at 0, length of 1, whether both are on the declared scale)."""
         info = self.info
         transformed = (
             info.scale != "log" or (info.shapes and info.typical > 0) or (info.off > 0 and info.typical > 0)
@@ -48,12 +50,12 @@ class FreeParameter:
         return off, typical - off, transformed
 
     def scaled_value(self, value: float) -> float:
-        """Where `value` (in the field's unit) lies on the axis."""
+        """The scaled value of `value` (in the field's unit)."""
         zero, length, transformed = self._scale
         return float(((self.info.to_scale(value) if transformed else value) - zero) / length)
 
     def value(self, scaled_value: float) -> float:
-        """The field's value at `scaled_value`, within its bounds or exactly off."""
+        """The field's value (in its unit) at a scaled value, within its bounds or exactly off."""
         zero, length, transformed = self._scale
         if scaled_value == 0.0 and not self.info.shapes:
             return self.info.off
@@ -69,7 +71,7 @@ class FreeParameter:
 
     @cached_property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest position."""
+        """Smallest and largest scaled value."""
         _, length, transformed = self._scale
         ends = []
         for value in (self.info.lower, self.info.upper):
@@ -89,12 +91,12 @@ class FreeParameter:
 
     @cached_property
     def smallest(self) -> float:
-        """Position below which the size does not matter."""
+        """Scaled value below which the size does not matter."""
         return 0.0 if self.info.shapes else abs(self.scaled_value(self.info.smallest))
 
     @property
     def prior_sd(self) -> float:
-        """Prior standard deviation on the axis."""
+        """Prior standard deviation of the scaled value."""
         if self.info.shapes:
             return FORM_DECADES
         if self.info.prior is None:
@@ -108,7 +110,7 @@ class FreeParameter:
 def free_parameters(
     effects: Mapping[str, type[Effect]], names: Sequence[str], layout: Layout
 ) -> tuple[FreeParameter, ...]:
-    """The coordinates of the named effects, in that order."""
+    """The free parameters of the named effects, in that order."""
     counts = {"sensor": len(layout.sensor_positions_m), "section": len(layout.tissue_sections_m)}
     found = []
     for name in names:
@@ -119,7 +121,7 @@ def free_parameters(
 
 
 def constrained_means(parameters: Sequence[FreeParameter]) -> list[Array]:
-    """Places of the items that count against their mean, an array for each such field."""
+    """Places of the items whose mean is constrained, an array for each such field."""
     fields: dict[tuple[str, str], list[int]] = {}
     for place, parameter in enumerate(parameters):
         if parameter.info.relative:
@@ -128,7 +130,7 @@ def constrained_means(parameters: Sequence[FreeParameter]) -> list[Array]:
 
 
 def against_mean(parameters: Sequence[FreeParameter], scaled_values: Array) -> Array:
-    """The same effects with items that count against their mean put so that it is off."""
+    """Scaled values (k,) with every constrained mean brought back to off."""
     moved = scaled_values.copy()
     for places in constrained_means(parameters):
         values = np.array([parameters[i].value(float(scaled_values[i])) for i in places])
@@ -143,7 +145,7 @@ def against_mean(parameters: Sequence[FreeParameter], scaled_values: Array) -> A
 def make_effects(
     effects: Mapping[str, type[Effect]], parameters: Sequence[FreeParameter], scaled_values: Array
 ) -> tuple[Effect, ...]:
-    """Effects with the values at `scaled_values`, one for each coordinate."""
+    """Effects with the values at `scaled_values`, one for each of `parameters`."""
     fields: dict[str, dict[str, float | list[float]]] = {}
     for parameter, scaled_value in zip(parameters, scaled_values, strict=True):
         value = parameter.value(float(scaled_value))
@@ -160,7 +162,7 @@ def make_effects(
 
 
 def scaled_values_of(parameters: Sequence[FreeParameter], effects: Sequence[Effect]) -> Array:
-    """Positions of given effects on `parameters`; coordinates of effects not given stand at off."""
+    """Scaled values (k,) of given effects; parameters of effects that are not given are off."""
     by_name = {e.name(): e for e in effects}
     found = np.zeros(len(parameters))
     for i, parameter in enumerate(parameters):

@@ -1,8 +1,8 @@
 """What a fit minimises: −2 log of the posterior over one vector of parameters, and its derivatives.
 
-Whitened residuals, priors as rows, and each trial's own friction as a random effect whose scatter is
-integrated out (Student-t logarithms: a large scatter is paid for once, not for every trial). Derivatives are
-finite differences of 0.3 % of a typical size, taken about each trial's own friction.
+Whitened residuals, Gaussian priors, and each trial's friction as a random effect whose scatter is
+marginalised (a multivariate Student t: a large scatter is paid for once, not for every trial). Derivatives
+are finite differences of 0.3 % of a typical size, taken at each trial's random effect.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ MOST_SOLVES = 150.0
 """Solves a sample beyond which a fit does not go: a needle that snaps from balance to balance, whose instants
 no derivative follows. Ageing friction takes about ten, most effects one or two."""
 LEVEL = 1e6
-"""Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level; and
-that of items which count against their mean. Without it the two trade places along a direction that the data
-do not see, damped steps creep, and the derivatives' errors pass for knowledge."""
+"""Weight of the sum-to-zero constraints: on the random effects, whose mean is the common friction, and on
+items of an effect with a constrained mean. Without them the common value and the mean are not identifiable:
+damped steps creep, and errors of the derivatives pass for information."""
 
 
 def start_vector(
     problem: Problem, log_friction: float, parameters: Sequence[FreeParameter] = ()
 ) -> ParameterVector:
-    """Everything at its stated value or off."""
+    """The parameter vector with everything at its stated value or off."""
     return ParameterVector(
         log_friction=log_friction,
         log_rigidity=float(np.log(problem.base.torsional_rigidity_nm2)),
@@ -41,9 +41,9 @@ def start_vector(
 
 
 class Objective:
-    """What is minimised over one vector of parameters: rows, prior and derivatives.
+    """The objective function, −2 log posterior: residuals, prior and derivatives at a vector x (P,).
 
-    The vector is friction and rigidity (logarithms), k positions, T trials' own friction, q nuisances.
+    x holds friction and rigidity (logarithms), k scaled values, T random effects, q nuisances.
     """
 
     def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...]) -> None:
@@ -52,7 +52,8 @@ class Objective:
         self.q = problem.nuisance[0].shape[1]
         self.p = 2 + self.k
         self.random_effect_column = self.p if problem.lumps_friction(parameters) else 0
-        """Column of the derivatives for the trials' own friction: that of friction, unless some is lumped."""
+        """Column of the derivatives by a trial's random effect: that of friction, unless some friction is
+        lumped."""
         self.prior_sd = np.array([a.prior_sd for a in parameters])
         self.constrained_means = [2 + places for places in constrained_means(parameters)]
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
@@ -63,11 +64,12 @@ class Objective:
         self.high = np.r_[np.log(0.045), self.stated + 1.5, high, trial_friction, free]
 
     def unpacked(self, x: Array) -> ParameterVector:
-        """The vector without its nuisances."""
+        """The parameter vector in x, without the nuisances."""
         return ParameterVector(float(x[0]), float(x[1]), x[2 : self.p], x[self.p : self.p + self.trials])
 
     def packed(self, vector: ParameterVector, nuisance: Array) -> Array:
-        """A point and its nuisances (q,) within bounds, with every mean that is held at its place."""
+        """x from a parameter vector and nuisances (q,), within bounds, with every constraint on a mean
+        met."""
         trial_friction = vector.trial_friction
         common = vector.log_friction + trial_friction.mean()
         x = np.r_[
@@ -108,7 +110,7 @@ class Objective:
         )
 
     def random_effect_precision(self, x: Array) -> float:
-        """Precision of a normal prior of the trials' own friction that bounds theirs from above at `x`."""
+        """Precision of the normal prior of the random effects that majorises −2 log of their prior at `x`."""
         noise = self.problem.noise
         trial_friction = x[self.p : self.p + self.trials]
         room = noise.scatter_dof * noise.scatter**2
@@ -117,8 +119,9 @@ class Objective:
     def derivatives(self, x: Array, residuals: list[Array]) -> list[Array] | None:
         """Whitened model derivatives (n, p or p + 1) a trial, None where the model cannot be solved near x.
 
-        Friction goes up and rigidity down: the angles, which depend on their ratio, then change alike to the
-        last bit, and what only the needle's stated constants tell is not told by the steps' own error.
+        Friction is stepped up and rigidity down: the angles depend on their ratio, so both columns are then
+        alike to the last bit, and truncation error does not pass for information that only the stated
+        rigidity has.
         """
         directions = np.eye(self.p, x.size)
         steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))]

@@ -24,8 +24,9 @@ FRICTION_SCALE_N = 1e-3
 
 @dataclass(frozen=True)
 class ParameterVector:
-    """Values of all parameters: logarithms of friction (N) and torsional rigidity (N·m²), positions of the
-    effects' coordinates (k,), and each trial's own logarithm of its friction over the common one (T,)."""
+    """Values of all parameters: logarithms of friction (N) and torsional rigidity (N·m²), scaled values of
+    the effects' free parameters (k,), and each trial's random effect: log of its friction over the common one
+    (T,)."""
 
     log_friction: float
     log_rigidity: float
@@ -87,13 +88,13 @@ class Problem:
         return sum(w.channel.size for w in self.whiteners)
 
     def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
-        """Coordinates of the named effects."""
+        """Free parameters of the named effects."""
         return free_parameters(self.library, names, self.base.layout)
 
     def model(
         self, parameters: Sequence[FreeParameter], vector: ParameterVector, trial: int | None = None
     ) -> NeedleModel:
-        """The model at `vector`, with the friction of `trial` or the common one."""
+        """The model at `vector`, with the friction of a trial (its place) or the common one."""
         effects = make_effects(self.library, parameters, vector.scaled_values)
         if trial is not None:
             effects = (*effects, FrictionOfTrial(float(np.exp(vector.trial_friction[trial]))))
@@ -132,7 +133,7 @@ class Problem:
     def predict(
         self, parameters: Sequence[FreeParameter], vector: ParameterVector, most_solves: float = math.inf
     ) -> list[Array]:
-        """Bin means (C, K) of every trial at its own friction. Raises SolverError, BadInput."""
+        """Bin means (C, K; N·m and rad) of every trial at its random effect. Raises SolverError, BadInput."""
         every = range(len(self.trials))
         return self.readings([self.model(parameters, vector, t) for t in every], every, most_solves)
 

@@ -66,7 +66,7 @@ def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Se
 
 
 def fitted(found: Diagnosis) -> SavedModel:
-    """The present model of a diagnosis, fitted to its dataset, with its errors as history."""
+    """The current model of a diagnosis, fitted to its dataset, with its errors as history."""
     return _saved(found.baseline)
 
 

@@ -155,7 +155,7 @@ class Traces:
         return explanation(baseline, *compared, improves=improves)
 
     def errors(self, found: Explanation) -> dict[str, float]:
-        """Of bin means, each trial at its own friction, from one simulation of every trial.
+        """Of bin means, each trial at its random effect, from one simulation of every trial.
 
         Raises BadInput where the trials are others than those of the fit, SolverError.
         """

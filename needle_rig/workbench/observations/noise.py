@@ -245,7 +245,7 @@ def with_replicate_scatter(
 ) -> Noise:
     """Noise with the scatter from motion to motion that replicates show beyond friction and offset.
 
-    `residuals` are data minus model in bin means (C, K), a trial each, at each trial's own friction. Their
+    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. Their
     differences between replicates hold no model error that the replicates share.
     """
     channel_count = residuals[0].shape[0]

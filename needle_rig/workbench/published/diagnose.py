@@ -74,11 +74,11 @@ def diagnose_settled(
     *,
     say: Say = lambda _: None,
 ) -> SettledAnswer:
-    """Hold the present model against settled values and look for the one effect that is missing.
+    """Hold the current model against settled values and look for the one effect that is missing.
 
     Raises BadInput, with file and line, for a sequence that cannot be run.
     """
-    say("fitting the present model")
+    say("fitting the current model")
     problem, root = settled_problem(data, library, model)
     say("trying every effect")
     names = tuple(sorted(set(library) - set(root.effects)))

@@ -40,7 +40,7 @@ SIGMAS_95 = 1.96
 
 
 def pull(parameter: FreeParameter, scaled_value: float) -> float:
-    """How far a position lies towards the edge of the plausible range, in σ; the edge itself is 1.96."""
+    """How far a scaled value lies towards the edge of the plausible range, in σ; the edge itself is 1.96."""
     if parameter.info.shapes:
         return scaled_value / parameter.prior_sd
     edges = [parameter.scaled_value(v) for v in parameter.info.literature]
@@ -91,11 +91,12 @@ class SettledProblem:
         return np.array([v.standard_error or np.inf for v in self.values])
 
     def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
-        """Coordinates of the named effects."""
+        """Free parameters of the named effects."""
         return free_parameters(self.library, names, self.base.layout)
 
     def model(self, parameters: Sequence[FreeParameter], x: Array) -> NeedleModel:
-        """The model at x: logarithms of friction (N) and of rigidity over the stated one, then positions."""
+        """The model at x: logarithms of friction (N) and of rigidity over the stated one, then scaled
+        values."""
         return dataclasses.replace(
             self.base,
             friction_n=float(np.exp(x[0])),
@@ -153,7 +154,7 @@ class SettledFit:
     freedom: float
     """Values less what the parameters can make of them (effective number of parameters, MacKay 1992)."""
     pulls: Array
-    """Of each position towards the edge of its plausible range, in σ (k,)."""
+    """Of each scaled value towards the edge of its plausible range, in σ (k,)."""
 
     @property
     def p_value(self) -> float:
@@ -162,7 +163,7 @@ class SettledFit:
 
     @property
     def error(self) -> Array:
-        """Standard deviation of each position (k,)."""
+        """Standard deviation of each scaled value (k,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
 

@@ -1,4 +1,4 @@
-"""What can explain settled values: every effect added to the present model, and those that tie.
+"""What can explain settled values: every effect added to the current model, and those that tie.
 
 An effect ties when it meets the values within their scatter with parameters that are plausible, and leaves
 something to test it by.
@@ -26,7 +26,7 @@ from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 
 @dataclass(frozen=True)
 class Candidate:
-    """The present model with one effect more; `fit` is None when the effect changes none of the values."""
+    """The current model with one effect more; `fit` is None when the effect changes none of the values."""
 
     effect: str
     fit: SettledFit | None
@@ -61,7 +61,7 @@ class Candidate:
 def settled_problem(
     data: SettledData, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
 ) -> tuple[SettledProblem, SettledFit]:
-    """The values with the present model (default: the null model) fitted to them. Raises BadInput."""
+    """The values with the current model (default: the null model) fitted to them. Raises BadInput."""
     current = model or NeedleModel(
         "null", data.layout, data.needle.torsional_rigidity_nm2, FRICTIONS_N[2], element_length_m=0.5e-3
     )
@@ -74,7 +74,7 @@ def settled_problem(
     found = fit_settled(problem, effects, start)
     if found is None:
         raise BadInput(
-            f"{data.name}: the present model cannot be solved on these sequences; check the layout"
+            f"{data.name}: the current model cannot be solved on these sequences; check the layout"
         )
     return problem, found
 
@@ -100,7 +100,7 @@ def values_to_meet(
 
 
 def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: int) -> Candidate:
-    """The present model with the effect `name`, one of `library` that are tried."""
+    """The current model with the effect `name`, one of `library` that are tried."""
     found = fit_settled(problem, (*root.effects, name), within=root)
     if found is None:
         return Candidate(name, None, 1.0)
@@ -132,7 +132,7 @@ def fits_of(candidates: list[Candidate]) -> list[SettledFit]:
 def effect_parameters(
     found: SettledFit, effect: str
 ) -> tuple[list[tuple[FreeParameter, float, float]], np.ndarray]:
-    """Coordinates of one effect with position and error, and their pulls."""
+    """(parameter, scaled value, its standard deviation) of one effect, and their pulls (k,) in σ."""
     rows = [
         (a, float(x), float(e), float(p))
         for a, x, e, p in zip(found.parameters, found.x[2:], found.error, found.pulls, strict=True)

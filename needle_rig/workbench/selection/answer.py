@@ -117,9 +117,9 @@ class Answer:
     reasons: tuple[Reason, ...]
     """Why it is unknown; empty for the other verdicts."""
     lack_before: LackOfFit | None
-    """Whether replicates show anything to explain in the present model; None without replicates."""
+    """Lack of fit of the current model; None without replicates."""
     lack_after: LackOfFit | None
-    """The same of what the answer leaves."""
+    """Lack of fit of the model with what is named; None without replicates."""
     explained_fraction: float
     held_out_error_before: float
     held_out_error_after: float

@@ -30,7 +30,8 @@ def decide(search: SearchTrace, named: list[str]) -> dict[str, Decision]:
 
 
 def _sizes(found: Fit, name: str) -> list[tuple[FreeParameter, float, float]]:
-    """(axis, position, its error) of each size; at 0 nothing is known finer than the derivatives' step."""
+    """(parameter, scaled value, its standard deviation) of each size; at 0 nothing is known finer than the
+    derivatives' step."""
     return [
         (a, float(x), max(float(e), STEP * (x == 0.0)))
         for a, x, e in zip(found.parameters, found.vector.scaled_values, found.scaled_errors, strict=True)

@@ -202,7 +202,7 @@ def best_experiment(
 def expected_power(
     problem: Problem, first: Fit, second: Fit, command: TrialCommand, replicates: int
 ) -> float:
-    """σ between the two after `replicates` trials of `command` on top of the present data.
+    """σ between the two after `replicates` trials of `command` on top of the data so far.
 
     Everything is simulated from `first` without noise, and the other model is fitted to all of it.
     """

@@ -38,7 +38,7 @@ class Diagnosis(Answer):
     baseline: Baseline = field(repr=False)
     search: SearchTrace = field(repr=False)
     concluded: tuple[Problem, Fit, CrossValidation] = field(repr=False)
-    """The fit of what is named, as a comparison with its model sees it."""
+    """The fit of what is named, as a baseline of its own model (`as_baseline`)."""
 
     @property
     def noise(self) -> dict[str, float]:
@@ -82,11 +82,11 @@ def diagnose(
     work: Work | None = None,
     say: Say = lambda _: None,
 ) -> Diagnosis:
-    """Hold the present model against a dataset and look for what is missing.
+    """Hold the current model against a dataset and look for what is missing.
 
-    Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
+    Raises BadInput when the dataset cannot be used, SolverError when the current model cannot be solved.
     """
-    say("measuring the noise, fitting the present model")
+    say("measuring the noise, fitting the current model")
     baseline = fit_baseline(dataset, model, library)
     names = tuple(sorted(set(library) - set(baseline.current.effects)))
     with work or Work() as at:
@@ -96,7 +96,7 @@ def diagnose(
         )
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
-        say("holding the answer against our own error")
+        say("testing the answer against the discretisation error")
         return _conclude(baseline, trace, rivals, dataset.sensor_names)
 
 
@@ -177,7 +177,7 @@ def _contrived(search: SearchTrace, named: list[str]) -> list[str]:
 
 
 def _screening_notes(search: SearchTrace, named: list[str]) -> list[str]:
-    """What was not fitted in the place of an effect, since its preview gains too little."""
+    """What was not fitted in the place of an effect, since screening promises too little of it."""
     notes = []
     here = search.fits[search.best][0].objective
     for effect in named:
@@ -191,7 +191,7 @@ def _screening_notes(search: SearchTrace, named: list[str]) -> list[str]:
             most = max(left_out, key=lambda c: (c.screening.gain, c.effect))
             gain = search.fits[rest][0].objective - here
             notes.append(
-                f"In the place of {effect}, {len(left_out)} effects were not refitted: their previews promise"
+                f"In the place of {effect}, {len(left_out)} effects were not refitted: screening promises"
                 f" at most {100 * most.screening.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
             )
     return notes

@@ -1,4 +1,4 @@
-"""What the gain of one more effect is worth: against chance, our own error, and commands left out."""
+"""What the gain of one more effect is worth: significance, discretisation error, cross-validation."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from needle_rig.workbench.policy import POLICY
 
 
 def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
-    """Probability, adjusted over the library, that noise makes a gain like this.
+    """Šidák-adjusted p value of the likelihood-ratio test of a child against its parent.
 
-    The share of the gain that comes from trials whose own friction scatters less counts as that of an F-test:
-    over a few trials chance alone makes a trend.
+    The part of the gain that a smaller scatter of the random effects brings counts as in an F test: over a
+    few trials chance alone makes a trend. Strengths at the boundary of their range halve p (Chernoff 1954).
     """
     gain = max(parent.objective - child.objective, 0.0)
     freedom = max(1, child.rank - parent.rank)
@@ -33,17 +33,17 @@ def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
 
 
 def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:
-    """Whether what the child changes is under three times our solver's own error along it.
+    """Whether the child's change of the residuals is less than three times the discretisation error along it.
 
-    What the needle's constants and the trials' own friction are relieved of is a part of the change that our
-    error has none of.
+    |Δr|² + Δ(pull of rigidity)² + |Δu|²/s² < 3 |Δr·e|, with the random effects u of scatter s and the first
+    nuisance direction e. The changes of pulls and random effects have no discretisation error.
     """
     if not problem.nuisance[0].shape[1]:
         return False
     change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
     discretisation_error = np.concatenate(
         [n[:, 0] for n in problem.nuisance]
-    )  # the first direction is the solver's
+    )  # the first direction is the discretisation error
     pull = parent.pull_rigidity - child.pull_rigidity
     trial_friction = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
     return bool(
@@ -53,7 +53,7 @@ def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bo
 
 
 def predictive_gain(parent: CrossValidation | None, child: CrossValidation | None) -> float:
-    """Fall of −2 log predictive density on commands left out."""
+    """Fall of −2 log predictive density in cross-validation; 0 where it is not known."""
     if parent is None or child is None:
         return 0.0
     gain = parent.loss - child.loss
@@ -66,8 +66,11 @@ def improves_cross_validation(
     child: Fit,
     child_validation: CrossValidation | None,
 ) -> bool:
-    """Whether commands left out speak for the child, or the needle's stated constants do and these do not
-    speak against it."""
+    """Whether the child's predictive density is higher in cross-validation.
+
+    A fall of the squared pull of the stated rigidity stands in for it, as long as the held-out error does not
+    rise by more than a threshold.
+    """
     if predictive_gain(parent_validation, child_validation) > 0:
         return True
     relieved = parent.pull_rigidity**2 - child.pull_rigidity**2

@@ -51,7 +51,7 @@ def explanation(
 ) -> Explanation:
     """A fit to traces with everything that it adds to the current model, however small.
 
-    `problem`, `found` and `validation` are those of a comparison with its model (`as_baseline`).
+    `problem`, `found` and `validation` are those of `as_baseline`.
     """
     current = baseline.current
     model = problem.model(found.parameters, found.vector)
@@ -67,7 +67,7 @@ def explanation(
 
 
 def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
-    """Root mean square error of bin means by channel, from one simulation of each trial at its own friction.
+    """Root mean square error of bin means by channel, from one simulation of each trial at its random effect.
 
     Raises BadInput where there are more or fewer trials than were fitted, SolverError.
     """

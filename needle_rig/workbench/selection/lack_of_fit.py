@@ -1,12 +1,12 @@
-"""Is there anything to explain? The pure-error F test: what replicates share against how they differ.
+"""Lack of fit by the pure-error F test: what replicates share against how they differ.
 
 Facts are the means of each channel in each motion, moving and settled, freed of the correlations that the
 noise model states. The mean of the replicates of a command holds the model's error, the differences among
 them do not, whatever the noise is: so a wrong noise level does not pass for an effect, as in a plain χ².
 Commands without replicates are held against the differences among the others' replicates.
 
-What each trial's own friction or the needle's constants can take up is not seen here (wear, a torque gain):
-the test says that something is missing, never that nothing is.
+What random effects or the needle's constants can absorb is not seen here (wear, a torque gain): the test can
+say that something is missing, not that nothing is.
 """
 
 from __future__ import annotations

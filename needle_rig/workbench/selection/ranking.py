@@ -50,7 +50,7 @@ def rank(
 ) -> list[Ranked]:
     """The named effects in the order given, then every other by what it does alone.
 
-    `adopted` and `validation` are of the set that is named, as a comparison with its model sees them.
+    `adopted` and `validation` are those of the named set, as a baseline of its own model.
     """
     problem = search.problem
     ranked = []

@@ -1,10 +1,10 @@
-"""What a fit leaves over: the largest of many generic signatures, in words.
+"""Residual patterns: the largest of many generic functions in what a fit leaves, in words.
 
 Signatures are functions of what is known of each bin (time, motion, angle, torque, order, …) on groups of
 channels. Each is whitened and freed of what the fit's parameters can make; under noise alone it is a standard
-normal, so the largest of all has a known distribution. What the needle's rigidity and the trials' own
-friction took up is not among it: there the signatures are a rigidity far from its stated value, and friction
-that goes along with the trials' order.
+normal, so the largest of all has a known distribution. What rigidity and
+random effects absorb is tested by itself: a rigidity far from its stated value, and a trend of friction over
+the trials.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def _pattern(
 
 
 def _trend(problem: Problem, found: Fit) -> list[Pattern]:
-    """How the trials' own friction goes along with their order, where that is beyond chance."""
+    """A significant trend of the random effects over the trials, none or one."""
     trial_friction = found.vector.trial_friction
     along = {
         "changes with the order of the trials": np.array([float(b.trial.index) for b in problem.trials]),

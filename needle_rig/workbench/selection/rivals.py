@@ -1,4 +1,4 @@
-"""What cannot be told apart from what was found, and by how much the rest can."""
+"""Rivals: effects that fit in the place of one that was found, whether they tie, and their separation."""
 
 from __future__ import annotations
 
@@ -37,10 +37,9 @@ def cannot_be_told_apart(
 ) -> bool:
     """Whether an explanation ties with the best one, whose −2 log posterior is lower by `behind`.
 
-    What the best one misses above the noise (`missed`) hides differences as large, and three times as much
-    lies between two of which the better one is ahead in too small a `share` of reweightings of the trials. An
-    explanation that becomes another close one at an extreme of its parameters is no rival of it unless it
-    gains as much as tells two apart.
+    The tolerance grows by what the best one misses above the noise (`missed`), and by a factor where the best
+    one is ahead in too small a `share` of reweightings of the trials. A generalisation of another close
+    explanation ties only if its gain over that special case is itself as large as tells two apart.
     """
     if gain_over_special is not None and gain_over_special < POLICY.ties.close:
         return False
@@ -49,9 +48,9 @@ def cannot_be_told_apart(
 
 
 def promise_asked(gain: float) -> float:
-    """What screening must promise of an effect in the place of one that gains so much; −1: nothing.
+    """Screening gain that earns an effect a fit in the place of one with this gain; −1: any.
 
-    A promise says little where little is gained: there every effect is fitted.
+    Screening says little where little is gained: there every effect is fitted.
     """
     return POLICY.search.in_place_share * gain if gain > POLICY.search.in_place_all_up_to else -1.0
 

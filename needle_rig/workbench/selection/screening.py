@@ -1,7 +1,8 @@
-"""What each effect would buy, from a few simulations at finite strength: where to start a fit of it.
+"""Screening: a score test at finite strength of each effect, from a few simulations, and starts for its fit.
 
-Signatures are taken at 0.1, 0.5 and 1.5 of the typical size, because derivatives at zero strength miss most
-of what dry friction does; all parameters of the present fit are projected out.
+A signature is the whitened response of the model to an effect at 0.1, 0.5 and 1.5 of its typical size,
+because derivatives at zero strength miss most of what dry friction does. All parameters of the current fit
+are projected out of it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from needle_rig.workbench.policy import POLICY
 
 @dataclass(frozen=True)
 class Start:
-    """Where to start a fit, and the fall of the objective that the preview expects there."""
+    """Where to start a fit: scaled values (k,) of the effect, and the expected fall of the objective."""
 
     scaled_values: Array
     gain: float
@@ -33,15 +34,17 @@ class Start:
 
 @dataclass(frozen=True)
 class Screening:
-    """What one effect would buy on top of a fit."""
+    """Score test of one effect added to a fit."""
 
     effect: str
     gain: float
+    """Expected fall of the objective."""
     starts: tuple[Start, ...]
     """Best first."""
     error: float
-    """Standard deviation of the strength (on its axis), from the smallest strength's signature."""
+    """Standard deviation of the strength, scaled, from the signature at the smallest strength."""
     estimate: float
+    """The strength itself, scaled, from the same signature."""
     whole: bool = True
     """Whether every form was tried."""
 
@@ -51,7 +54,7 @@ class Screening:
 
 
 def forms(parameters: Sequence[FreeParameter]) -> list[Array]:
-    """Positions of the form parameters to try, typical first; entries of strengths are 0."""
+    """Scaled values of the form parameters to try, typical first; entries of strengths are 0."""
     choices = []
     for parameter in parameters:
         if not parameter.info.shapes:
@@ -80,17 +83,17 @@ def out_of_reach(gain: float, asked: float) -> bool:
 
 
 def _tried_together(parameters: Sequence[FreeParameter]) -> list[list[int]]:
-    """Groups of coordinates that are tried together: items of a field one by one, single fields at once."""
+    """Groups of parameters that are tried together: items of a field one by one, single fields at once."""
     single = [i for i, a in enumerate(parameters) if not a.info.shapes and a.item is None]
     each = [[i] for i, a in enumerate(parameters) if not a.info.shapes and a.item is not None]
     return ([single] if single else []) + each
 
 
 def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Screening:
-    """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing.
+    """Score test of `effect` added to `parent`; its gain is 0 where the model cannot be solved.
 
-    Every form is tried at the middle strength, the best two and the typical one at all; forms other than
-    the typical one are left out where that one stays far below `worth` and below what is to be explained.
+    Every form is tried at the middle strength; the best forms and the typical one at all strengths. The other
+    forms are left out where the typical one gains far less than `worth` and than the excess over the noise.
     """
     project = LinearisedFit.of(problem, parent).projection
     added = problem.parameters([effect])
@@ -207,9 +210,9 @@ def _apart(a: Array, b: Array) -> bool:
 def beside(
     problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
 ) -> ParameterVector:
-    """The parent's optimum with an effect at `scaled_values`, each trial's slip limits as large as they were.
+    """The parent's optimum with an effect at `scaled_values`, each trial's slip limits as large as before.
 
-    Otherwise what the parent took for the trials' own friction would be there twice.
+    Otherwise friction that the random effects stand for in the parent would be there twice.
     """
     every = against_mean(parameters, np.r_[parent.vector.scaled_values, scaled_values])
     vector = dataclasses.replace(parent.vector, scaled_values=every)

@@ -1,4 +1,4 @@
-"""The search for a set of effects: forward from the present model, sideways over relatives, back again.
+"""The search for a set of effects: forward from the current model, sideways over relatives, back again.
 
 Each step takes what the search knows and gives what it knows afterwards; nothing is changed in place.
 
@@ -56,7 +56,7 @@ def score(problem: Problem, found: Fit) -> float:
 
 
 def refinable(problem: Problem, found: Fit) -> bool:
-    """Whether a first fit ended early: one that misses by far ends where a refined one would."""
+    """Whether a first fit ended early: one that misses by far ends where a refined fit would."""
     return EXCESS_TOLERANCE * excess(problem, found.objective) < 10 * POLICY.search.rough
 
 
@@ -69,7 +69,7 @@ def _worth_fitting(ahead: Screening) -> list[Start]:
 def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
-    """Fit `effect` on top of `parent` from its best starts, unless its preview gains less than `worth`."""
+    """Fit `effect` on top of `parent` from its best starts, unless screening promises less than `worth`."""
     ahead = screen(problem, parent, effect, worth)
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
@@ -115,13 +115,13 @@ def try_effect(
 def refit(
     problem: Problem, names: tuple[str, ...], start: ParameterVector
 ) -> tuple[Fit | None, CrossValidation | None]:
-    """Fit from a given point, with its held-out error."""
+    """Fit from a given parameter vector, with its cross-validation."""
     found = fit(problem, names, start)
     return found, cross_validate(problem, found) if found is not None else None
 
 
 def without(found: Fit, effect: str) -> ParameterVector:
-    """A fit's point with one effect taken out."""
+    """A fit's parameter vector with one effect taken out."""
     keep = [i for i, a in enumerate(found.parameters) if a.effect != effect]
     return ParameterVector(
         found.vector.log_friction,
@@ -132,7 +132,7 @@ def without(found: Fit, effect: str) -> ParameterVector:
 
 
 def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
-    """A candidate that was not seen before a nuisance was added, on the scale of the new parent."""
+    """A candidate that was not significant before a nuisance was added, at the new parent's objective."""
     if candidate.fit is None:
         return candidate
     level = dataclasses.replace(candidate.fit, objective=parent.objective)
@@ -156,7 +156,7 @@ class SearchTrace:
     names: tuple[str, ...]
     """Effects to try."""
     root: Fit
-    """The present model's, on top of which effects are added."""
+    """The current model's, on top of which effects are added."""
     root_validation: CrossValidation
     best: EffectSet
     fits: Mapping[EffectSet, tuple[Fit, CrossValidation | None]]
@@ -164,22 +164,22 @@ class SearchTrace:
     children: Mapping[EffectSet, tuple[Candidate, ...]]
     """All effects on top of a set."""
     asked: Mapping[EffectSet, float]
-    """Preview gain below which `children` of a set were not fitted."""
+    """Screening gain below which `children` of a set were not fitted."""
     negligible: Mapping[str, Fit]
-    """Effects that are seen but too small to matter, with the fit that showed each: they are nuisances."""
+    """Effects that are significant but negligible, with the fit that showed each: they are nuisances."""
     steps: tuple[Step, ...] = ()
 
     @classmethod
     def begin(
         cls, problem: Problem, names: tuple[str, ...], root: Fit, root_validation: CrossValidation
     ) -> SearchTrace:
-        """At the present model."""
+        """At the current model."""
         start = frozenset(root.effects)
         return cls(problem, names, root, root_validation, start, {start: (root, root_validation)}, {}, {}, {})
 
     @property
     def start(self) -> EffectSet:
-        """The present model's effects."""
+        """The current model's effects."""
         return frozenset(self.root.effects)
 
     def score(self, key: EffectSet) -> float:
@@ -191,7 +191,7 @@ class SearchTrace:
         return self.score(key), sorted(key)
 
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
-        """Whether the child's extra effects are seen, and foretell what they have not seen."""
+        """Whether the child's extra effects are significant and improve cross-validation."""
         (old, old_validation), (new, new_validation) = self.fits[parent], self.fits[child]
         if adjusted_p(
             old, new, len(self.names)
@@ -202,7 +202,7 @@ class SearchTrace:
         return improves_cross_validation(old, old_validation, new, new_validation)
 
     def named(self, key: EffectSet) -> list[str]:
-        """Effects of a set that are large enough to matter and were not in the present model."""
+        """Effects of a set that are large enough to matter and were not in the current model."""
         found = self.fits[key][0]
         return [e for e in found.effects if e not in self.start and not is_negligible(found, e)]
 
@@ -286,10 +286,10 @@ def _frontier(trace: SearchTrace, options: Sequence[EffectSet], max_effects: int
 
 
 def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) -> SearchTrace:
-    """With all effects on top of the set `key`; with `worth` only those whose preview reaches it.
+    """With all effects on top of the set `key`; with `worth` only those whose screening reaches it.
 
-    A preview orders the work on sets that may come to nothing; on a set that comes near the noise, every
-    effect is fitted.
+    Screening saves fits on sets that may come to nothing; on a set that comes near the noise, every effect is
+    fitted.
     """
     known = {c.effect: c for c in trace.children.get(key, ())}
     before = trace.asked.get(key, np.inf)
@@ -314,7 +314,10 @@ def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) 
 
 
 def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Candidate]) -> list[Candidate]:
-    """Fit again, from the effects that a candidate becomes at an extreme, what fits worse than these."""
+    """Candidates refitted from their special cases where they fit worse than these.
+
+    A special case is an effect that a candidate becomes at an extreme of its parameters.
+    """
     fitted = {c.effect: c.fit for c in found if c.fit is not None}
     tasks, places = [], []
     for place, candidate in enumerate(found):
@@ -336,7 +339,10 @@ def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Cand
 def _limit_start(
     problem: Problem, effect: str, known: Fit, limit: str, extremes: Mapping[str, float]
 ) -> Start:
-    """Where `effect` is the fitted `limit`: fields of the same name taken over, the rest extreme."""
+    """A start at which `effect` equals its fitted special case `limit`.
+
+    Fields of the same name are taken over; the others stand at their `extremes`.
+    """
     added = problem.parameters([effect])
     values = {
         (a.field, a.item): a.value(float(x))
@@ -353,7 +359,7 @@ def _limit_start(
 
 
 def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
-    """A fit with an effect of no size in it is a better fit of the others: they are fitted from there."""
+    """With an effect of no size removed from a set: the rest is refitted from that fit, which is lower."""
     found, _ = trace.fits[key]
     names = tuple(e for e in found.effects if e != idle)
     rest = {k: v for k, v in trace.fits.items() if k != key}
@@ -362,9 +368,9 @@ def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
 
 
 def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> SearchTrace:
-    """With an effect of the set `key` that is seen but too small to matter as a nuisance of that small size.
+    """With a significant but negligible effect of the set `key` as a nuisance direction of that small size.
 
-    It then neither earns a name nor leaves a residual that another effect could claim.
+    It is then not named, and leaves no residual that another effect could fit.
     """
     found = trace.fits[key][0]
     problem = dataclasses.replace(trace.problem, nuisance=_with_direction(trace.problem, found, effect))
@@ -423,9 +429,9 @@ def _with_direction(problem: Problem, found: Fit, effect: str) -> tuple[Array, .
 
 
 def _least(trace: SearchTrace, key: EffectSet) -> float:
-    """The preview gain that earns a fit on top of `key`: any at the start and where the noise is near.
+    """The screening gain that earns a fit on top of `key`: any at the start and where the noise is near.
 
-    As long as most of the error is not explained, what promises next to nothing of it cannot be the next.
+    While most of the error is not explained, an effect that promises next to nothing of it is not fitted.
     """
     left = excess(trace.problem, trace.fits[key][0].objective)
     return POLICY.search.faint_share * left if key != trace.start and left > trace.problem.size else -1.0
