@@ -24,8 +24,19 @@ from needle_rig.workbench.observations.noise import measure_noise, with_replicat
 from needle_rig.workbench.policy import POLICY
 
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
+"""Friction at which fits start, N: a decade and more about the shipped needles."""
 COARSE_M = 4e-3
+"""Longest element of fits."""
 CELLS_PER_SECTION = 6
+"""Elements that the shortest tissue section has at least."""
+FIRST_FITS = 2
+"""Levels of friction from which the current model is fitted: the best of those above, and one more."""
+REACHED = 1.5
+"""χ² a value at which a converged first fit needs no second one."""
+OUTLIERS, OUTLIER_SHARE = 3, 0.0005
+"""Outliers of a channel that are not worth a note: so many, or this share of its samples."""
+SMALLEST_RIGIDITY_SIGMA = 1e-4
+"""Of the prior: a rigidity that is stated as exact."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,12 @@ def fit_baseline(
     )
     effects = {e.name(): type(e) for e in current.effects}
     problem = Problem(
-        dataset.name, base, {**library, **effects}, binned, noise, max(dataset.needle.rigidity_sigma, 1e-4)
+        dataset.name,
+        base,
+        {**library, **effects},
+        binned,
+        noise,
+        max(dataset.needle.rigidity_sigma, SMALLEST_RIGIDITY_SIGMA),
     )
     names = tuple(effects)
     at = scaled_values_of(problem.parameters(names), current.effects)
@@ -128,11 +144,11 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
             continue
         rated.append((sum(float(r @ r) for r in residuals), level, vector))
     rated.sort(key=lambda r: r[0])
-    for _, _, vector in rated[:2]:
+    for _, _, vector in rated[:FIRST_FITS]:
         found = fit(problem, names, vector)
         if found is not None and (best is None or found.objective < best.objective):
             best = found
-        if best is not None and best.converged and best.chi2 < 1.5 * problem.size:
+        if best is not None and best.converged and best.chi2 < REACHED * problem.size:
             break
     if best is None:
         raise BadInput(
@@ -155,7 +171,7 @@ def _notes(problem: Problem) -> list[str]:
             f" ({100 * POLICY.noise.scatter:g} % of friction),"
             " not measured: take the verdict as a ranking, and repeat one command three times."
         )
-    if len(problem.groups) < 2:
+    if len(problem.groups) <= 1:
         notes.append(
             "All trials are of one command, so that none can be left out to check what a model foretells:"
             " add trials with another target, speed or dwell."
@@ -164,6 +180,6 @@ def _notes(problem: Problem) -> list[str]:
     for c, name in enumerate(names):
         outliers = sum(b.outliers[c] for b in problem.trials)
         total = sum(int(b.count[c].sum()) + b.outliers[c] for b in problem.trials)
-        if outliers > max(3, 0.0005 * total):
+        if outliers > max(OUTLIERS, OUTLIER_SHARE * total):
             notes.append(f"{name}: {outliers} of {total} samples set aside as outliers.")
     return notes

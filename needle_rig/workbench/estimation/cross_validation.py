@@ -20,9 +20,13 @@ from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 NEAR = 1.0
 """Steps of less than one standard deviation are taken as the derivatives say, without looking."""
 MOST_STEPS = 8
+SHORTER = 0.3
+"""Factor of a step that did not lower χ²."""
 SETTLED = 0.05
 """A trial's friction is estimated until the next step would lower χ² by less than this."""
 MOST_ESTIMATES = 8
+FRICTION_REACH, RIGIDITY_REACH = 1.0, 0.3
+"""How far leaving a command out may move their logarithms: a factor of 2.7 and of 1.35."""
 FARTHEST = 1.2
 """Largest logarithm of a trial's friction over the common one."""
 
@@ -47,7 +51,7 @@ def cross_validate(problem: Problem, fit: Fit) -> CrossValidation:
     or the model cannot be solved.
     """
     nothing = CrossValidation(float("inf"), float("inf"), (np.zeros((0, 0)),) * len(problem.trials))
-    if len(problem.groups) < 2:
+    if len(problem.groups) <= 1:
         return nothing
     try:
         return _LeaveOut(problem, fit).every_command()
@@ -90,7 +94,7 @@ class _LeaveOut:
         self.centre[1] = float(np.log(problem.base.torsional_rigidity_nm2))
         vector = fit.vector
         self.at = np.r_[vector.log_friction, vector.log_rigidity, vector.scaled_values, fit.nuisance]
-        reach = np.array([1.0, 0.3])
+        reach = np.array([FRICTION_REACH, RIGIDITY_REACH])
         self.low = np.r_[self.at[:2] - reach, [a.bounds[0] for a in fit.parameters], -free]
         self.high = np.r_[self.at[:2] + reach, [a.bounds[1] for a in fit.parameters], free]
 
@@ -140,7 +144,7 @@ class _LeaveOut:
             if after_value < value:
                 x, friction, residuals, value = after, moved, after_residuals, after_value
             else:
-                share *= 0.3
+                share *= SHORTER
         return x, spread
 
     def _random_effects(self, place: Mapping[int, Array]) -> dict[int, _RandomEffect]:

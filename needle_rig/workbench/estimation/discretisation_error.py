@@ -131,7 +131,7 @@ def _multiple_imputation(problem: Problem, found: Fit, trials: Sequence[DatasetT
             met.append(
                 np.r_[other.vector.log_friction, other.vector.log_rigidity, other.vector.scaled_values]
             )
-    if len(met) < 2:
+    if len(met) <= 1:
         return found
     between = (1.0 + 1.0 / len(met)) * np.cov(np.array(met), rowvar=False)
     return dataclasses.replace(found, covariance=found.covariance + between)

@@ -22,6 +22,19 @@ EXCESS_TOLERANCE = 2e-3
 """A fit also ends when the next step would lower the objective by less than this share of its excess over the
 noise: a fit that misses by far need not be exact."""
 
+FIRST_DAMPING, LEAST_DAMPING, LOWER, HIGHER = 1e-3, 1e-6, 0.2, 8.0
+"""Marquardt's damping relative to the curvature, and its factors after a good step and after a bad one."""
+MOST_DAMPINGS = 7
+"""Dampings that are tried on one set of derivatives: the last is two million times the first."""
+SECANT_SHARE = 0.7
+"""Share of the expected fall from which derivatives are updated by the step instead of computed afresh."""
+TRUSTED_SHARE = 0.5
+"""Share of the expected fall from which damping is lowered."""
+NO_STEP = 1e-16
+"""Square of a step that is none but for rounding: it tells nothing of derivatives."""
+MOST_BOUNDS = 4
+"""Changes of the active set in one step."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -77,7 +90,7 @@ def fit(
     if residuals is None:
         return None
     value = sum_of_squares(residuals) + objective.prior(x)
-    damping, jacobians, converged, fresh = 1e-3, None, False, False
+    damping, jacobians, converged, fresh = FIRST_DAMPING, None, False, False
     for _ in range(iterations):
         if jacobians is None:
             jacobians = objective.derivatives(x, residuals)
@@ -89,7 +102,7 @@ def fit(
         )
         curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
-        for _ in range(7):
+        for _ in range(MOST_DAMPINGS):
             step = _bounded_step(objective, x, curvature, descent, damping)
             expected = float(2 * descent @ step - step @ curvature @ step)
             if expected < tolerance + EXCESS_TOLERANCE * excess(problem, value):
@@ -106,14 +119,16 @@ def fit(
                 gained = value - after_value
                 jacobians = (
                     _updated(objective, jacobians, x, after, residuals, after_residuals)
-                    if gained > 0.7 * expected
+                    if gained > SECANT_SHARE * expected
                     else None
                 )
-                damping = max(damping * 0.2, 1e-6) if gained > 0.5 * expected else damping
+                damping = (
+                    max(damping * LOWER, LEAST_DAMPING) if gained > TRUSTED_SHARE * expected else damping
+                )
                 x, residuals, value = after, after_residuals, after_value
                 improved, fresh = True, False
                 break
-            damping = max(damping * 8, 1e-3)
+            damping = max(damping * HIGHER, FIRST_DAMPING)
         if converged and not fresh:
             converged, jacobians = False, None
             continue
@@ -135,7 +150,7 @@ def _bounded_step(objective: Objective, x: Array, curvature: Array, descent: Arr
     cross."""
     free = np.ones(x.size, bool)
     step = np.zeros(x.size)
-    for _ in range(4):
+    for _ in range(MOST_BOUNDS):
         damped = curvature + damping * np.diag(np.diag(curvature) + 1e-9)
         step[:] = np.where(free, 0.0, step)
         active = ~free
@@ -171,7 +186,7 @@ def _updated(
             - objective.problem.nuisance[t] @ (after - x)[objective.p + objective.trials :]
         )
         updated.append(
-            jacobian + np.outer(change - jacobian @ step, step) / size if size > 1e-16 else jacobian
+            jacobian + np.outer(change - jacobian @ step, step) / size if size > NO_STEP else jacobian
         )
     return updated
 

@@ -23,6 +23,16 @@ is a decade."""
 FINE_FORM_STEPS = (0.1, -0.1)
 """Further, smaller steps of the same where minima lie close together."""
 
+VALLEY_SIGMAS = (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0)
+"""Points along the least certain direction, in its standard deviations, at which the objective is looked
+at."""
+WORTH_GOING_ON = 1.0
+"""Fall of the objective from which a lower minimum is itself a start."""
+SIMPLEX = (0.1, 0.02, 0.3)
+"""First steps of a simplex: logarithm of friction, of rigidity, scaled values."""
+UNSOLVED = 1e12
+"""Objective where the model cannot be solved."""
+
 
 def through_valleys(problem: Problem, found: Fit) -> Fit:
     """A fit, restarted from lower points along the direction that the data determine least.
@@ -52,7 +62,7 @@ def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS
         further = _from_other_forms(problem, found, steps)
         met += further
         again = min(further, key=lambda f: f.objective, default=found)
-        if again.objective > found.objective - 1.0:
+        if again.objective > found.objective - WORTH_GOING_ON:
             break
         found = again
     found = min(met, key=lambda f: f.objective)
@@ -100,7 +110,7 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array]
     if move is None:
         return None
     lowest, lower = found.chi2 + objective.prior(at) - OBJECTIVE_TOLERANCE, None
-    for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
+    for sigmas in VALLEY_SIGMAS:
         moved = np.clip(at + sigmas * move, objective.low, objective.high)
         residuals = objective.residuals(moved)
         value = np.inf if residuals is None else sum_of_squares(residuals) + objective.prior(moved)
@@ -116,7 +126,7 @@ def fit_without_derivatives(
     parameters = problem.parameters(effects)
     objective = Objective(problem, parameters)
     x = objective.packed(start, np.zeros(objective.q))
-    scale = np.r_[0.1, 0.02, np.full(objective.k, 0.3)]
+    scale = np.r_[SIMPLEX[:2], np.full(objective.k, SIMPLEX[2])]
 
     def cost(moved: Array) -> float:
         full = x.copy()
@@ -124,7 +134,7 @@ def fit_without_derivatives(
             x[: objective.p] + scale * moved, objective.low[: objective.p], objective.high[: objective.p]
         )
         residuals = objective.residuals(full)
-        return 1e12 if residuals is None else sum_of_squares(residuals) + objective.prior(full)
+        return UNSOLVED if residuals is None else sum_of_squares(residuals) + objective.prior(full)
 
     search: Any = minimize
     found = search(

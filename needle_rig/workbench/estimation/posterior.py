@@ -27,6 +27,15 @@ LEVEL = 1e6
 items of an effect with a constrained mean. Without them the common value and the mean are not identifiable:
 damped steps creep, and errors of the derivatives pass for information."""
 
+MOST_TRIAL_FRICTION = 1.2
+"""Bound of a random effect: a friction 3.3 times the common one."""
+MOST_NUISANCE = 8.0
+"""Bound of a nuisance coefficient, in prior standard deviations."""
+FRICTION_BOUNDS_N = (1e-7, 0.045)
+"""Bounds of friction: none that a sensor sees, and twenty times the shipped needles' most."""
+MOST_RIGIDITY = 1.5
+"""Bound of the logarithm of rigidity over the stated one: a factor of 4.5."""
+
 
 def start_vector(
     problem: Problem, log_friction: float, parameters: Sequence[FreeParameter] = ()
@@ -59,9 +68,13 @@ class Objective:
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
-        trial_friction, free = np.full(self.trials, 1.2), np.full(self.q, 8.0)
-        self.low = np.r_[np.log(1e-7), self.stated - 1.5, low, -trial_friction, -free]
-        self.high = np.r_[np.log(0.045), self.stated + 1.5, high, trial_friction, free]
+        trial_friction, free = np.full(self.trials, MOST_TRIAL_FRICTION), np.full(self.q, MOST_NUISANCE)
+        self.low = np.r_[
+            np.log(FRICTION_BOUNDS_N[0]), self.stated - MOST_RIGIDITY, low, -trial_friction, -free
+        ]
+        self.high = np.r_[
+            np.log(FRICTION_BOUNDS_N[1]), self.stated + MOST_RIGIDITY, high, trial_friction, free
+        ]
 
     def unpacked(self, x: Array) -> ParameterVector:
         """The parameter vector in x, without the nuisances."""

@@ -15,10 +15,19 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
+from needle_rig.workbench.observations.binning import direction_of
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
 
-WORST = 8
+WORST, WORST_OF_A_CHANNEL = 8, 2
+"""Places that are told, and those of one channel."""
 NOISE_LIMIT = 3.0
+"""Error in units of the noise above which a place is told."""
+FEWEST_DEPTHS = 3
+"""Sensors from which a trend along the needle is told."""
+GROWTH = 1.3
+"""Ratio of errors at the two ends of the needle from which they differ."""
+OTHER_WAY = 0.3
+"""Share of an error below which the other direction of motion does not have it."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,7 @@ def compared(baseline: Baseline) -> TraceComparison:
     worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)
     shown: list[Place] = []
     for place in worst:
-        if sum(p.channel == place.channel for p in shown) < 2:
+        if sum(p.channel == place.channel for p in shown) < WORST_OF_A_CHANNEL:
             shown.append(_in_words(place, places, names))
         if len(shown) == WORST:
             break
@@ -191,7 +200,7 @@ def _places(baseline: Baseline, readings: list[Array], names: tuple[str, ...]) -
     for binned, reading in zip(problem.trials, readings, strict=True):
         for m, motion in enumerate(binned.motions):
             move = binned.last_move_rad[binned.motion == m]
-            way = "" if not move.size or abs(move[0]) < 0.01 else "up" if move[0] > 0 else "down"
+            way = {0.0: "", 1.0: "up", -1.0: "down"}[float(direction_of(move[:1]).sum())]
             for state in ("moving", "settled"):
                 inside = (binned.motion == m) & (binned.moving == (state == "moving"))
                 if not inside.any():
@@ -261,11 +270,11 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
             for p in places
             if (p.channel, p.motion, p.state, p.direction) == (n, place.motion, place.state, place.direction)
         ]
-        if len(same) > 2:
+        if len(same) >= FEWEST_DEPTHS:
             first, last = same[0], same[-1]
-            if last > 1.3 * first:
+            if last > GROWTH * first:
                 more.append("grows with depth")
-            elif first > 1.3 * last:
+            elif first > GROWTH * last:
                 more.append("falls with depth")
             else:
                 more.append("alike at every depth")
@@ -284,7 +293,7 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
         for p in places
         if (p.channel, p.state) == (place.channel, place.state) and p.direction not in ("", place.direction)
     ]
-    if other and place.direction and max(p.error for p in other) < 0.3 * place.error:
+    if other and place.direction and max(p.error for p in other) < OTHER_WAY * place.error:
         more.append("in this direction alone")
     words = text + ("; " + "; ".join(more) if more else "")
     return dataclasses.replace(place, words=words)

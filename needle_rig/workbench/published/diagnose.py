@@ -19,7 +19,6 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.design import next_experiment
 from needle_rig.workbench.published.explanation import explanation, scatter_by_quantity
 from needle_rig.workbench.published.fit import (
-    SIGMAS_95,
     SettledFit,
     SettledProblem,
     held_out_error,
@@ -33,7 +32,7 @@ from needle_rig.workbench.published.search import (
     tied_effects,
     try_effect,
 )
-from needle_rig.workbench.selection.answer import Answer, Decision, Ranked, Say, Value
+from needle_rig.workbench.selection.answer import SIGMAS_95, Answer, Decision, Ranked, Say, Value
 from needle_rig.workbench.selection.decisions import decision_at
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.residual_patterns import Pattern, ResidualPatterns

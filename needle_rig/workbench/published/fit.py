@@ -25,6 +25,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
+from needle_rig.workbench.selection.answer import SIGMAS_95
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
 
@@ -36,7 +37,7 @@ FURTHER = 3
 """How many of the starts are followed to their minimum."""
 MOST_EVALUATIONS = 40
 FAR = 1e3
-SIGMAS_95 = 1.96
+"""Residual where the model cannot be solved."""
 
 
 def pull(parameter: FreeParameter, scaled_value: float) -> float:

@@ -20,7 +20,8 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
 from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
+from needle_rig.workbench.published.fit import SettledFit, SettledProblem, fit_settled
+from needle_rig.workbench.selection.answer import SIGMAS_95
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 
 

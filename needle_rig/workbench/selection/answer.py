@@ -17,6 +17,9 @@ from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 Say = Callable[[str], None]
 
+SIGMAS_95 = 1.96
+"""Half a two-sided 95 % interval, in standard deviations."""
+
 
 @dataclass(frozen=True)
 class Value:

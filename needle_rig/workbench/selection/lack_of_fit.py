@@ -70,7 +70,7 @@ class LackOfFit:
 def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackOfFit | None:
     """The test of `found`, whose residuals are linearised in its parameters; None without replicates."""
     groups = problem.groups
-    if all(len(g) < 2 for g in groups):
+    if all(len(g) <= 1 for g in groups):
         return None
     linear = LinearisedFit.of(problem, found)
     keys = [_shared_keys([problem.trials[t] for t in group], problem, group) for group in groups]

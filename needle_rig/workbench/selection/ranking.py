@@ -9,10 +9,15 @@ import numpy as np
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.answer import Ranked, Value
+from needle_rig.workbench.selection.answer import SIGMAS_95, Ranked, Value
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.selection.rivals import Rival
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
+
+TOLD_PULL_SIGMAS = 3.0
+"""Pull of the stated rigidity from which it is told against an effect."""
+TOLD_RIVALS = 2
+"""Ties that are told against an effect, the closest first."""
 
 
 def order(search: SearchTrace, named: list[str]) -> list[str]:
@@ -32,7 +37,9 @@ def values_of(fit: Fit, effect: str) -> tuple[Value, ...]:
     for parameter, at, error in zip(fit.parameters, fit.vector.scaled_values, fit.scaled_errors, strict=True):
         if parameter.effect != effect:
             continue
-        ends = [parameter.value(float(np.clip(at + s * 1.96 * error, *parameter.bounds))) for s in (-1, 1)]
+        ends = [
+            parameter.value(float(np.clip(at + s * SIGMAS_95 * error, *parameter.bounds))) for s in (-1, 1)
+        ]
         value = parameter.value(float(at))
         low, high = parameter.info.literature
         plausible = low <= value <= high or value == parameter.info.off
@@ -159,9 +166,9 @@ def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
         if not v.plausible
     ]
     tied = [r for r in rivals if r.tied]
-    for rival in tied[:2]:
+    for rival in tied[:TOLD_RIVALS]:
         apart = "" if rival.separation_sigma is None else f" ({rival.separation_sigma:.1f}σ apart)"
         parts.append(f"{rival.effect} fits as well{apart}")
-    if abs(found.pull_rigidity) > 3:
+    if abs(found.pull_rigidity) > TOLD_PULL_SIGMAS:
         parts.append(f"the needle's constants are pulled by {found.pull_rigidity:+.1f}σ")
     return "; ".join(parts)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtri, stdtr
 
 from needle_rig.numerics import Array
@@ -19,10 +20,14 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.observations.binning import BinnedTrial
+from needle_rig.workbench.observations.binning import BinnedTrial, direction_of
 from needle_rig.workbench.policy import POLICY
 
 NEEDLE = "the needle"
+TINY = 1e-9
+"""Length of a function that is none but for rounding."""
+SILENT = 1e-12
+"""Value of a function, rad or N·m, where it does not act."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ def functions(
 ) -> dict[str, Array]:
     """Generic functions of the bins (K,), by the words that say what they follow."""
     settled = ~binned.moving
-    way = np.sign(binned.last_move_rad) * (np.abs(binned.last_move_rad) > 0.01)
+    way = direction_of(binned.last_move_rad)
     size = np.abs(binned.last_move_rad)
     before = np.r_[0.0, way[np.searchsorted(binned.motion, np.unique(binned.motion))]]
     earlier = before[binned.motion]
@@ -122,6 +127,17 @@ def limit_sigmas(significance: float, tried: int) -> float:
     return float(-ndtri(significance / 2 / max(1, tried)))
 
 
+def testable(left: Array, whole: Array) -> npt.NDArray[np.bool_]:
+    """Which functions, of lengths `whole`, can be tested by the lengths that projection leaves of them."""
+    return np.asarray(left > POLICY.verdict.testable_share * whole + TINY)
+
+
+def distinct(left: Array) -> npt.NDArray[np.bool_]:
+    """Which functions of unit length still differ from the patterns picked before, by what is left of
+    them."""
+    return np.asarray(left > POLICY.verdict.distinct_share)
+
+
 def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> ResidualPatterns:
     """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
     project = LinearisedFit.of(problem, found).projection
@@ -132,7 +148,7 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
     names.append((NEEDLE, f"is {'stiffer' if found.pull_rigidity > 0 else 'softer'} in torsion than stated"))
     lengths = np.r_[lengths, 1.0]
     seen_lengths = np.sqrt((projected**2).sum(0))
-    usable = seen_lengths > 0.02 * lengths + 1e-9
+    usable = testable(seen_lengths, lengths)
     projected, lengths = projected[:, usable] / seen_lengths[usable], seen_lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
     limit = limit_sigmas(POLICY.verdict.pattern_significance, len(names))
@@ -148,7 +164,7 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
         left = left - direction * (direction @ left)
         basis = basis - np.outer(direction, direction @ basis)
         size = np.sqrt((basis**2).sum(0))
-        basis = np.where(size > 0.1, basis / np.maximum(size, 1e-9), 0.0)
+        basis = np.where(distinct(size), basis / np.maximum(size, TINY), 0.0)
     trend = _trend(problem, found)
     gain = sum(z**2 for _, z in picked) + sum(p.sigmas**2 for p in trend)
     patterns = [
@@ -187,7 +203,7 @@ def _trend(problem: Problem, found: Fit) -> list[Pattern]:
     trends = []
     for law, course in along.items():
         course = course - course.mean()
-        if freedom < 2 or not course @ course > 0.0:
+        if freedom <= 1 or not course @ course > 0.0:
             continue
         slope = float(course @ (trial_friction - trial_friction.mean()) / (course @ course))
         left = trial_friction - trial_friction.mean() - slope * course
@@ -252,6 +268,6 @@ def _raw_size(
         each = _raw(problem, readings, t)
         values += [weight[c] * each[c][name[1]] for c in range(len(each)) if weight[c]]
     flat = np.concatenate(values)
-    acting = np.abs(flat) > 1e-12
+    acting = np.abs(flat) > SILENT
     rms = float(np.sqrt(np.mean(flat[acting] ** 2))) if acting.any() else 0.0
     return nmm(rms) if name[0] == "torque" else deg(rms)

@@ -15,6 +15,11 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, score
 
 DRAWS = 400
+"""Reweightings: a share of 0.8 is then known to 0.02."""
+TOLD_BEHIND = 400.0
+"""Score behind (20σ) up to which the separation of the closest rival is computed."""
+SEPARATED = 2
+"""Rivals whose separation is computed, the closest first."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +108,8 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
             )
             rivals.append(Rival(candidate.effect, key, behind, share, tied))
         rivals.sort(key=lambda r: (r.behind, r.effect))
-        for place, rival in enumerate(rivals[:2]):
-            if rival.tied or (place == 0 and rival.behind < 400.0):
+        for place, rival in enumerate(rivals[:SEPARATED]):
+            if rival.tied or (place == 0 and rival.behind < TOLD_BEHIND):
                 apart = separation(problem, here, search.fits[rival.key][0])
                 rivals[place] = dataclasses.replace(rival, separation_sigma=apart)
         found[effect] = rivals

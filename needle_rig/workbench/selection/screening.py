@@ -23,6 +23,24 @@ from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
 
+FORM_STEPS = (-0.6, 0.6)
+"""Form parameters that are tried beside the typical one on a logarithmic scale: factors of 4."""
+FORM_SHARES = (0.125, 0.375, 0.625, 0.875)
+"""Those on any other scale: the middles of the quarters of its range."""
+MOST_FORMS = 200
+"""Combinations of form parameters of which those to try are taken."""
+LEAST_SCALE, MOST_SCALE = 0.02, 4.0
+"""A signature is scaled to the best size within these: dry friction is far from linear."""
+SCALED_SHARE = 0.9
+"""Share of the gain of a scaled signature that is expected, beside that of one as simulated."""
+JOINT_SHARE = 0.8
+"""The same of several signatures at once."""
+RIDGE = 0.01
+"""Of the fit of several signatures at once."""
+MOST_STARTS = 4
+APART, APART_SHARE = 0.3, 0.5
+"""Starts are distinct when a scaled value differs by this, or by this share of itself."""
+
 
 @dataclass(frozen=True)
 class Start:
@@ -62,11 +80,11 @@ def forms(parameters: Sequence[FreeParameter]) -> list[Array]:
             continue
         low, high = parameter.bounds
         if parameter.info.scale == "log":
-            options = [0.0, -0.6, 0.6]
+            options = [0.0, *FORM_STEPS]
         else:
-            options = [0.0, *[low + (high - low) * f for f in (0.125, 0.375, 0.625, 0.875)]]
+            options = [0.0, *[low + (high - low) * f for f in FORM_SHARES]]
         choices.append([o for o in options if low <= o <= high])
-    every = [np.array(c) for c in itertools.islice(itertools.product(*choices), 200)]
+    every = [np.array(c) for c in itertools.islice(itertools.product(*choices), MOST_FORMS)]
     every.sort(key=lambda c: float(np.abs(c).sum()))
     if len(every) <= POLICY.screening.forms:
         return every
@@ -126,13 +144,13 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
                 size = float(projected @ projected)
                 along = float(residual @ projected)
                 starts.append(Start(scaled_values, 2 * along - size))
-                scale = float(np.clip(along / size, -4.0, 4.0)) if size > 0 else 0.0
+                scale = float(np.clip(along / size, -MOST_SCALE, MOST_SCALE)) if size > 0 else 0.0
                 at_best = scaled_values.copy()
                 for i in group:
                     low, high = added[i].bounds
                     at_best[i] = np.clip(scale * scaled_values[i], low, high)
-                if abs(scale) > 0.02 and (scale > 0 or not all(added[i].one_sided for i in group)):
-                    starts.append(Start(at_best, 0.9 * along**2 / size if size > 0 else 0.0))
+                if abs(scale) > LEAST_SCALE and (scale > 0 or not all(added[i].one_sided for i in group)):
+                    starts.append(Start(at_best, SCALED_SHARE * along**2 / size if size > 0 else 0.0))
                 if strength == POLICY.screening.strengths[0] and size > 0:
                     here = POLICY.screening.strengths[0] / np.sqrt(size)
                     if here < error:
@@ -162,7 +180,7 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
     for start in starts:
         if all(_apart(start.scaled_values, k.scaled_values) for k in kept):
             kept.append(start)
-        if len(kept) == 4:
+        if len(kept) == MOST_STARTS:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
     return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)))
@@ -192,18 +210,20 @@ def _joint(
         if not columns:
             continue
         matrix = np.column_stack(columns)
-        square = matrix.T @ matrix + np.eye(len(columns)) * 0.01
+        square = matrix.T @ matrix + np.eye(len(columns)) * RIDGE
         best = np.linalg.solve(square, matrix.T @ residual)
         scaled_values = form.copy()
         for amount, group in zip(best, places, strict=True):
             for i in group:
                 scaled_values[i] = np.clip(amount, *added[i].bounds)
-        found.append(Start(scaled_values, 0.8 * float(best @ (matrix.T @ residual))))
+        found.append(Start(scaled_values, JOINT_SHARE * float(best @ (matrix.T @ residual))))
     return found
 
 
 def _apart(a: Array, b: Array) -> bool:
-    gap = [abs(x - y) / max(0.3, 0.5 * abs(x), 0.5 * abs(y)) for x, y in zip(a, b, strict=True)]
+    gap = [
+        abs(x - y) / max(APART, APART_SHARE * abs(x), APART_SHARE * abs(y)) for x, y in zip(a, b, strict=True)
+    ]
     return max(gap, default=0.0) > 1.0
 
 

@@ -34,6 +34,22 @@ from needle_rig.workbench.selection.screening import Screening, Start, beside, s
 
 EffectSet = frozenset[str]
 
+HALF_AS_GOOD = 0.5
+"""Share of the best start's gain from which another start is fitted, and of the promise that a fit should
+keep."""
+MOST_FITS = 3
+"""Starts of an effect that are fitted."""
+REFINED = 10
+"""Times `search.rough`: a fit whose tolerance is larger than that has ended by it, not early."""
+WORSE_FITS = 3.0
+"""Tolerances of a fit by which a child may be worse than its parent before it is fitted again."""
+NEARLY_OFF = 1e-3
+"""Scaled value of an effect that is off but for the tolerance of a fit."""
+LIKELY_CHANCE = 0.5
+"""p from which a gain is left as it was when a nuisance is added: chance as likely as not."""
+MOST_REPLACED = 2
+"""Effects of a set that relatives may replace, one after the other."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -57,13 +73,13 @@ def score(problem: Problem, found: Fit) -> float:
 
 def refinable(problem: Problem, found: Fit) -> bool:
     """Whether a first fit ended early: one that misses by far ends where a refined fit would."""
-    return EXCESS_TOLERANCE * excess(problem, found.objective) < 10 * POLICY.search.rough
+    return EXCESS_TOLERANCE * excess(problem, found.objective) < REFINED * POLICY.search.rough
 
 
 def _worth_fitting(ahead: Screening) -> list[Start]:
     """The best start, and those of the next two that promise half as much and more than chance."""
-    least = max(0.5 * ahead.gain, POLICY.search.promising)
-    return [*ahead.starts[:1], *(s for s in ahead.starts[1:3] if s.gain > least)]
+    least = max(HALF_AS_GOOD * ahead.gain, POLICY.search.promising)
+    return [*ahead.starts[:1], *(s for s in ahead.starts[1:MOST_FITS] if s.gain > least)]
 
 
 def try_effect(
@@ -91,15 +107,15 @@ def try_effect(
         if parent.objective - best.objective > POLICY.search.promising:
             best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
         best = through_valleys(problem, best)
-    room = 1.0 + 3 * EXCESS_TOLERANCE * excess(problem, parent.objective)
+    room = 1.0 + WORSE_FITS * EXCESS_TOLERANCE * excess(problem, parent.objective)
     off = best is not None and bool(
-        np.all(np.abs(best.vector.scaled_values[len(parent.parameters) :]) < 1e-3)
+        np.all(np.abs(best.vector.scaled_values[len(parent.parameters) :]) < NEARLY_OFF)
     )
     if starts and not off and (best is None or best.objective > parent.objective + room):
         # from the parent's optimum with the effect off nothing can become worse
         idle = np.zeros(len(starts[0].scaled_values))
         retry = fit(problem, names, beside(problem, parent, parameters, idle), nuisance=parent.nuisance)
-        hoped = parent.objective - 0.5 * ahead.gain
+        hoped = parent.objective - HALF_AS_GOOD * ahead.gain
         if ahead.gain > POLICY.search.promising and (retry is None or retry.objective > hoped):
             retry = (
                 fit_without_derivatives(
@@ -324,7 +340,7 @@ def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Cand
         limits = problem.library[candidate.effect].limits
         known = [(fitted[limit], limit, extremes) for limit, extremes in limits.items() if limit in fitted]
         lowest = min((fit.objective for fit, _, _ in known), default=np.inf)
-        if known and (candidate.fit is None or candidate.fit.objective > lowest + 0.5):
+        if known and (candidate.fit is None or candidate.fit.objective > lowest + POLICY.search.rough):
             starts = tuple(_limit_start(problem, candidate.effect, *k) for k in known)
             tasks.append((parent, candidate.effect, starts))
             places.append(place)
@@ -380,7 +396,9 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
     again = [
         c.effect
         for c in stale
-        if c.fit is not None and c.effect != effect and adjusted_p(parent, c.fit, len(trace.names)) < 0.5
+        if c.fit is not None
+        and c.effect != effect
+        and adjusted_p(parent, c.fit, len(trace.names)) < LIKELY_CHANCE
     ]
     fits: dict[EffectSet, tuple[Fit, CrossValidation | None]] = {
         trace.start: (trace.root, trace.root_validation),
@@ -470,9 +488,9 @@ def clearly_lower(after: float, before: float) -> bool:
 
 def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTrace, EffectSet]:
     """With each effect's relatives tried in its place, as long as that helps; the best set."""
-    if len(key - trace.start) < 2:
+    if len(key - trace.start) <= 1:
         return trace, key
-    for _ in range(2):
+    for _ in range(MOST_REPLACED):
         found = trace.fits[key][0]
         tasks = []
         for effect in sorted(key - trace.start):

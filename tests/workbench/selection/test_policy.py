@@ -18,7 +18,7 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
 from needle_rig.workbench.published.search import Candidate as SettledCandidate
-from needle_rig.workbench.selection import screening, search
+from needle_rig.workbench.selection import residual_patterns, screening, search
 from needle_rig.workbench.selection.decisions import _decision
 from needle_rig.workbench.selection.diagnose import _contrived
 from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
@@ -148,6 +148,16 @@ def test_beside_the_best_set_more_than_a_tie_must_be_promised(gain, asked):
 @pytest.mark.parametrize(("lower_by", "clearly"), [(1.4, False), (2.8, True)])
 def test_a_relative_takes_a_place_for_odds_of_e(lower_by, clearly):
     assert clearly_lower(10.0 - lower_by, 10.0) is clearly
+
+
+@pytest.mark.parametrize(("left", "testable"), [(0.028, False), (0.056, True)])
+def test_a_pattern_that_the_parameters_fit_is_not_tested(left, testable):
+    assert residual_patterns.testable(np.array([left]), np.array([2.0])) == [testable]
+
+
+@pytest.mark.parametrize(("left", "distinct"), [(0.07, False), (0.14, True)])
+def test_a_pattern_that_those_found_before_make_up_is_not_another(left, distinct):
+    assert residual_patterns.distinct(np.array([left])) == [distinct]
 
 
 @pytest.mark.parametrize(("above", "refined"), [(1700.0, True), (3400.0, False)])
