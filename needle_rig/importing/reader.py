@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+import os
 import tempfile
 import zlib
 from collections.abc import Callable
@@ -17,7 +18,29 @@ from needle_rig.importing.recording import LIMIT_BYTES, Column, Recording, sha25
 
 Read = tuple[str, tuple[Column, ...], dict[str, float]]
 
+KEPT_BYTES = 1_000_000_000
+"""Of numbers that are kept to be asked for again; what does not fit into a small memory is read again."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+class Recordings:
+    """Files, each read once in all the steps of an import, as far as what was read can be kept."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Recording] = {}
+        self._bytes = 0
+
+    def read(self, path: Path) -> Recording:
+        """The file at `path`, as it was when it was first read. Raises BadInput."""
+        place = os.path.abspath(path)
+        if place in self._kept:
+            return dataclasses.replace(self._kept[place], path=path)
+        found = read_recording(path)
+        size = sum(column.values.nbytes for column in found.columns)
+        if self._bytes + size <= KEPT_BYTES:
+            self._kept[place] = found
+            self._bytes += size
+        return found
 
 
 def read_recording(path: Path) -> Recording:
