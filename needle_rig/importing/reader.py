@@ -19,7 +19,7 @@ from needle_rig.importing.recording import LIMIT_BYTES, Column, Recording, sha25
 Read = tuple[str, tuple[Column, ...], dict[str, float]]
 
 KEPT_BYTES = 1_000_000_000
-"""Of numbers that are kept to be asked for again; what does not fit into a small memory is read again."""
+"""Largest total of numbers that are kept; what is beyond is read again when it is asked for."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -94,7 +94,7 @@ def _reader(path: Path, head: bytes) -> Callable[[Path, str], Read]:
 
 
 def _unpacked(path: Path, shown: str) -> Recording:
-    """What gzip packed; the hash is that of the packed file."""
+    """The recording in a file packed by gzip; the hash is that of the packed file."""
     with tempfile.TemporaryDirectory(prefix="needle-rig-import-") as folder:
         plain = Path(folder) / path.stem
         try:

@@ -17,13 +17,13 @@ from needle_rig.numerics import Array
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""
 STILL_DEG = 0.3
-"""What a base at rest shows of noise and creep; one that passes by at 1°/s shows more."""
+"""Span of a base at rest, by noise and creep; one that passes by at 1°/s shows more."""
 SAME_ANGLE_DEG = 1.0
-"""What a dataset takes for the start's angle (`AT_REST_DEG`)."""
+"""Distance from the start's angle that counts as the same, as `AT_REST_DEG` of datasets."""
 SAME_TORQUE = 0.1
-"""Of the torque's span: a shaft that holds more than that is wound, and its trial goes on."""
+"""Share of the torque's span: a shaft that bears more is wound, and its trial goes on."""
 SAME_SENSOR_DEG = 3.0
-"""As `WOUND_DEG` of datasets: a needle that stands farther from where it began is wound."""
+"""A sensor that stands farther from where it began is on a wound needle; as `WOUND_DEG` of datasets."""
 
 
 def cuts_of(

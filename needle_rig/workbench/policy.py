@@ -278,7 +278,7 @@ class VerdictPolicy:
 
     pattern_significance: float = _threshold(
         1e-3,
-        "p, over all signatures, of a pattern in what is left",
+        "p, adjusted over all generic functions, of a residual pattern",
         "one false unknown in a thousand",
         _RULES,
     )

@@ -20,7 +20,7 @@ from needle_rig.importing.signals import CLEAR_LAG
 
 
 def kind_of(s: Series) -> str:
-    """angle, torque, other, or nothing where neither name nor unit says it."""
+    """Kind of a column: angle, torque, other, or empty where neither name nor unit says it."""
     dimension, name = written_dimension(s.column), s.column.name
     if names.says(name, names.COMMAND):
         return "other"

@@ -13,9 +13,9 @@ from needle_rig.importing.unit_text import Unit, unit_of
 from needle_rig.numerics import Array
 
 LARGEST_NUMBER = 1e30
-"""In any unit; above it a bit is wrong, and its square overflows."""
+"""Largest number in any unit: above it a bit is wrong, and its square overflows."""
 COMMON = 0.01
-"""Of its span: what differs between two records of one quantity; a practice needle's loop leaves 0.09."""
+"""Difference of two records of one quantity, over its span; a practice needle's loop leaves 0.09."""
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,13 @@ from needle_rig.importing.unit_text import UNITS, Unit, unit_of
 from needle_rig.numerics import Array
 
 TORQUE_UNITS = ("N·m", "N·cm", "N·mm", "µN·m")
-"""What torques of needles are written in."""
+"""Units in which torques of needles are written."""
 UNIT_WITHIN = 5.0
 """Factor to the torque that is asked for beyond which a written unit is doubted; N·cm for N·mm makes ten."""
 LEAST_TWIST_RAD = math.radians(2.0)
 """Below it the sensors' noise is the twist."""
 FIRST_DEG = 5.0
-"""Of the base's first motion, before friction lets much of the shaft slip."""
+"""Part of the base's first motion over which stiffness is taken, before much of the shaft slips."""
 LARGEST_DEG = 1800.0
 SMALLEST_DEG = 3.0
 """A base that turns less winds nothing up that a model could be held against."""

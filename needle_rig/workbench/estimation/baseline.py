@@ -36,7 +36,7 @@ REACHED = 1.5
 OUTLIERS, OUTLIER_SHARE = 3, 0.0005
 """Outliers of a channel that are not worth a note: so many, or this share of its samples."""
 SMALLEST_RIGIDITY_SIGMA = 1e-4
-"""Of the prior: a rigidity that is stated as exact."""
+"""Relative prior standard deviation of a rigidity that is stated as exact."""
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class _RandomEffect:
     residuals: Array
     slope: Array
     precision: float
-    """Of the prior of `at`."""
+    """Prior precision of `at`."""
 
     @property
     def chi2(self) -> float:

@@ -91,7 +91,7 @@ class LinearisedFit:
     from_centre: Array
     """The parameters' distance d from the priors' centre (P,)."""
     precision: Array
-    """Of the priors (P,); 0 where there is none."""
+    """Prior precisions (P,); 0 where there is no prior."""
     constrained_means: tuple[Array, ...]
     """Places of the items whose mean is constrained, an array for each such field."""
 
@@ -166,7 +166,7 @@ class LinearisedFit:
 
     @cached_property
     def residuals(self) -> Array:
-        """Of all N values, trial after trial."""
+        """Whitened residuals of all trials (N,), trial after trial."""
         return np.concatenate([t.residuals for t in self.trials])
 
     @cached_property
@@ -217,7 +217,7 @@ class LinearisedFit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of friction, rigidity and scaled values (p, p), all others marginalised.
+        """Covariance of friction, rigidity and scaled values (p, p), all others marginalised.
 
         The mean of the random effects, which is constrained, has itself a variance: what it does to the
         parameters that it is confounded with is added.

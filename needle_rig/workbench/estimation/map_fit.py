@@ -57,7 +57,7 @@ class Fit:
     scatter_dof: float
     """Degrees of freedom of `scatter`, those of its prior included."""
     covariance: Array
-    """Of the shared parameters (p, p), all others marginalised."""
+    """Covariance of the shared parameters (p, p), all others marginalised."""
     residuals: tuple[Array, ...]
     jacobians: tuple[Array, ...]
     """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's random effect."""

@@ -1,4 +1,4 @@
-"""What a fit minimises: −2 log of the posterior over one vector of parameters, and its derivatives.
+"""The objective function of fits, −2 log posterior, and its derivatives.
 
 Whitened residuals, Gaussian priors, and each trial's friction as a random effect whose scatter is
 marginalised (a multivariate Student t: a large scatter is paid for once, not for every trial). Derivatives

@@ -20,7 +20,7 @@ are driven by bins here. The tests' hidden pair and reed2008 stay below it."""
 
 
 class Refused(NeedleRigError):
-    """The effect would not make the model better at what it has not seen."""
+    """The effect does not improve cross-validation."""
 
     exit_code = 1
 
@@ -89,7 +89,7 @@ def undo(saved: SavedModel) -> SavedModel:
 
 
 def _before(model: SavedModel) -> SavedModel:
-    """What a step is added to: where the model started, and the steps before its last."""
+    """The model without its last step: what another step is added to."""
     return dataclasses.replace(model, history=model.history[:-1])
 
 

@@ -43,7 +43,7 @@ class Place:
     error: float
     """Root mean square of measured minus model over the trials, in `unit`."""
     noise: float
-    """Standard deviation that noise and trial scatter give such a difference."""
+    """Standard deviation of the same from noise and the scatter of the trials, in `unit`."""
     unit: str
     trial: str
     """File of the trial in which it is worst."""
@@ -108,7 +108,7 @@ class TraceComparison:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of the dataset, and of how it was prepared."""
+        """Notes of the dataset and of the baseline fit."""
         return *self.baseline.dataset.notes, *self.baseline.notes
 
     def places(self) -> list[dict[str, Any]]:

@@ -37,7 +37,7 @@ Library = Mapping[str, type[Effect]]
 
 
 class Comparison(Protocol):
-    """Where a model fails, as it is told."""
+    """Where a model fails, for people and programs."""
 
     @property
     def held_out_error(self) -> float:
@@ -54,7 +54,7 @@ class Comparison(Protocol):
         """Headings of the table, and its rows."""
 
     def sentences(self) -> list[str]:
-        """What stands below the table."""
+        """Sentences below the table of `rows`."""
 
     def places(self) -> list[dict[str, Any]]:
         """All that was compared: channel, motion, state, direction, model, measured, error, noise, unit."""
@@ -74,7 +74,7 @@ class Observations(Protocol):
         """As a person called it."""
 
     def sha256(self) -> str:
-        """Of everything that was measured and what the rig was told; the name is no part of it."""
+        """SHA-256 of everything that was measured and commanded, without the name."""
 
     def compare(self, library: Library, model: NeedleModel | None) -> Comparison:
         """Fit the model (default: the null model) and look where it fails. Raises BadInput, SolverError."""
@@ -113,7 +113,7 @@ class Traces:
         return self.data.name
 
     def sha256(self) -> str:
-        """Of layout, needle, commands and readings."""
+        """SHA-256 of layout, needle, commands and readings."""
         data = self.data
         stated = [asdict(data.layout), asdict(data.needle), data.sensor_names]
         told = [[t.trial.start_s, asdict(t.command)] for t in data.trials]
@@ -155,7 +155,8 @@ class Traces:
         return explanation(baseline, *compared, improves=improves)
 
     def errors(self, found: Explanation) -> dict[str, float]:
-        """Of bin means, each trial at its random effect, from one simulation of every trial.
+        """Root mean square error of bin means by channel, from one simulation of each trial at its random
+        effect.
 
         Raises BadInput where the trials are others than those of the fit, SolverError.
         """
@@ -174,7 +175,7 @@ class SettledValues:
         return self.data.name
 
     def sha256(self) -> str:
-        """Of layout, needle, sequences and values; where they stand in their file is no part of it."""
+        """SHA-256 of layout, needle, sequences and values, without their places in the file."""
         data = self.data
         stated = [asdict(data.layout), asdict(data.needle), data.sensor_names, data.zeroed_at_rest]
         sequences = [{k: v for k, v in asdict(s).items() if k != "place"} for s in data.sequences]
@@ -205,7 +206,8 @@ class SettledValues:
         return None if found is None else settled_explanation(problem, root, found)
 
     def errors(self, found: Explanation) -> dict[str, float]:
-        """Of the weighed values, from one run of each sequence. Raises BadInput, SolverError."""
+        """Root mean square error of the weighed values by quantity, from one run of each sequence. Raises
+        BadInput, SolverError."""
         problem = values_to_meet(self.data, {}, found.model)
         model = dataclasses.replace(
             found.model, layout=problem.base.layout, element_length_m=problem.base.element_length_m

@@ -1,4 +1,5 @@
-"""Trials cut into motions and bins, so that a thousand correlated samples become the facts they are worth.
+"""Trials cut into motions and bins, so that a thousand correlated samples become the few means that they are
+worth.
 
 A motion is a stretch with one phase name: the base moves, then holds. While it moves, bins are equally wide;
 while it holds they widen with the time since it stopped. The model is driven on a grid of block centres, and
@@ -166,7 +167,7 @@ def sample_weights(given: DatasetTrial) -> csr_array:
 
 
 def driven_by_samples(binned: BinnedTrial, given: DatasetTrial) -> BinnedTrial:
-    """The same facts of a trial, with the model on the grid of its samples."""
+    """The same bins of a trial, with the model driven by every sample."""
     return dataclasses.replace(binned, trial=given.trial, average=sample_weights(given))
 
 

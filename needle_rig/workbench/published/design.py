@@ -28,7 +28,7 @@ class Watch:
     number: int
     given: tuple[float, ...]
     turned: tuple[float, ...]
-    """By how much each lets it change in that motion."""
+    """Change of that reading in the motion, by each of the models."""
     sigmas: float
     """The first model's smallest distance to another, over the standard error."""
 

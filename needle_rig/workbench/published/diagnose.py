@@ -41,7 +41,7 @@ from needle_rig.workbench.selection.verdict import Reason, Verdict
 UNUSUAL = 1.0
 """Pull (σ) from which a parameter is said to lie near the edge of what is plausible."""
 MISSED = 2.0
-"""Values further than this from the model, in standard errors, are told as left over."""
+"""Values further than this from the model, in standard errors, are named as residual patterns."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class SettledAnswer(Answer):
 
     problem: SettledProblem = field(repr=False)
     root: SettledFit = field(repr=False)
-    """The current model's."""
+    """The fit of the current model."""
     tied: tuple[SettledFit, ...] = field(repr=False)
-    """Of what can be the answer, most plausible first."""
+    """The fits of effects that tie, most plausible first."""
 
     @property
     def noise(self) -> dict[str, float]:

@@ -30,7 +30,8 @@ from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
 
 STEP = 0.01
-"""Of a derivative: 1 % of friction, rigidity or an effect's typical size; dry friction makes less jagged."""
+"""Step of finite differences: 1 % of friction, rigidity or a typical size; with less, dry friction is
+jagged."""
 FRICTIONS_N = (2e-4, 4e-4, 7e-4, 1e-3, 1.6e-3, 3e-3)
 STRENGTHS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
 FURTHER = 3
@@ -52,7 +53,7 @@ def pull(parameter: FreeParameter, scaled_value: float) -> float:
 
 @dataclass(frozen=True)
 class SettledProblem:
-    """Values to meet and what predicts them."""
+    """Settled values, the model that predicts them, and the sequences that it runs."""
 
     data: SettledData
     base: NeedleModel
@@ -83,12 +84,12 @@ class SettledProblem:
 
     @cached_property
     def measured(self) -> Array:
-        """(n,)."""
+        """The weighed values (n,), each in its unit."""
         return np.array([v.value for v in self.values])
 
     @cached_property
     def errors(self) -> Array:
-        """Standard errors (n,)."""
+        """Their standard errors (n,)."""
         return np.array([v.standard_error or np.inf for v in self.values])
 
     def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
@@ -114,7 +115,7 @@ class SettledProblem:
         )
 
     def predict(self, model: NeedleModel) -> Array:
-        """What the weighed values would be, (n,)."""
+        """The model's prediction of the weighed values (n,). Raises SolverError, BadInput."""
         runs = self.run(model)
         return np.array([self.reading(runs, v.of) for v in self.values])
 
@@ -148,18 +149,18 @@ class SettledFit:
     x: Array
     predicted: Array
     chi2: float
-    """Of the values alone."""
+    """Sum of squared residuals of the values, in units of their standard errors."""
     objective: float
-    """With the pulls of rigidity and of what is plausible."""
+    """χ² and the squared pulls of rigidity and parameters: −2 log posterior up to a constant."""
     covariance: Array
     freedom: float
-    """Values less what the parameters can make of them (effective number of parameters, MacKay 1992)."""
+    """Degrees of freedom: values less the effective number of parameters (MacKay 1992)."""
     pulls: Array
-    """Of each scaled value towards the edge of its plausible range, in σ (k,)."""
+    """Pull of each scaled value towards the edge of its plausible range, in σ (k,)."""
 
     @property
     def p_value(self) -> float:
-        """Probability that scatter alone leaves a χ² like this; 0 when nothing is left to test."""
+        """p value of χ² on `freedom` degrees of freedom; 0 when none is left."""
         return float(chdtrc(self.freedom, self.chi2)) if self.freedom > 0 else 0.0
 
     @property
@@ -243,7 +244,8 @@ def fit_settled(
 
 
 def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
-    """Root mean square error on each motion's values, left out of the fit in turn, in standard errors."""
+    """Cross-validation: root mean square error, in standard errors, of motions left out of the fit in
+    turn."""
     motions = [(v.of.sequence, v.of.motion) for v in problem.values]
     squares = []
     for motion in dict.fromkeys(motions):
@@ -260,7 +262,8 @@ def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
 
 
 def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) -> float:
-    """How many σ worse than `truth` the rival meets what `truth` foretells, plausibility included."""
+    """Separation in σ: how much worse the rival fits the prediction of `truth` than `truth` itself, with
+    priors."""
     values = tuple(
         dataclasses.replace(v, value=float(p)) for v, p in zip(problem.values, truth.predicted, strict=True)
     )
@@ -273,7 +276,7 @@ def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) ->
 
 
 def _starts(residuals: _Residuals, within: SettledFit | None) -> list[Array]:
-    """The most promising of a grid of frictions and strengths; none when strength changes nothing."""
+    """The best starts (p,) of a grid of frictions and strengths; none when strength changes no value."""
     old = within.x[2:] if within is not None else np.zeros(0)
     new = residuals.parameters[old.size :]
     strengths = STRENGTHS if new else (0.0,)

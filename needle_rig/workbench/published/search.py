@@ -32,7 +32,7 @@ class Candidate:
     effect: str
     fit: SettledFit | None
     adjusted_p: float
-    """Probability, adjusted over the library, that scatter makes a gain like this."""
+    """Šidák-adjusted p value of the gain over the current model."""
 
     @property
     def meets(self) -> bool:
@@ -41,7 +41,7 @@ class Candidate:
 
     @property
     def testable(self) -> bool:
-        """Whether fewer parameters than values are used up."""
+        """Whether the fit leaves degrees of freedom."""
         return self.fit is not None and self.fit.freedom >= POLICY.verdict.degrees_left
 
     @property
@@ -53,7 +53,7 @@ class Candidate:
 
     @property
     def explains(self) -> bool:
-        """Whether it can be the answer."""
+        """Whether the effect is significant, plausible and testable and meets the values."""
         return (
             self.meets and self.testable and self.plausible and self.adjusted_p < POLICY.evidence.significance
         )
@@ -111,7 +111,8 @@ def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: in
 
 
 def tied_effects(problem: SettledProblem, tried: list[Candidate]) -> list[Candidate]:
-    """What can be the answer, most plausible first; what only generalises another of them is left out."""
+    """Effects that explain the values and tie, most plausible first, without generalisations of each
+    other."""
     able = {c.effect: c for c in tried if c.explains}
     objective = {c.effect: c.fit.objective for c in able.values() if c.fit}
     least = min(objective.values(), default=0.0)
@@ -126,7 +127,7 @@ def tied_effects(problem: SettledProblem, tried: list[Candidate]) -> list[Candid
 
 
 def fits_of(candidates: list[Candidate]) -> list[SettledFit]:
-    """Their fits, in the same order."""
+    """The fits of those candidates that have one, in the same order."""
     return [c.fit for c in candidates if c.fit is not None]
 
 

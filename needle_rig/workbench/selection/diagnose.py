@@ -205,7 +205,7 @@ def _partial_notes(named: list[str], share: float, validation: CrossValidation) 
 
 
 def _mean_notes(found: Fit) -> list[str]:
-    """Of factors that count against their mean: what all share is friction."""
+    """Notes on factors with a constrained mean: what all items share is friction."""
     fields = sorted({f"{a.effect} {a.field}" for a in found.parameters if a.info.relative})
     friction_nmm_per_100mm = per_100mm(float(np.exp(found.vector.log_friction)))
     return [

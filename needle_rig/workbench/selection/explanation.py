@@ -37,7 +37,7 @@ class Explanation:
     uncertainties: Mapping[str, float]
     """Standard deviations by parameter name, in the units of files."""
     values_before: Mapping[str, float]
-    """Of the current model, fitted to the same data."""
+    """Parameters of the current model, fitted to the same data, by name in the units of files."""
     errors: Mapping[str, ChannelErrors]
     """Before and after, by channel and over all (`IN_NOISE_UNITS`)."""
     improves: bool

@@ -1,6 +1,6 @@
 """Lack of fit by the pure-error F test: what replicates share against how they differ.
 
-Facts are the means of each channel in each motion, moving and settled, freed of the correlations that the
+Cell means are those of each channel in each motion, moving and settled, freed of the correlations that the
 noise model states. The mean of the replicates of a command holds the model's error, the differences among
 them do not, whatever the noise is: so a wrong noise level does not pass for an effect, as in a plain χ².
 Commands without replicates are held against the differences among the others' replicates.
@@ -28,7 +28,7 @@ from needle_rig.workbench.observations.noise import Whitener
 from needle_rig.workbench.policy import POLICY
 
 Key = tuple[int, int, bool]
-"""(channel, motion, moving) of one fact."""
+"""(channel, motion, moving) of one cell mean."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
 
 
 def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) -> list[Key]:
-    """Facts that every trial of a group has."""
+    """Cells that every trial of a group has."""
     each = []
     for b, t in zip(binned, group, strict=True):
         use = problem.whiteners[t].use
@@ -122,7 +122,7 @@ def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) 
 
 
 def _averaging_matrix(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
-    """(facts, n): from whitened values of a trial to its facts, independent and of unit variance."""
+    """(cells, n): from whitened values of a trial to its cell means, independent and of unit variance."""
     averaging = np.zeros((len(keys), whitener.channel.size))
     for c, (use, inverse) in enumerate(zip(whitener.use, whitener.inverse, strict=True)):
         rows = [i for i, key in enumerate(keys) if key[0] == c]
@@ -168,7 +168,7 @@ def _worst(
 
 
 def _raw_means(problem: Problem, found: Fit, trial: int, keys: list[Key]) -> list[float]:
-    """Mean of data minus model in each fact, N·m and rad."""
+    """Mean of data minus model in each cell, N·m and rad."""
     b, w = problem.trials[trial], problem.whiteners[trial]
     raw = w.raw(found.residuals[trial])
     means = []

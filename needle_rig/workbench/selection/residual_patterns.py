@@ -1,6 +1,6 @@
 """Residual patterns: the largest of many generic functions in what a fit leaves, in words.
 
-Signatures are functions of what is known of each bin (time, motion, angle, torque, order, …) on groups of
+The functions are of what is known of each bin (time, motion, angle, torque, order, …), on groups of
 channels. Each is whitened and freed of what the fit's parameters can make; under noise alone it is a standard
 normal, so the largest of all has a known distribution. What rigidity and
 random effects absorb is tested by itself: a rigidity far from its stated value, and a trend of friction over
@@ -32,16 +32,16 @@ SILENT = 1e-12
 
 @dataclass(frozen=True)
 class Pattern:
-    """One signature found in what is left."""
+    """One generic function that is significant in the residuals."""
 
     channel: str
     law: str
     sigmas: float
     size: float
-    """Root mean square of the fitted signature where it acts, in `unit`."""
+    """Root mean square of the fitted function where it acts, in `unit`."""
     unit: str
     share: float
-    """Share of all that the significant signatures explain."""
+    """Share of the gain of all significant patterns."""
 
     def sentence(self) -> str:
         """In words."""
@@ -53,11 +53,11 @@ class Pattern:
 
 @dataclass(frozen=True)
 class ResidualPatterns:
-    """What is left, and how much signatures would explain of it."""
+    """The significant patterns of a fit's residuals."""
 
     patterns: tuple[Pattern, ...]
     gain: float
-    """Fall of the objective that the significant signatures would bring."""
+    """Fall of the objective that fitting all patterns would bring."""
 
     @property
     def significant(self) -> bool:
@@ -139,10 +139,11 @@ def distinct(left: Array) -> npt.NDArray[np.bool_]:
 
 
 def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> ResidualPatterns:
-    """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
+    """The significant patterns of a fit's residuals, by forward selection: each is fitted beside those
+    before."""
     project = LinearisedFit.of(problem, found).projection
     readings = problem.predict(found.parameters, found.vector)
-    columns, names = _signatures(problem, readings, sensors)
+    columns, names = _whitened_functions(problem, readings, sensors)
     lengths = np.sqrt((columns**2).sum(0))
     projected = np.column_stack([project(columns), project.rigidity()])
     names.append((NEEDLE, f"is {'stiffer' if found.pull_rigidity > 0 else 'softer'} in torsion than stated"))
@@ -183,7 +184,7 @@ def _pattern(
     times: float,
     share: float,
 ) -> Pattern:
-    """A signature that is seen `times` as large as it was stated."""
+    """A pattern of the function `name`, of which `times` is the fitted coefficient."""
     channel, law = name
     if channel == NEEDLE:
         percent = 100 * float(np.expm1(times * problem.rigidity_prior))
@@ -244,7 +245,7 @@ def _raw(problem: Problem, readings: list[Array], t: int) -> list[dict[str, Arra
     ]
 
 
-def _signatures(
+def _whitened_functions(
     problem: Problem, readings: list[Array], sensors: tuple[str, ...]
 ) -> tuple[Array, list[tuple[str, str]]]:
     groups = _groups(problem, sensors)

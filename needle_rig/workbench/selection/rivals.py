@@ -34,7 +34,7 @@ class Rival:
     """Share of reweightings of the trials in which what was found stays ahead."""
     tied: bool
     separation_sigma: float | None = None
-    """From simulating what was found and fitting the rival to it; None where it was not needed."""
+    """Separation of the rival from what was found, in σ; None where it was not computed."""
 
 
 def cannot_be_told_apart(

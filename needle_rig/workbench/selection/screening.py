@@ -26,7 +26,7 @@ from needle_rig.workbench.policy import POLICY
 FORM_STEPS = (-0.6, 0.6)
 """Form parameters that are tried beside the typical one on a logarithmic scale: factors of 4."""
 FORM_SHARES = (0.125, 0.375, 0.625, 0.875)
-"""Those on any other scale: the middles of the quarters of its range."""
+"""Form parameters that are tried on any other scale: the middles of the quarters of its range."""
 MOST_FORMS = 200
 """Combinations of form parameters of which those to try are taken."""
 LEAST_SCALE, MOST_SCALE = 0.02, 4.0
@@ -34,10 +34,11 @@ LEAST_SCALE, MOST_SCALE = 0.02, 4.0
 SCALED_SHARE = 0.9
 """Share of the gain of a scaled signature that is expected, beside that of one as simulated."""
 JOINT_SHARE = 0.8
-"""The same of several signatures at once."""
+"""Share of the gain of several signatures together that is expected."""
 RIDGE = 0.01
-"""Of the fit of several signatures at once."""
+"""Ridge of the fit of several signatures together, against collinear ones."""
 MOST_STARTS = 4
+"""Distinct starts of an effect that are kept."""
 APART, APART_SHARE = 0.3, 0.5
 """Starts are distinct when a scaled value differs by this, or by this share of itself."""
 

@@ -166,7 +166,7 @@ class Step:
 
 @dataclass(frozen=True)
 class SearchTrace:
-    """What a search knows: all fits are to its problem. `best` is where it stands."""
+    """State of a search: its fits, all to one problem, and the set `best` at which it stands."""
 
     problem: Problem
     names: tuple[str, ...]
@@ -203,7 +203,7 @@ class SearchTrace:
         return score(self.problem, self.fits[key][0])
 
     def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
-        """What sorts sets, best first."""
+        """Sorting key of a set: score, then names; best first."""
         return self.score(key), sorted(key)
 
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
@@ -229,7 +229,7 @@ class SearchTrace:
         return sorted(related & set(self.names))
 
     def keep(self, found: Fit | None, validation: CrossValidation | None) -> SearchTrace:
-        """With a fit, if it is the best of its set of effects."""
+        """The search with a fit added, if it is the best of its set of effects."""
         if found is None:
             return self
         key = frozenset(found.effects)
@@ -239,7 +239,7 @@ class SearchTrace:
         return dataclasses.replace(self, fits={**self.fits, key: (found, validation)})
 
     def stepped(self, kind: Literal["forward", "set aside", "taken out", "back"]) -> SearchTrace:
-        """With one more step, which led to where it stands."""
+        """The search with one more step, which led to `best`."""
         return dataclasses.replace(self, steps=(*self.steps, Step(kind, self.best, self.score(self.best))))
 
 
@@ -281,7 +281,7 @@ def search(
 def next_move(
     trace: SearchTrace, chosen: EffectSet, max_effects: int
 ) -> tuple[Literal["take out", "set aside", "end", "forward"], str]:
-    """What to do with the best of the next sets, and its effect that is too small to matter ("": none)."""
+    """The move that follows from the best of the next sets, and its negligible effect ("": none)."""
     found = trace.fits[chosen][0]
     small = next((e for e in sorted(chosen - trace.best) if is_negligible(found, e)), "")
     if small and size_of(found, small) < POLICY.search.no_size:
@@ -302,7 +302,8 @@ def _frontier(trace: SearchTrace, options: Sequence[EffectSet], max_effects: int
 
 
 def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) -> SearchTrace:
-    """With all effects on top of the set `key`; with `worth` only those whose screening reaches it.
+    """The search with all effects fitted on top of the set `key`; with `worth` only where screening reaches
+    it.
 
     Screening saves fits on sets that may come to nothing; on a set that comes near the noise, every effect is
     fitted.
@@ -375,7 +376,8 @@ def _limit_start(
 
 
 def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
-    """With an effect of no size removed from a set: the rest is refitted from that fit, which is lower."""
+    """The search with an effect of no size removed from a set: the others are refitted from that lower
+    fit."""
     found, _ = trace.fits[key]
     names = tuple(e for e in found.effects if e != idle)
     rest = {k: v for k, v in trace.fits.items() if k != key}
@@ -384,7 +386,7 @@ def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
 
 
 def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> SearchTrace:
-    """With a significant but negligible effect of the set `key` as a nuisance direction of that small size.
+    """The search with a significant but negligible effect of the set `key` as a nuisance of that small size.
 
     It is then not named, and leaves no residual that another effect could fit.
     """
@@ -456,14 +458,14 @@ def _least(trace: SearchTrace, key: EffectSet) -> float:
 
 
 def asked_beside(gain: float) -> float:
-    """What screening must promise on a set beside the best, where an effect gains `gain`."""
+    """Screening gain that earns a fit on a set beside the best one, which an effect improves by `gain`."""
     return max(POLICY.search.beside_gain, POLICY.search.frontier_share * gain)
 
 
 def _forward(
     trace: SearchTrace, work: Work, frontier: Sequence[EffectSet]
 ) -> tuple[SearchTrace, list[EffectSet]]:
-    """With the frontier expanded; sets with one effect more than where it stands that pass, best first."""
+    """The search with its frontier expanded, and the sets with one effect more that pass, best first."""
     trace = expand(trace, work, frontier[0], _least(trace, frontier[0]))
     fitted = [c.fit.objective for c in trace.children[frontier[0]] if c.fit is not None]
     for key in frontier[1:]:
@@ -487,7 +489,7 @@ def clearly_lower(after: float, before: float) -> bool:
 
 
 def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTrace, EffectSet]:
-    """With each effect's relatives tried in its place, as long as that helps; the best set."""
+    """The search with each effect's relatives tried in its place, as long as that helps, and the best set."""
     if len(key - trace.start) <= 1:
         return trace, key
     for _ in range(MOST_REPLACED):
@@ -514,7 +516,7 @@ def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTra
 
 
 def _back(trace: SearchTrace, work: Work) -> SearchTrace:
-    """With what is no longer needed dropped."""
+    """The search with effects dropped whose removal still passes (backward elimination)."""
     while len(trace.best - trace.start) > 1:
         found = trace.fits[trace.best][0]
         for effect in sorted(trace.best - trace.start):
@@ -529,7 +531,7 @@ def _back(trace: SearchTrace, work: Work) -> SearchTrace:
 
 
 def _with_rest(trace: SearchTrace, work: Work, found: Fit, effect: str) -> SearchTrace:
-    """With the set of a fit without one effect fitted."""
+    """The search with a fit's set refitted without one effect."""
     names = tuple(e for e in found.effects if e != effect)
     if frozenset(names) in trace.fits:
         return trace

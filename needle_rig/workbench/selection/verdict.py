@@ -23,7 +23,7 @@ class Findings:
     lack: LackOfFit | None
     explained_share: float
     held_out_error: float
-    """In units of the noise."""
+    """Root mean square error of cross-validation, in units of the noise."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ RULES: tuple[Callable[[Findings], str | None], ...] = (
 
 
 def reasons(found: Findings) -> tuple[Reason, ...]:
-    """What the rules say."""
+    """The rules that found something unexplained, each with its sentence."""
     said = ((rule.__name__, rule(found)) for rule in RULES)
     return tuple(Reason(name, sentence) for name, sentence in said if sentence is not None)
 
