@@ -24,7 +24,7 @@ WEAKEST = 1e-4
 
 
 def at_strength(parameters: Sequence[FreeParameter], strength: float, turn: float = 1.0) -> Array:
-    """Positions (k,) of one effect's coordinates at `strength` typical sizes; forms stay typical.
+    """Scaled values (k,) of one effect's parameters at `strength` typical sizes; forms stay typical.
 
     What may have either sign takes that of `turn`, items of a field alternate; bounds cut.
     """

@@ -48,7 +48,7 @@ def adopt(
     found = observed.explain(library, model, effect)
     if found is None:
         raise Refused(f"{effect} could not be fitted to {observed.name}: the model cannot be solved with it")
-    _refuse_what_foretells_nothing(found, force)
+    _refuse_without_improvement(found, force)
     return step(
         found, observed.name, saved, name=name or (model.name if model else observed.name), today=today
     )
@@ -71,7 +71,7 @@ def adopt_diagnosis(
     found, model = _chosen(kept, effects)
     if observed is not None:
         _verify(kept, found, observed)
-    _refuse_what_foretells_nothing(found, force)
+    _refuse_without_improvement(found, force)
     return step(found, kept.dataset, _before(model), name=name or model.model.name, today=today)
 
 
@@ -133,7 +133,7 @@ def _verify(kept: KeptDiagnosis, found: Explanation, observed: Observations) -> 
         )
 
 
-def _refuse_what_foretells_nothing(found: Explanation, force: bool) -> None:
+def _refuse_without_improvement(found: Explanation, force: bool) -> None:
     if found.improves or force:
         return
     errors = found.errors[IN_NOISE_UNITS]
