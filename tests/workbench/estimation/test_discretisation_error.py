@@ -75,7 +75,7 @@ def test_a_finer_solver_leaves_less_discretisation_error():
 
 
 def ageing():
-    """(dataset, prepared current model, fit of the hidden effect on coarse paths)."""
+    """(dataset, baseline, fit of the hidden effect on coarse paths)."""
     hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
     data = dataset(hidden, seed=25)
     baseline = fit_baseline(data, None, few("stiction_ageing"))

@@ -17,8 +17,8 @@ PRECISION = np.r_[0.0, 2500.0, 0.01, 0.25, 0.25, 0.25, np.full(T, 400.0), np.one
 
 
 def toy(*, constrained=(), lumped=True, blind=False, alike=False):
-    """Three trials; `lumped`: own friction is a direction of its own; `blind`: nothing tells of
-    the first position; `alike`: two positions can hardly be told apart."""
+    """Three trials; `lumped`: the random effect is a direction of its own; `blind`: nothing tells of
+    the first scaled value; `alike`: two scaled values can hardly be told apart."""
     random = np.random.default_rng(5)
     trials = []
     for size in SIZES:
@@ -88,7 +88,7 @@ def test_projection_leaves_the_residual_of_least_squares(constrained):
     assert linear.projection.missed == pytest.approx(left[:size], abs=1e-6)
 
 
-def test_a_held_mean_cannot_be_made_by_the_parameters():
+def test_a_constrained_mean_is_nothing_that_parameters_can_fit():
     """All items together are a direction that the fit does not have: what looks like it is left."""
     free, constrained = toy().projection, toy(constrained=(ITEMS,)).projection
     together = toy().columns[:, ITEMS].sum(1)
@@ -98,7 +98,7 @@ def test_a_held_mean_cannot_be_made_by_the_parameters():
     assert np.linalg.norm(constrained(apart)) < 0.05 * np.linalg.norm(apart)
 
 
-def test_a_projected_change_brings_its_share_of_the_trials_own_friction():
+def test_a_projected_change_brings_its_share_of_the_random_effects():
     linear = toy()
     rows, _ = dense(linear)
     change, random_effect = np.linspace(-1.0, 2.0, sum(SIZES)), np.array([0.02, -0.03, 0.01])
@@ -141,7 +141,7 @@ def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained):
         assert curvature @ covariance == pytest.approx(np.eye(shared.size), abs=1e-6)
 
 
-def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_when_its_own_friction_follows():
+def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_with_its_random_effect_profiled_out():
     linear = toy()
     terms, at = linear.trials[1], 0.05
     rows = np.vstack([np.insert(terms.shared, 0, terms.random_effect, axis=1), np.zeros((1, 1 + P + Q))])
@@ -154,13 +154,13 @@ def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_when_its_own_fricti
     assert terms.information() == pytest.approx(freed.T @ freed, abs=1e-6)
 
 
-def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_held():
+def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_constrained():
     assert toy().rank == 4
     assert toy(constrained=(ITEMS,)).rank == 3
     assert toy(blind=True).rank == 3
 
 
-def test_the_loosest_direction_is_the_one_in_which_two_positions_stand_for_each_other():
+def test_the_loosest_direction_is_the_one_in_which_two_parameters_stand_for_each_other():
     linear = toy(alike=True)
     move = linear.loosest()
     rows, _ = dense(linear, mean_of_trials=True)

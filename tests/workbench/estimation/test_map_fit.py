@@ -25,7 +25,7 @@ EVERY = find_effects()
 
 
 @given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
-def test_positions_and_values_are_inverse(name, strength):
+def test_scaled_values_and_values_are_inverse(name, strength):
     parameters = free_parameters(EVERY, [name], dataset().layout)
     scaled_values = np.array(
         [
@@ -93,7 +93,7 @@ def test_a_child_is_never_worse_than_its_parent():
         assert found.objective < baseline.current.objective + 1.0
 
 
-def test_held_out_prediction_needs_a_second_command():
+def test_cross_validation_needs_a_second_command():
     data = dataset()
     one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
     baseline = fit_baseline(one, None, few())
@@ -116,7 +116,7 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
 
 
 @pytest.mark.parametrize("name", ["tip_friction", "guide_friction", "platform_friction"])
-def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
+def test_a_trial_s_random_effect_scales_lumped_friction_too(name):
     """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
     quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
     baseline = fit_baseline(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
@@ -140,7 +140,7 @@ def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
     assert problem.lumps_friction(problem.parameters(names)) is lumped
 
 
-def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
+def test_derivatives_by_a_random_effect_are_those_of_its_simulation():
     data = dataset(effect("tip_friction", torque_nmm=0.03))
     baseline = fit_baseline(data, None, few("tip_friction"))
     problem = baseline.problem
@@ -155,7 +155,7 @@ def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
     assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
 
 
-def test_commands_left_out_are_foretold_at_their_own_friction():
+def test_commands_left_out_are_predicted_at_their_random_effects():
     """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
     baseline = fit_baseline(data, None, few("tip_friction"))
@@ -328,7 +328,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
     assert spread[1:] == pytest.approx(found.scaled_errors[1:], rel=1e-6)
 
 
-def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest():
+def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest():
     baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, 0.0]))
     stuck = fit(baseline.problem, ["stribeck"], start)

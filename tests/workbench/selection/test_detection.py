@@ -32,7 +32,7 @@ def test_signs_alternate_over_sensors_and_follow_the_turn():
     assert smallest_strength(problem.parameters(["hall_offset"])) > 0
 
 
-def test_what_the_trials_own_friction_can_take_up_shows_only_above_its_scatter():
+def test_what_the_random_effects_can_absorb_shows_only_above_its_scatter():
     wear = few("friction_wear")
     baseline = fit_baseline(dataset(noise=Noise(friction_scatter=0.05)), None, wear)
     turns = baseline.problem.trials[-1].trial.travel_before_rad / math.tau

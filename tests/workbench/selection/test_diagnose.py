@@ -108,7 +108,7 @@ def test_friction_that_wears_is_not_taken_for_scatter():
         (effect("friction_wear", loss_per_turn=0.5), "the trials' friction changes with"),
     ],
 )
-def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden, law):
+def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden, law):
     found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert law in found.residual_patterns.patterns[0].sentence()
