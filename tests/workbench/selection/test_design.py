@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from needle_rig.cli.experiment import command
 from needle_rig.dataset import write_dataset
 from needle_rig.simulation.protocol import load_protocol
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.design import commands, expected_power, proposals
@@ -17,9 +17,8 @@ NAMES = ("tip_friction", "chuck_backlash")
 
 
 def fits() -> tuple[Problem, Fit, Fit]:
-    prepared = prepare(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
-    first, second = (try_effect(prepared.problem, prepared.present, n).fit for n in NAMES)
-    return prepared.problem, first, second
+    baseline = fit_baseline(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
+    return baseline.problem, *(try_effect(baseline.problem, baseline.current, n).fit for n in NAMES)
 
 
 def test_candidates_are_ranked_by_what_a_minute_of_them_tells() -> None:
