@@ -271,7 +271,7 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
     assert len({tuple(t) for t in tried}) == every + 2 * 2
 
 
-def left(size: float = 1.0, unit: str = "°") -> Leftover:
+def left(size: float = 1.0, unit: str = "°") -> ResidualPatterns:
     return ResidualPatterns((Pattern("torque", "is off by a constant", 9.0, size, unit, 1.0),), 81.0)
 
 
