@@ -108,7 +108,8 @@ def _findings(
             yield check.check_interface(config, interface)
         elif config.links.can.interface == "slcan":
             yield check.check_port("CAN", config.links.can.channel, mine=running is None)
-        yield check.check_port("Hall port", config.links.hall.port, mine=running is None)
+        if config.links.hall_port is not None:
+            yield check.check_port("Hall port", config.links.hall_port, mine=running is None)
     try:
         with _daemon(running, path) as client:
             yield client.state()["rig"]["simulated"]
