@@ -45,6 +45,7 @@ _STATES = {
     "FAULT REACTION ACTIVE": DriveState.FAULT,
     "FAULT": DriveState.FAULT,
 }
+_AWAKE = (DriveState.READY, DriveState.RUNNING)
 _UPWARDS = {
     "SWITCH ON DISABLED": State402.CW_SHUTDOWN,
     "READY TO SWITCH ON": State402.CW_SWITCH_ON,
@@ -85,6 +86,7 @@ class DriveCia402(Drive):
         self._zero_rad = 0.0
         self._sampled_s = self._taken_s = -math.inf
         self._emergency: tuple[int, str] | None = None
+        self._passed = False
         self._error_code = 0
         self._counter = 0
         self._starts = 0
@@ -249,23 +251,20 @@ class DriveCia402(Drive):
 
     def _enter(self, state: str) -> None:
         before, self.state, self._state = self.state, _STATES[state], state
-        if before in (DriveState.READY, DriveState.RUNNING) and self.state not in (
-            DriveState.READY,
-            DriveState.RUNNING,
-        ):
+        if before in _AWAKE and self.state not in _AWAKE:
             self._woken = False
-        if before is DriveState.FAULT and self.state is not DriveState.FAULT:
+        goes_on = self._passed and self.state in _AWAKE
+        if goes_on or (before is DriveState.FAULT and self.state is not DriveState.FAULT):
             self._emergency = None
 
     def _take_emergency(self, data: bytes) -> None:
-        """What stopped the drive is kept until a clear, also when it has passed (code 0)."""
+        """One that has passed (code 0) is forgotten when the drive goes on; what stopped it, at a clear."""
         said = decode_emergency(data)
         if said is None:
             return
-        if said[0] >= 0x0100:
+        self._passed = said[0] < 0x0100
+        if not self._passed:
             self._emergency = said
-        elif self.state in (DriveState.READY, DriveState.RUNNING):
-            self._emergency = None
         self._tell_faults()
 
     def _tell_faults(self) -> None:

@@ -62,7 +62,8 @@ class HallText(HallSensors):
             return
         self._misfit = ""
         node_time_s = line.clock * self._tick_s
-        angle_rad = tuple(value * self._unit_rad for value in line.values)
+        # 359.9° and -0.1° are one place: like the node's, a first angle lies within half a turn of zero
+        angle_rad = tuple(math.remainder(value * self._unit_rad, math.tau) for value in line.values)
         self._host.record("hall", (now_s, node_time_s, float(line.clock), *angle_rad))
         if not self._clock.accept(line.clock, node_time_s, now_s):
             return

@@ -7,7 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.can_bus import CanLink
@@ -19,6 +19,7 @@ from needle_rig.devices.device import (
     Drive,
     FrameHandler,
     HallSensors,
+    Host,
     Link,
     TorqueSensor,
 )
@@ -38,8 +39,15 @@ _FRESH_S = 0.1
 _Kind = TypeVar("_Kind", bound=Device)
 
 
+class RigHost(Host, Protocol):
+    """A host for all devices of a rig. `links` are those that were asked for; `kind` says by whom."""
+
+    links: list[Link]
+    kind: str
+
+
 class RealHost:
-    """Real ports for the devices of one rig. `links` are those that were asked for, `kind` by whom."""
+    """Real ports for the devices of one rig."""
 
     def __init__(self, config: RigConfig, raw: RawReadings | None, now: Callable[[], float]) -> None:
         self.sensors = tuple(sensor.name for sensor in config.layout.hall_sensors)
@@ -95,19 +103,21 @@ class HardwareRig:
         config: RigConfig,
         raw: RawReadings | None = None,
         now: Callable[[], float] = time.monotonic,
+        host: RigHost | None = None,
     ) -> None:
+        """`host` stands in for this computer's ports."""
         for key, port in config.links.ports.items():
             if port == "auto":
                 raise BadInput(
                     f"links.{key}: auto is the port of a simulated rig, which nobody has started; name a port"
                 )
         self._now = now
-        host = self._host = RealHost(config, raw, now)
+        self._host: RigHost = RealHost(config, raw, now) if host is None else host
         self._drive = self._made(config, "drive", Drive)
         self._torque = self._made(config, "torque", TorqueSensor)
         self._hall = self._made(config, "hall", HallSensors)
         self._devices: tuple[Device, ...] = (self._torque, self._drive, self._hall)
-        host.base_rad = self._base_now
+        self._host.base_rad = self._base_now  # type: ignore[method-assign]
         self._watching: asyncio.TimerHandle | None = None
         self._set_ups: dict[Device, asyncio.Task[None]] = {}
         self._trouble: dict[Device, str] = {}

@@ -62,19 +62,28 @@ def shipped_device(kind: str, word: str) -> type[Device]:
 
 def find_device(kind: str, name: str) -> type[Device]:
     """The device of the nearest file `config/devices/NAME.py`. Raises BadInput when there is none."""
-    folders = [folder / "devices" for folder in config_directories()]
-    path = next((f / f"{name}.py" for f in folders if os.path.isfile(f / f"{name}.py")), None)
-    if path is None:
-        words = [word for of, word in SHIPPED if of == kind]
-        words += [file.stem for folder in folders for file in sorted(folder.glob("*.py"))]
-        raise BadInput(
-            f"links.{kind}.device: {name!r} is unknown; there are {', '.join(dict.fromkeys(words))};"
-            f" one of your own is a file config/devices/{name}.py"
-        )
+    try:
+        path = named_file(name)
+    except BadInput as unknown:
+        raise BadInput(f"links.{kind}.device: {unknown}") from None
     found = load_device(path)
     if not issubclass(found, KINDS[kind]):
-        raise BadInput(f"links.{kind}.device: {path} has a {_kind_of(found)}; name a file of class {kind}")
+        raise BadInput(f"links.{kind}.device: {path} is for links.{_kind_of(found)}; name one for {kind}")
     return found
+
+
+def named_file(name: str) -> Path:
+    """The nearest file `config/devices/NAME.py`. Raises BadInput when there is none."""
+    folders = [folder / "devices" for folder in config_directories()]
+    for folder in folders:
+        if os.path.isfile(folder / f"{name}.py"):
+            return folder / f"{name}.py"
+    words = [word for _, word in SHIPPED]
+    words += [file.stem for folder in folders for file in sorted(folder.glob("*.py"))]
+    raise BadInput(
+        f"{name!r} is unknown; there are {', '.join(dict.fromkeys(words))}; one of your own is a file"
+        f" config/devices/{name}.py"
+    )
 
 
 def load_device(path: Path) -> type[Device]:

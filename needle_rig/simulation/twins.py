@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 from needle_rig.config.schema import Cia402Drive, NetFtTorque, TextHall
 from needle_rig.simulation.cia402_node import Cia402Node
@@ -94,6 +97,12 @@ class TextTwin:
     def page(self, path: str) -> bytes:
         """It serves none."""
         raise KeyError(path)
+
+
+TWINS: Mapping[str, Callable[[Any], DriveTwin | NetFtTwin | TextTwin]] = MappingProxyType(
+    {"cia402": DriveTwin, "netft": NetFtTwin, "text": TextTwin}
+)
+"""By the word of the rig file."""
 
 
 def _us(time_s: float) -> int:
