@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 import canopen
-from canopen.emcy import EMCY_STRUCT, EmcyError
+from canopen.emcy import EMCY_STRUCT
 from canopen.profiles.p402 import OperationMode as OperationMode
 from canopen.profiles.p402 import State402 as State402
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
@@ -94,8 +94,24 @@ def decode_emergency(data: bytes) -> tuple[int, str] | None:
 
 def meaning_of(code: int) -> str:
     """What CiA 301 and CiA 402 say of an error code."""
-    known = _MEANINGS.get(code)
-    return known or str(EmcyError(code, 0, b"", 0.0).get_desc() or "of no known class").lower()
+    if code >= 0xFF00:
+        return "the maker's own"
+    return _MEANINGS.get(code) or _CLASSES.get(code >> 12, "of no known class")
+
+
+_CLASSES = {
+    0x1: "generic error",
+    0x2: "current",
+    0x3: "voltage",
+    0x4: "temperature",
+    0x5: "hardware",
+    0x6: "software",
+    0x7: "additional modules",
+    0x8: "monitoring",
+    0x9: "external error",
+    0xF: "additional functions",
+}
+"""Of CiA 301, by the first digit."""
 
 
 _MEANINGS = {

@@ -52,8 +52,7 @@ _UPWARDS = {
     "SWITCHED ON": State402.CW_OPERATION_ENABLED,
     "OPERATION ENABLED": State402.CW_OPERATION_ENABLED,
 }
-_MOST_UNANSWERED = 3
-_QUIET_S = 0.012
+_LATE_S, _QUIET_S, _ROUNDING_S = 0.02, 0.012, 1e-6
 
 
 class DriveCia402(Drive):
@@ -277,8 +276,8 @@ class DriveCia402(Drive):
 class SyncAnswers:
     """Which SYNC an answer belongs to: they come in order, and some may be lost.
 
-    When three are open no further SYNC goes out until nothing has come for 12 ms: what is late has come by
-    then and shows its age; what has not is lost.
+    When one has been open for 20 ms no further SYNC goes out until nothing has come for 12 ms: what is late
+    has come by then and shows its age; what has not is lost.
     """
 
     def __init__(self) -> None:
@@ -287,7 +286,7 @@ class SyncAnswers:
 
     def ask(self, now_s: float) -> bool:
         """Whether a SYNC may go out now."""
-        if len(self._asked_s) >= _MOST_UNANSWERED:
+        if self._asked_s and now_s - self._asked_s[0] >= _LATE_S - _ROUNDING_S:
             if now_s - max(self._answered_s, self._asked_s[-1]) < _QUIET_S:
                 return False
             self._asked_s.clear()

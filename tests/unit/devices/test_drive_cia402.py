@@ -42,6 +42,13 @@ def without(index: int, subindex: int = 0) -> Callable[[DriveTwin], None]:
     return change
 
 
+def read_only(index: int, subindex: int) -> Callable[[DriveTwin], None]:
+    def change(twin: DriveTwin) -> None:
+        twin._drive._objects[index, subindex].writable = False
+
+    return change
+
+
 def deaf_consumer(twin: DriveTwin) -> None:
     """Takes a heartbeat time and keeps 0, as a drive whose firmware does not do it."""
     served = twin._drive._set
@@ -63,7 +70,7 @@ def no_csv(twin: DriveTwin) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (without(0x1016, 1), r"object 0x1016:1 does not take 0x7f0032"),
+        (read_only(0x1016, 1), r"object 0x1016:1 does not take 0x7f0032"),
         (without(0x6007), r"object 0x6007:0 does not take 0x3: .*does not exist"),
         (deaf_consumer, r"does not keep 0x7f0032 in object 0x1016:1: it would not stop for a lost host"),
         (no_drive, r"CANopen node 5 has the profile 401, not 402: it is no drive"),
@@ -101,7 +108,7 @@ def emergency(code: int) -> bytes:
         (0x8611, DriveFault.STALL, "following error"),
         (0x7380, DriveFault.ENCODER, "additional modules"),
         (0x3210, DriveFault.NONE, "over-voltage of the supply"),
-        (0xFF01, DriveFault.NONE, "device specific"),
+        (0xFF01, DriveFault.NONE, "the maker's own"),
     ],
 )
 def test_an_emergency_frame_becomes_a_bit_where_there_is_one_and_a_sentence_always(
@@ -184,27 +191,28 @@ def test_a_position_is_as_old_as_the_sync_that_it_answers() -> None:
 
 def test_answers_that_are_lost_do_not_make_later_ones_old() -> None:
     made = set_up()
-    made.fault = "silence"
-    made.tick(STOP, 2)
-    made.fault = ""
     oldest_s = 0.0
-    for _ in range(40):
+    for _ in range(20):  # a tenth is lost
+        made.fault = "silence"
         made.tick(STOP)
-        oldest_s = max(oldest_s, made.age_s())
-    assert made.age_s() < 0.011
-    assert oldest_s < 0.05
+        made.fault = ""
+        for _ in range(9):
+            made.tick(STOP)
+            oldest_s = max(oldest_s, made.age_s())
+    assert oldest_s < 0.045
 
 
 def test_syncs_wait_for_answers_that_are_late_and_go_on_when_they_are_lost() -> None:
     answers = SyncAnswers()
-    assert [answers.ask(n * 0.005) for n in range(3)] == [True] * 3
-    assert not answers.ask(0.015)
-    assert answers.answered(0.016) == 0.0
-    assert answers.ask(0.020)
+    assert [answers.ask(n * 0.005) for n in range(4)] == [True] * 4
+    assert not answers.ask(0.020)
+    assert answers.answered(0.021) == 0.0
+    assert answers.ask(0.022)
     assert not answers.ask(0.025)
-    assert answers.ask(0.033)
-    assert answers.answered(0.034) == 0.033
-    assert answers.answered(0.035) is None
+    assert not answers.ask(0.033)
+    assert answers.ask(0.0345)
+    assert answers.answered(0.035) == 0.0345
+    assert answers.answered(0.036) is None
 
 
 def test_a_status_that_nobody_asked_for_is_no_reading() -> None:
