@@ -228,8 +228,8 @@ def _ages(measurement: Measurement, limits: Limits) -> tuple[tuple[str, float, f
 def _stale(link: str, age_s: float, limit_s: float, complaint: str) -> str:
     if complaint:
         return f"the {link} link gives no good value: {complaint}"
-    check = {"torque": "the CAN bus and the torque node", "hall": "the serial cable and the hall node"}
-    where = check.get(link, "the CAN bus and the drive node")
+    what = {"torque": "torque sensor", "hall": "Hall sensors"}.get(link, "drive")
+    where = f"the {what}, cable and supply"
     if math.isinf(age_s):
         return f"the {link} link has given no value yet; check {where}"
     return (

@@ -63,9 +63,9 @@ def test_a_value_at_the_age_limit_counts_and_one_beyond_it_is_a_temporary_fault(
 
 
 WHERE = {
-    "torque": "the CAN bus and the torque node",
-    "hall": "the serial cable and the hall node",
-    "drive": "the CAN bus and the drive node",
+    "torque": "the torque sensor, cable and supply",
+    "hall": "the Hall sensors, cable and supply",
+    "drive": "the drive, cable and supply",
 }
 
 
@@ -183,6 +183,21 @@ def test_a_drive_in_fault_without_a_reason_latches():
 
 
 @pytest.mark.parametrize("state", [DriveState.SILENT, DriveState.READY, DriveState.RUNNING])
+def test_what_a_drive_of_another_make_says_is_in_the_sentence_and_latches() -> None:
+    fault = find_fault(
+        having(drive_state=DriveState.FAULT, drive_complaint="emergency 0x2310 (over-current)"), LIMITS
+    )
+    assert fault is not None
+    assert fault.latching
+    assert fault.text == (
+        "the drive stopped by itself: emergency 0x2310 (over-current), then: needle-rig clear"
+    )
+
+
+def test_a_complaint_of_a_drive_that_goes_on_is_no_fault() -> None:
+    assert find_fault(having(drive_complaint="emergency 0x4210 (too hot)"), LIMITS) is None
+
+
 def test_a_drive_without_faults_is_none(state):
     assert drive_fault(state, DriveFault.NONE) is None
 
