@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import http
 import http.client
-import os
 import socket
 import time
 from collections.abc import Callable
 
 from needle_rig.devices.device import BytesHandler
+from needle_rig.devices.ports import network_reason
 from needle_rig.errors import RigFault
 
 _DATAGRAM_BYTES = 2048
@@ -43,20 +43,18 @@ class UdpPort:
     def open(self) -> None:
         """Make the socket. Raises RigFault in one sentence."""
         self._release()
-        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
-            made.connect((self._address, self._port))
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
+            self._socket.connect((self._address, self._port))
         except OSError as error:
-            made.close()
-            number = error.errno or 0  # below 0: the name service's own
-            reason = os.strerror(number).lower() if number > 0 else "no such address"
+            self._release()
             raise RigFault(
-                f"{self._name.capitalize()} link ({self.place}): {reason}; look at this computer's network"
-                f" and at links.{self._name} in the rig file"
+                f"{self._name.capitalize()} link ({self.place}): {network_reason(error)};"
+                f" see links.{self._name} in the rig file"
             ) from error
-        made.setblocking(False)
-        self._socket, self.lost = made, False
+        self._socket.setblocking(False)
+        self.lost = False
 
     def poll(self) -> None:
         """Take what has arrived."""
@@ -93,11 +91,13 @@ def fetch_page(address: str, port: int, path: str) -> bytes:
     connection = http.client.HTTPConnection(address, port, timeout=_PAGE_S)
     try:
         connection.request("GET", f"/{path}")
-        answer = connection.getresponse()
-        content = answer.read(_PAGE_BYTES + 1)
-    except (OSError, http.client.HTTPException, ValueError) as error:
-        told = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise RigFault(f"{url}: no page: {told}; is the sensor on, and this its address?") from error
+        with connection.getresponse() as answer:
+            content = answer.read(_PAGE_BYTES + 1)
+    except OSError as error:
+        raise RigFault(f"{url}: no page: {network_reason(error)}") from error
+    except (http.client.HTTPException, ValueError) as error:
+        told = " ".join(str(error).split()) or type(error).__name__
+        raise RigFault(f"{url}: no page: {told}; is this the sensor's address?") from error
     finally:
         connection.close()
     if answer.status != http.HTTPStatus.OK:

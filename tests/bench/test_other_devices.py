@@ -174,5 +174,7 @@ def test_a_sensor_that_is_not_there_is_one_sentence_with_its_address(mended: Ben
     nobody = config.links.torque.model_copy(update={"http_port": 1})
     links = config.links.model_copy(update={"torque": nobody})
     rig = HardwareRig(config.model_copy(update={"links": links}))
-    with pytest.raises(RigFault, match=r"http://127\.0\.0\.1:1/netftapi2\.xml: no page: Connection refused"):
+    with pytest.raises(
+        RigFault, match=r"http://127\.0\.0\.1:1/netftapi2\.xml: no page: connection refused; is it on"
+    ):
         asyncio.run(rig.open())
