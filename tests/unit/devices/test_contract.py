@@ -311,3 +311,11 @@ def test_a_device_that_breaks_the_contract_ends_with_1(tmp_path: Path) -> None:
     code, output = run(str(own_device(tmp_path, with_twin)), "port=x")
     assert code == 1
     assert "fail  before the first message nothing is known: its value is said to be 1e+09 s old" in output
+
+
+def test_a_device_of_another_make_has_no_page_to_calibrate() -> None:
+    from needle_rig.calibration.stand import RealStand
+    from tests.closed_loop.other_devices import config_of
+
+    with pytest.raises(BadInput, match=r"links\.drive\.device: cia402 keeps no calibration of ours"):
+        RealStand(config_of(), lambda text: None)
