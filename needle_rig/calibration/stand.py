@@ -98,8 +98,7 @@ class RealStand:
             device = getattr(config.links, link).device
             if device != "node":
                 raise BadInput(
-                    f"links.{link}.device: {device} keeps no calibration of ours; calibrate it with its maker's"
-                    " tool"
+                    f"links.{link}.device: {device} keeps no calibration of ours; use its maker's tool"
                 )
         self.config = config
         self.rig: Any = HardwareRig(config)
