@@ -21,7 +21,7 @@ from needle_rig.devices.device import SILENT_S, Drive, Host
 from needle_rig.errors import RigFault
 from needle_rig.records import RELEASE, Command, DriveFault, DriveState
 
-PROFILE = 402
+PROFILE, NO_HEARTBEAT = 402, 0x8130
 QUICK_STOP, STOP_AND_DISABLE, KEEP_STATE = 3, 2, 1
 """Options of 0x6007, 0x605A, 0x1029: brake, then take the power off, and stay on the bus."""
 
@@ -262,7 +262,8 @@ class DriveCia402(Drive):
         if said is None:
             return
         self._passed = said[0] < 0x0100
-        if not self._passed:
+        # a drive without power misses its host as a node does that is silent: that is no fault
+        if not self._passed and (self._woken or said[0] != NO_HEARTBEAT):
             self._emergency = said
         self._tell_faults()
 
@@ -309,7 +310,7 @@ def _fault_of(code: int) -> DriveFault:
 
 
 _FAULTS = {
-    0x8130: DriveFault.HEARTBEAT,
+    NO_HEARTBEAT: DriveFault.HEARTBEAT,
     0x8250: DriveFault.COMMAND_AGE,
     0x8611: DriveFault.STALL,
 }

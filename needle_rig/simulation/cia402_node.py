@@ -248,7 +248,8 @@ class Cia402Node:
             self._state = "switch on disabled"
         elif action == 3 and self._state == "operation enabled":
             self._state = "quick stop active"
-        self._objects[0x6040, 0].value = 0
+        if action:
+            self._objects[0x6040, 0].value = 0  # what was asked for before does not wake it
 
     def _run_state_machine(self) -> None:
         word, before = self._objects[0x6040, 0].value, self._controlword

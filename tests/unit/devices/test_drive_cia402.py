@@ -115,9 +115,22 @@ def test_an_emergency_frame_becomes_a_bit_where_there_is_one_and_a_sentence_alwa
     code: int, fault: DriveFault, told: str
 ) -> None:
     made = set_up()
+    made.tick(Command(clear=True))
     made.host.bring(0x085, emergency(code))
     assert drive_of(made).faults == fault
     assert f"emergency 0x{code:04x} ({told})" in drive_of(made).complaint(0)
+
+
+def test_a_host_that_pauses_before_it_wakes_the_drive_leaves_no_fault() -> None:
+    made = set_up()
+    for _ in range(200):
+        made.step()
+    made.run(0.1)
+    assert drive_of(made).faults == DriveFault.NONE
+    assert drive_of(made).complaint(0) == ""
+    made.tick(Command(clear=True))
+    made.run(0.05)
+    assert drive_of(made).state is DriveState.READY
 
 
 @pytest.mark.parametrize("data", [b"", b"\x01", bytes(7), bytes(9)])
