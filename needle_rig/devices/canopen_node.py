@@ -27,7 +27,8 @@ class CanopenNode:
     def __init__(self, node_id: int, bus: CanPort) -> None:
         self._bus = bus
         self._network = _Network(bus)
-        self._node = self._network.add_node(canopen.RemoteNode(node_id, canopen.ObjectDictionary()))
+        nothing = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
+        self._node = self._network.add_node(canopen.RemoteNode(node_id, nothing))
         self._node.sdo.RESPONSE_TIMEOUT = _ANSWER_S
         self._node.sdo.MAX_RETRIES = _TRIES
         self._answer_id = 0x580 + node_id
