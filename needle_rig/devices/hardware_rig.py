@@ -7,7 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import ParamSpec, Protocol, TypeVar
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.can_bus import CanLink
@@ -37,6 +37,7 @@ _RETRY_S = 0.5
 _FRESH_S = 0.1
 
 _Kind = TypeVar("_Kind", bound=Device)
+_Given = ParamSpec("_Given")
 
 
 class RigHost(Host, Protocol):
@@ -44,6 +45,8 @@ class RigHost(Host, Protocol):
 
     links: list[Link]
     kind: str
+    defects: dict[str, str]
+    """By kind: how its device failed on what it was handed."""
 
 
 class RealHost:
@@ -56,6 +59,7 @@ class RealHost:
         self.base_rad: Callable[[], float] = lambda: math.nan
         self.links: list[Link] = []
         self.kind = ""
+        self.defects: dict[str, str] = {}
         self._raw = raw
         self._can_section = config.links.can
         self._bus: CanLink | None = None
@@ -71,24 +75,36 @@ class RealHost:
         if self._bus is None:
             self._bus = CanLink(self._can_section, self._on_frame, self.now)
             self.links.append(self._bus)
-        self._listeners.append(received)
+        self._listeners.append(self._guarded(received))
         return self._bus
 
     def serial(self, port: str, baud: int, received: BytesHandler) -> BytePort:
         """See `Host.serial`."""
-        line = SerialLine(self.kind, port, baud, received, self.now)
+        line = SerialLine(self.kind, port, baud, self._guarded(received), self.now)
         self.links.append(line)
         return line
 
     def udp(self, address: str, port: int, received: BytesHandler) -> BytePort:
         """See `Host.udp`."""
-        made = UdpPort(self.kind, address, port, received, self.now)
+        made = UdpPort(self.kind, address, port, self._guarded(received), self.now)
         self.links.append(made)
         return made
 
     async def page(self, address: str, port: int, path: str) -> bytes:
         """See `Host.page`."""
         return await asyncio.to_thread(fetch_page, address, port, path)
+
+    def _guarded(self, received: Callable[_Given, None]) -> Callable[_Given, None]:
+        """`received`, whose defect makes its own link old and does not end the tick."""
+        kind = self.kind
+
+        def guarded(*given: _Given.args, **named: _Given.kwargs) -> None:
+            try:
+                received(*given, **named)
+            except Exception as error:  # noqa: BLE001 a device of one's own may raise anything
+                self.defects[kind] = f"its device has a defect: {type(error).__name__}: {error}"
+
+        return guarded
 
     def _on_frame(self, frame_id: int, data: bytes, now_s: float) -> None:
         for listener in self._listeners:
@@ -116,7 +132,7 @@ class HardwareRig:
         self._drive = self._made(config, "drive", Drive)
         self._torque = self._made(config, "torque", TorqueSensor)
         self._hall = self._made(config, "hall", HallSensors)
-        self._devices: tuple[Device, ...] = (self._torque, self._drive, self._hall)
+        self._kinds: dict[Device, str] = {self._torque: "torque", self._drive: "drive", self._hall: "hall"}
         self._host.base_rad = self._base_now  # type: ignore[method-assign]
         self._watching: asyncio.TimerHandle | None = None
         self._set_ups: dict[Device, asyncio.Task[None]] = {}
@@ -130,7 +146,7 @@ class HardwareRig:
         try:
             for link in self._host.links:
                 link.open()
-            for device in self._devices:
+            for device in self._kinds:
                 await device.set_up()
             self._watch()
             deadline_s = self._now() + timeout_s
@@ -192,7 +208,7 @@ class HardwareRig:
         self._set_ups.clear()
         for _ in range(_LAST_STOPS):
             self.write(STOP)
-        for device in self._devices:
+        for device in self._kinds:
             device.shut_down()
         for link in self._host.links:
             await link.close()
@@ -215,7 +231,7 @@ class HardwareRig:
             if link.lost:
                 with contextlib.suppress(RigFault):
                     link.open()
-        for device in self._devices:
+        for device in self._kinds:
             busy = device in self._set_ups and not self._set_ups[device].done()
             if not busy and not device.link.lost and device.needs_set_up(self._now()):
                 self._set_ups[device] = asyncio.create_task(self._set_up(device), name="set up a device")
@@ -229,7 +245,8 @@ class HardwareRig:
             self._trouble[device] = str(fault)
 
     def _complaint(self, device: Device, now_s: float) -> str:
-        return device.link.trouble or device.complaint(now_s) or self._trouble.get(device, "")
+        defect = self._host.defects.get(self._kinds[device], "")
+        return device.link.trouble or defect or device.complaint(now_s) or self._trouble.get(device, "")
 
     def _base_now(self) -> float:
         """The base's angle, for the Hall sensors' turns; NaN when it is old."""

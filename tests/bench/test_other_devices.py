@@ -59,7 +59,10 @@ def mended(others: Bench) -> Bench:
 
 
 def on(bench: Bench) -> RigConfig:
-    return bench.configured(config_of_others())
+    """The bench with the age limits of a real rig."""
+    config = bench.configured(config_of_others())
+    limits = {f"{link}_age_limit_ms": 50.0 for link in ("torque", "hall", "drive")}
+    return config.model_copy(update={"links": config.links.model_copy(update=limits)})
 
 
 @asynccontextmanager

@@ -40,6 +40,7 @@ class VirtualHost(MemoryHost):
         super().__init__(tuple(sensor.name for sensor in config.layout.hall_sensors), 1.0 / config.tick_hz)
         self.links: list[Link] = []
         self.kind = ""
+        self.defects: dict[str, str] = {}
         self.pages = {"netftapi2.xml": page()}
         self.to_sensor: list[bytes] = []
         self.hear: dict[str, BytesHandler] = {}
