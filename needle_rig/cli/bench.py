@@ -52,15 +52,19 @@ def command(
     the rig file that is printed at the start. Faults are typed in, as in `torque freeze`.
     """
     from needle_rig.config.loader import load_rig_config, rig_config_text
+    from needle_rig.errors import BadInput
     from needle_rig.folders import temporary_folder
     from needle_rig.simulation.bench import PREFIX, with_ports
     from needle_rig.simulation.bench_loop import BenchLoop, be_urgent
     from needle_rig.simulation.build import build_plant
 
+    others = _other_devices(config)
+    if others and (errors is not None or pages is not None):
+        raise BadInput("--errors, --pages: are for our nodes' firmware, and the rig file names other devices")
     rig = load_rig_config(
         config,
         {
-            "simulation.nodes": "image" if image else None if _other_devices(config) else "firmware",
+            "simulation.nodes": "image" if image else None if others else "firmware",
             "simulation.parameters": parameters,
             "simulation.seed": seed,
             "simulation.sensor_errors_seed": errors,

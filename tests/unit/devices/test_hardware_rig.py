@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from needle_rig.cli.check import _network_sensor
 from needle_rig.config.loader import load_rig_config
@@ -147,3 +148,34 @@ def test_contradictions_of_a_rig_file_are_told_with_their_place(
         load_rig_config(path)
     assert told in str(refused.value)
     assert f"{path.name}:{place + 1}:" in str(refused.value)
+
+
+OTHERS = """\
+  drive: {device: cia402, node_id: 5, position_units_per_turn: 409600, velocity_units_per_rpm: 100}
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--errors", "3"), "--errors, --pages: are for our nodes' firmware"),
+        (("--pages", "x"), "--errors, --pages: are for our nodes' firmware"),
+        (
+            ("--image",),
+            "simulation.nodes: image runs this project's firmware, and links.drive.device: cia402",
+        ),
+    ],
+)
+def test_a_bench_of_other_devices_refuses_what_only_our_nodes_have(
+    tmp_path: Path, options: tuple[str, ...], told: str
+) -> None:
+    from needle_rig.cli.bench import command
+
+    text = (Path(__file__).parents[3] / "config" / "rig.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "rig.yaml"
+    head, _, tail = text.partition("  hall: {port")
+    path.write_text(f"{head}{OTHERS}  hall: {{port{tail}", encoding="utf-8")
+    arguments = ["--config", str(path), "--ports", str(tmp_path), *options]
+    done = CliRunner().invoke(command, arguments, standalone_mode=False)
+    assert isinstance(done.exception, BadInput)
+    assert told in str(done.exception)
