@@ -12,7 +12,9 @@ from needle_rig.workbench.estimation import discretisation_error
 
 
 @pytest.mark.parametrize(("sigmas", "driven_finely"), [(3.5, False), (7.0, True)])
-def test_a_discretisation_error_of_five_sigmas_is_no_straight_nuisance(monkeypatch, sigmas, driven_finely):
+def test_a_discretisation_error_of_five_sigmas_is_no_straight_nuisance(
+    monkeypatch: pytest.MonkeyPatch, sigmas: float, driven_finely: bool
+) -> None:
     finely = []
     monkeypatch.setattr(discretisation_error, "whitened_error", lambda *_: (np.array([[sigmas]]),))
     monkeypatch.setattr(
