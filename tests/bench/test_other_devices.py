@@ -10,7 +10,6 @@ import sys
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,6 +21,7 @@ from needle_rig.errors import RigFault
 from needle_rig.records import DriveState, Phase
 from needle_rig.simulation import bench as bench_module
 from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench_lines import Said
 from needle_rig.units import rad
 from tests.bench.ticking import Ticking
 
@@ -162,7 +162,7 @@ def test_an_adapter_that_is_pulled_stops_the_drive_by_its_own_heartbeat_consumer
         async with turning(mended) as (_, __):
             failed_s = await asyncio.to_thread(mended.harm, "can", "unplug")
 
-            def stopped(said: dict[str, Any]) -> bool:
+            def stopped(said: Said) -> bool:
                 return said.get("event") == "drive" and said["state"] == "fault"
 
             said = await asyncio.to_thread(mended.wait_for, stopped, 10)

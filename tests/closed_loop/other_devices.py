@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import Cia402Drive, NetFtTorque, RigConfig, TextHall
@@ -87,8 +88,8 @@ class VirtualRig:
             self.rig.write(Command())
             self.advance(0.005)
 
-    async def set_up(self, doing: object) -> None:
-        task = asyncio.ensure_future(doing)  # type: ignore[call-overload]
+    async def set_up(self, doing: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(doing)
         while not task.done():
             self.advance(STEP_S)
             await asyncio.sleep(0)

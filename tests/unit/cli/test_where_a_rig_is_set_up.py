@@ -196,7 +196,9 @@ def test_simulated_and_real_runs_are_kept_apart(run_path: Path) -> None:
     from needle_rig.workbench.observations.runs import runs_as_dataset
 
     class Real(RunFile):
-        simulated = False  # type: ignore[assignment]
+        @property
+        def simulated(self) -> bool:
+            return False
 
     with pytest.raises(BadInput, match="was made on a simulated rig, others were not"):
         runs_as_dataset([Real(run_path), RunFile(run_path)])

@@ -12,6 +12,7 @@ from needle_rig.config.schema import Cia402Drive
 from needle_rig.devices.contract import Bench, Broken
 from needle_rig.devices.drive_cia402 import DriveCia402, SyncAnswers
 from needle_rig.records import STOP, Command, DriveFault, DriveState
+from needle_rig.simulation.cia402_node import _Entry
 from needle_rig.simulation.twins import DriveTwin
 
 OPTIONS = Cia402Drive(device="cia402", node_id=5, position_units_per_turn=36_000, velocity_units_per_rpm=60)
@@ -53,10 +54,10 @@ def deaf_consumer(twin: DriveTwin) -> None:
     """Takes a heartbeat time and keeps 0, as a drive whose firmware does not do it."""
     served = twin._drive._set
 
-    def keep_zero(index: int, subindex: int, entry: object, size_bytes: int, value: int) -> int:
-        return 0 if index == 0x1016 else served(index, subindex, entry, size_bytes, value)  # type: ignore[arg-type]
+    def keep_zero(index: int, subindex: int, entry: _Entry, size_bytes: int, value: int) -> int:
+        return 0 if index == 0x1016 else served(index, subindex, entry, size_bytes, value)
 
-    twin._drive._set = keep_zero  # type: ignore[method-assign, assignment]
+    twin._drive._set = keep_zero  # type: ignore[method-assign]
 
 
 def no_drive(twin: DriveTwin) -> None:
