@@ -125,8 +125,9 @@ def test_a_sensor_that_fails_in_mid_motion_is_named_and_heard_again(
             assert f"the {link} link" in (brain.state.fault or "")
             assert not ticking.command.enable
             await asyncio.to_thread(mended.harm, link, "restore")
-            now = lambda: ticking.measurement  # noqa: E731 the newest, whenever it is asked
-            await ticking.until(lambda: max(now().torque_age_s, now().hall_age_s) < 0.05)
+            await ticking.until(
+                lambda: max(ticking.measurement.torque_age_s, ticking.measurement.hall_age_s) < 0.05
+            )
 
     asyncio.run(scenario())
 
