@@ -16,6 +16,7 @@ import pytest
 from needle_rig.config.loader import load_rig_config, rig_config_text
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.brain import Brain
+from needle_rig.control.faults import FaultName
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.errors import RigFault
 from needle_rig.records import DriveState, Phase
@@ -72,10 +73,13 @@ async def awake(bench: Bench) -> AsyncIterator[tuple[Ticking, Brain]]:
     await rig.open()
     try:
         ticking = Ticking(rig, brain)
-        await ticking.until(lambda: ticking.measurement.referenced or brain.state.fault is not None)
-        if brain.state.fault is not None:  # of a run before: its needle is wound up
-            brain.home(by="here", angle_rad=0.0)
-            await ticking.until(lambda: ticking.measurement.referenced)
+        async with asyncio.timeout(20):
+            while not ticking.measurement.referenced:  # what a test before left: a fault, a needle wound up
+                if brain.state.fault_name == FaultName.REFERENCE_LOST:
+                    brain.home(by="here", angle_rad=0.0)
+                elif brain.state.fault is not None:
+                    brain.clear()
+                await asyncio.sleep(0.2)
         brain.clear()
         await ticking.until(lambda: ticking.measurement.drive_state is DriveState.READY)
         yield ticking, brain
