@@ -71,6 +71,7 @@ class Description(_Part):
 
     format: str
     name: str
+    simulated: bool = False
     rig: RigPart
     trials: tuple[TrialPart, ...]
 

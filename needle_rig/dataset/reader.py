@@ -123,4 +123,12 @@ def _read_one(path: Path) -> Dataset:
         raise BadInput(
             "\n".join([*left_out, *wound, f"{show_path(path)}: no trial is left that can be used"])
         )
-    return Dataset(description.name, layout, sensors, needle, in_series(tuple(kept)), tuple(notes))
+    return Dataset(
+        description.name,
+        layout,
+        sensors,
+        needle,
+        in_series(tuple(kept)),
+        tuple(notes),
+        simulated=description.simulated,
+    )

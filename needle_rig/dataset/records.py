@@ -101,6 +101,8 @@ class Dataset:
     trials: tuple[DatasetTrial, ...]
     notes: tuple[str, ...] = field(default=())
     """What was found wrong and how it was handled, those of the trials included."""
+    simulated: bool = False
+    """It was recorded on a simulated rig; no real needle was turned."""
 
     @property
     def replicates(self) -> dict[TrialCommand, tuple[int, ...]]:

@@ -41,6 +41,7 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
     described = {
         "format": FORMAT,
         "name": dataset.name,
+        **({"simulated": True} if dataset.simulated else {}),
         "rig": {
             "needle": constants,
             "tissue_sections_mm": [[_tidy(a * 1e3), _tidy(b * 1e3)] for a, b in layout.tissue_sections_m],
