@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from needle_rig.config.check import validate
 from needle_rig.config.places import Places, read_yaml
-from needle_rig.dataset.records import Needle, TrialCommand
+from needle_rig.dataset.records import Needle, Start, TrialCommand
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
 
@@ -52,6 +52,7 @@ class TrialPart(_Part):
 
     file: str
     start_s: float | None = None
+    start: Start = "relaxed"
     kind: str = "unknown"
     target_deg: float | None = None
     speed_deg_s: Annotated[float, Field(gt=0)] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,9 @@ from needle_rig.records import JsonObject
 
 Mask = npt.NDArray[np.bool_]
 Names = npt.NDArray[np.str_]
+Start: TypeAlias = Literal["relaxed", "wound", "zeroed"]
+"""How the shaft was when the recording began: without twist; with an unknown one, its readings counted from the
+relaxed shaft; with an unknown one, its readings counted from there."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,10 @@ class DatasetTrial:
     file: str
     notes: tuple[str, ...] = ()
     """What was found wrong with the file and how it was handled, a sentence each."""
+    start: Start = "relaxed"
+    start_change: Array | None = None
+    """What an unknown start changes of the readings, (changes, channels, samples), torque first: each a standard
+    deviation, one independent of the other."""
 
     @property
     def torque_ok(self) -> Mask:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -31,37 +32,44 @@ def check_units(
         _check_torque(trial, layout, needle)
 
 
-def leave_out_wound(
+def judge_starts(
     trials: Sequence[DatasetTrial], sensors: tuple[str, ...]
 ) -> tuple[list[DatasetTrial], list[str]]:
-    """The trials that start as the others do, and a sentence for each that does not.
+    """The trials, those that start unlike the others as wound; and a sentence for each.
 
-    A shaft that was left wound shows it before the first motion. Offsets that all trials share stay.
+    A shaft that was left wound shows it before the first motion: in the torque, or in two angles or more. One
+    angle alone that begins elsewhere is a sensor that has moved: its trial is left out. Offsets that all trials
+    share stay.
     """
-    if len(trials) < 3:
+    relaxed = [t for t in trials if t.start == "relaxed"]
+    if len(relaxed) < 3:
         return list(trials), []
-    starts = np.array([_at_start(t) for t in trials])
     with np.errstate(invalid="ignore"):
-        usual = _median(starts)
-        away = np.abs(starts - usual)
+        usual = _median(np.array([_at_start(t) for t in relaxed]))
     largest = float(np.nanmax([np.nanmax(np.abs(t.torque_nm), initial=0.0) for t in trials]) or 0.0)
+    limits = np.array([max(0.3 * largest, 1e-6), *([math.radians(WOUND_DEG)] * len(sensors))])
     kept: list[DatasetTrial] = []
     notes: list[str] = []
-    for trial, start, distance in zip(trials, starts, away, strict=True):
-        hall = distance[1:]
-        worst = int(np.nanargmax(hall)) if np.isfinite(hall).any() else -1
-        if worst >= 0 and hall[worst] > math.radians(WOUND_DEG):
-            notes.append(
-                f"{trial.file}:2: left out: {sensors[worst]} begins at "
-                f"{math.degrees(start[1 + worst]):.1f}°, others at {math.degrees(usual[1 + worst]):.1f}°"
-            )
-        elif np.isfinite(distance[0]) and distance[0] > max(0.3 * largest, 1e-6):
-            notes.append(
-                f"{trial.file}:2: left out: the torque starts at {start[0] * 1e3:.3f} N·mm, other trials at "
-                f"{usual[0] * 1e3:.3f} N·mm; start relaxed"
-            )
-        else:
+    for trial in trials:
+        start = _at_start(trial)
+        with np.errstate(invalid="ignore"):
+            away = np.where(np.isfinite(start), np.abs(start - usual), 0.0)
+        unlike = np.flatnonzero(away > limits)
+        if trial.start != "relaxed" or not unlike.size:
             kept.append(trial)
+            continue
+        worst = int(unlike[np.argmax(away[unlike] / limits[unlike])])
+        if worst:
+            words = f"{sensors[worst - 1]} begins at {math.degrees(start[worst]):.1f}°"
+            others = f"others at {math.degrees(usual[worst]):.1f}°"
+        else:
+            words = f"the torque starts at {start[0] * 1e3:.3f} N·mm"
+            others = f"other trials at {usual[0] * 1e3:.3f} N·mm"
+        if unlike[0] == 0 or unlike.size > 1:
+            notes.append(f"{trial.file}:2: {words}, {others}: taken as a wound start")
+            kept.append(dataclasses.replace(trial, start="wound"))
+        else:
+            notes.append(f"{trial.file}:2: left out: {words}, {others}; where the shaft was wound: `start: wound`")
     return kept, notes
 
 

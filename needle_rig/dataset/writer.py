@@ -30,7 +30,10 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
     for number, trial in enumerate(dataset.trials, start=1):
         file = f"trials/{number:02d}.csv"
         (target / file).write_text(_csv(trial, dataset.sensor_names), encoding="utf-8")
-        trials.append({"file": file, "start_s": round(trial.trial.start_s, 3), **trial.command.file_keys()})
+        told: JsonObject = {"file": file, "start_s": round(trial.trial.start_s, 3)}
+        if trial.start != "relaxed":
+            told["start"] = trial.start
+        trials.append(told | trial.command.file_keys())
     constants: dict[str, float] = {
         "diameter_mm": _tidy(needle.diameter_m * 1e3),
         "shear_modulus_gpa": _tidy(needle.shear_modulus_pa * 1e-9),

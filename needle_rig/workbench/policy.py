@@ -63,6 +63,19 @@ class NoisePolicy:
         "95 %, two-sided",
         _NOISE,
     )
+    start_sigmas: float = _threshold(
+        0.5,
+        "half the difference, in σ of a reading, that the two extreme starts of a shaft make at most where its start"
+        " no longer matters",
+        "a bias of 0.5σ in one reading is not seen: p = 0.62",
+        _NOISE,
+    )
+    start_free_share: float = _threshold(
+        0.5,
+        "share of a trial's readings that must be free of its start for a run-in; below it the start is fitted",
+        "chosen, not derived",
+        _NOISE,
+    )
     scatter: float = _threshold(0.025, "prior scatter of friction from trial to trial", CHOSEN, _NOISE)
     scatter_dof: float = _threshold(
         4.0,

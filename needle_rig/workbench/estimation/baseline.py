@@ -19,7 +19,9 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import positions_of
 from needle_rig.workbench.estimation.posterior import start_point
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.observations.binning import bin_trial
+from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.noise import measure_noise, with_replicate_scatter
 from needle_rig.workbench.policy import POLICY
 
@@ -46,6 +48,15 @@ def null_model(dataset: Dataset) -> NeedleModel:
     return NeedleModel("null", dataset.layout, dataset.needle.torsional_rigidity_nm2, FRICTIONS_N[2])
 
 
+def judged(dataset: Dataset) -> Dataset:
+    """What a model is held against: trials with an unknown start after their run-in, one command alone in blocks.
+
+    Raises BadInput, SolverError.
+    """
+    null = null_model(dataset)
+    return in_blocks(after_run_in(dataset, dataclasses.replace(null, element_length_m=element_length(null))))
+
+
 def element_length(model: NeedleModel) -> float:
     """Cells for fits: 4 mm or a sixth of the shortest section; what that costs in accuracy is a nuisance."""
     sections = model.layout.tissue_sections_m
@@ -60,6 +71,7 @@ def prepare(dataset: Dataset, model: NeedleModel | None, library: Mapping[str, t
     """
     if not dataset.trials:
         raise BadInput(f"{dataset.name}: no trial is left to compare with; see its notes")
+    dataset = judged(dataset)
     present = model or null_model(dataset)
     if len(present.layout.sensor_positions_m) != len(dataset.layout.sensor_positions_m):
         raise BadInput(

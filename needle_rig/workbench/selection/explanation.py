@@ -15,7 +15,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Prepared, element_length
+from needle_rig.workbench.estimation.baseline import Prepared, element_length, judged
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate
@@ -71,6 +71,7 @@ def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
 
     Raises BadInput where there are more or fewer trials than were fitted, SolverError.
     """
+    dataset = judged(dataset)
     if len(dataset.trials) != len(found.trial_friction):
         raise BadInput(
             f"{dataset.name} has {len(dataset.trials)} trials, {len(found.trial_friction)} were fitted;"
