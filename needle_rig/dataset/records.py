@@ -18,8 +18,8 @@ from needle_rig.records import JsonObject
 Mask = npt.NDArray[np.bool_]
 Names = npt.NDArray[np.str_]
 Start: TypeAlias = Literal["relaxed", "wound", "zeroed"]
-"""How the shaft was when the recording began: without twist; with an unknown one, its readings counted from the
-relaxed shaft; with an unknown one, its readings counted from there."""
+"""How the shaft was when the recording began: without twist; with an unknown one, readings counted from the
+relaxed shaft; with an unknown one, readings counted from there."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class DatasetTrial:
     """What was found wrong with the file and how it was handled, a sentence each."""
     start: Start = "relaxed"
     start_change: Array | None = None
-    """What an unknown start changes of the readings, (changes, channels, samples), torque first: each a standard
-    deviation, one independent of the other."""
+    """What an unknown start changes of the readings, (changes, channels, samples), torque first: independent
+    standard deviations."""
 
     @property
     def torque_ok(self) -> Mask:

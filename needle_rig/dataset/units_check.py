@@ -37,9 +37,9 @@ def judge_starts(
 ) -> tuple[list[DatasetTrial], list[str]]:
     """The trials, those that start unlike the others as wound; and a sentence for each.
 
-    A shaft that was left wound shows it before the first motion: in the torque, or in two angles or more. One
-    angle alone that begins elsewhere is a sensor that has moved: its trial is left out. Offsets that all trials
-    share stay.
+    A shaft that was left wound shows it before the first motion: in the torque, or in two angles or more.
+    One angle alone that begins elsewhere is a sensor that has moved: its trial is left out. Offsets that all
+    trials share stay.
     """
     relaxed = [t for t in trials if t.start == "relaxed"]
     if len(relaxed) < 3:
@@ -69,7 +69,9 @@ def judge_starts(
             notes.append(f"{trial.file}:2: {words}, {others}: taken as a wound start")
             kept.append(dataclasses.replace(trial, start="wound"))
         else:
-            notes.append(f"{trial.file}:2: left out: {words}, {others}; where the shaft was wound: `start: wound`")
+            notes.append(
+                f"{trial.file}:2: left out: {words}, {others}; where the shaft was wound: `start: wound`"
+            )
     return kept, notes
 
 

@@ -65,14 +65,14 @@ class NoisePolicy:
     )
     start_sigmas: float = _threshold(
         0.5,
-        "half the difference, in σ of a reading, that the two extreme starts of a shaft make at most where its start"
-        " no longer matters",
+        "half of what a shaft's two extreme starts differ by, in σ of a reading, below which that no longer"
+        " matters",
         "a bias of 0.5σ in one reading is not seen: p = 0.62",
         _NOISE,
     )
     start_free_share: float = _threshold(
         0.5,
-        "share of a trial's readings that must be free of its start for a run-in; below it the start is fitted",
+        "share of a trial's readings that must be free of its start for a run-in; below it, that is fitted",
         "chosen, not derived",
         _NOISE,
     )

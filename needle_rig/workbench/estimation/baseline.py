@@ -49,7 +49,7 @@ def null_model(dataset: Dataset) -> NeedleModel:
 
 
 def judged(dataset: Dataset) -> Dataset:
-    """What a model is held against: trials with an unknown start after their run-in, one command alone in blocks.
+    """What a model is held against: trials with an unknown start after a run-in, one command alone in blocks.
 
     Raises BadInput, SolverError.
     """

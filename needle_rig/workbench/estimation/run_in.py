@@ -1,22 +1,25 @@
-"""Trials whose shaft was not relaxed when the recording began: where their start no longer matters, or what it was.
+"""Trials whose shaft was not relaxed when the recording began: from where on that no longer matters.
 
-Dry friction keeps order: of two shafts on one path of the base, that which begins farther round at every place stays
-so (order preservation of Prandtl-Ishlinskii operators: Visintin 1994, III.2). Every start that friction can hold
-lies between the two in which each node has slipped to the start from above, and from below. Readings that are the
-same from both are free of the start: a *run-in* leaves out the others. Where too few are free, the start is fitted
-as one turn from a relaxed shaft, and what the two extremes differ by is uncertainty of the readings.
+Dry friction keeps order: of two shafts on one path of the base, that which begins farther round at every
+place stays so (order preservation of Prandtl-Ishlinskii operators: Visintin 1994, III.2). Every start that
+friction can hold lies between the two in which each node has slipped to it, from above and from below.
+Readings that are the same from both are free of the start: a run-in leaves out the others. Where too few are
+free, the start is fitted as one turn from a relaxed shaft. What the two extremes differ by counts as
+uncertainty of the readings.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import build_rod
 from needle_rig.units import deg, rad
@@ -28,15 +31,25 @@ from needle_rig.workbench.policy import POLICY
 LAGS_DEG = (5.0, 12.0, 25.0, 50.0, 100.0, 200.0)
 """Lags of a tip whose whole shaft slips, of which friction is guessed; a level finer follows."""
 FINER = (0.6, 0.8, 1.0, 1.25, 1.6)
-TURNS = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
-"""Turns from a relaxed shaft to the start that are tried, in lags of the tip."""
-BEYOND = 1.25
-"""Of the guessed friction, which the extreme starts have, and of the turn that makes the whole shaft slip: effects
-that are not in the model yet hold a shaft harder."""
-REVERSALS, SHRINK = 9, 0.6
-"""Turns to and fro that relax a shaft: the last is a hundredth of the first."""
-TURN_SAMPLES, TURN_S = 12, 2.0
+TURNS = (-2.0, -1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 2.0)
+"""Turns from a relaxed shaft to the start that are tried, in lags of the tip: the whole shaft slips in the
+outermost, whatever the friction."""
+FEW_TURNS = (-2.0, -0.5, 0.5, 2.0)
+"""Those of them that friction is guessed with,"""
+GUESSED_FROM = 2
+"""from the trials whose base turns farthest."""
+FINER_TURNS = (0.125, 0.0625)
+"""Steps about the best, in lags."""
+BEYOND = 1.5
+"""Of the guessed friction, which the extreme starts have: effects that are not in the model yet hold a shaft
+harder. An elastic tissue of 0.35 N·mm/rad per 100 mm lets the tip lag 1.6 times as far before all slips."""
+REVERSALS, SHRINK = 20, 0.8
+"""Turns to and fro that relax a shaft, the last a hundredth of the first; the slower they shrink, the less is
+left."""
+TURN_SAMPLES, TURN_S = 6, 2.0
 REST_S = 1.0
+NEAR_TURN = 0.25
+"""Turn about the fitted start, in lags, that counts as its uncertainty beside the extreme starts."""
 UNIFORM = 1.0 / math.sqrt(3.0)
 """Standard deviation of what lies anywhere between −1 and 1."""
 PHASE = "run-in"
@@ -49,12 +62,14 @@ WORDS = {
 def after_run_in(dataset: Dataset, null: NeedleModel) -> Dataset:
     """The dataset; trials with an unknown start as far as they can be judged, each with a sentence.
 
-    The path of such a trial gets turns before it that wind the shaft as it was found to be. `null` is rigid tissue in
-    the dataset's geometry; its friction is guessed. Raises SolverError, BadInput.
+    The path of such a trial gets turns before it that wind the shaft as it was found to be. `null` is rigid
+    tissue in the dataset's geometry; its friction is guessed. Raises SolverError, BadInput.
     """
     if all(t.start == "relaxed" for t in dataset.trials):
         return dataset
-    noise = measure_noise(dataset.trials, [bin_trial(t) for t in dataset.trials])
+    # with a path before it an unknown twist is no rest, whose scatter would count as noise
+    rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
+    noise = measure_noise(rests, [bin_trial(t) for t in rests])
     shaft = _guessed(dataset, noise, null)
     trials, notes = [], []
     for given in dataset.trials:
@@ -104,8 +119,11 @@ def _guessed(dataset: Dataset, noise: Noise, null: NeedleModel) -> _Shaft:
         model = dataclasses.replace(null, friction_n=lag_rad / lag_of_newton)
         return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names))
 
+    travelled = sorted(dataset.trials, key=lambda t: -float(np.abs(np.diff(t.trial.base_angle_rad)).sum()))
+    told = travelled[:GUESSED_FROM]
+
     def misfit(lag_rad: float) -> float:
-        return sum(of(lag_rad).start(t)[1] for t in dataset.trials)
+        return sum(of(lag_rad).start(t, FEW_TURNS)[1] for t in told)
 
     level = min((rad(lag) for lag in LAGS_DEG), key=misfit)
     return of(min((level * f for f in FINER), key=misfit))
@@ -113,7 +131,7 @@ def _guessed(dataset: Dataset, noise: Noise, null: NeedleModel) -> _Shaft:
 
 @dataclass(frozen=True)
 class _Shaft:
-    """A needle in rigid tissue, how far its tip lags when all of it slips, and the noise of what it is held against."""
+    """A needle in rigid tissue, how far its tip lags when all of it slips, and the noise of the readings."""
 
     model: NeedleModel
     lag_rad: float
@@ -121,56 +139,72 @@ class _Shaft:
     sensor_names: tuple[str, ...]
     simulator: Simulator = field(default_factory=Simulator)
 
-    def start(self, given: DatasetTrial) -> tuple[float, float]:
-        """(turn from a relaxed shaft to the start that fits best, χ² with it)."""
+    def start(self, given: DatasetTrial, turns: Sequence[float] = TURNS) -> tuple[float, float]:
+        """(turn from a relaxed shaft to the start that fits best of some, χ² with it)."""
         if given.start == "relaxed":
             return 0.0, self._chi2(bin_trial(given))
-        tried = {turn * self.lag_rad: self._chi2(self._from(given, turn * self.lag_rad)) for turn in TURNS}
+        tried = {turn: self._chi2(self._from(given, turn * self.lag_rad)) for turn in turns}
         best = min(tried, key=lambda turn: tried[turn])
-        return best, tried[best]
+        return best * self.lag_rad, tried[best]
+
+    def _finer(self, given: DatasetTrial) -> float:
+        """The turn that fits best, between those of `start`."""
+        best_rad, least = self.start(given)
+        for step in FINER_TURNS:
+            for turn_rad in (best_rad - step * self.lag_rad, best_rad + step * self.lag_rad):
+                chi2 = self._chi2(self._from(given, turn_rad))
+                if chi2 < least:
+                    best_rad, least = turn_rad, chi2
+        return best_rad
 
     def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, str]:
-        """The trial with readings that depend on its start left out, or with these uncertain; and what was done."""
-        turn_rad, _ = self.start(given)
+        """The trial without readings that depend on its start, or with these uncertain; and what was done."""
+        turn_rad = self._finer(given)
         trial = wound(given, turn_rad, self.lag_rad)
         binned = bin_trial(trial)
-        most_rad = BEYOND * self.lag_rad
-        held = dataclasses.replace(self.model, friction_n=BEYOND * self.model.friction_n)
-        extremes = [bin_trial(wound(given, way * BEYOND * most_rad, BEYOND * most_rad)) for way in (1.0, -1.0)]
-        below, above = self.simulator.readings([held, held], extremes)
-        half = 0.5 * np.abs(above - below)
-        every_bin = [covariance(self.noise, binned, c) for c in range(len(half))]
+        before = ((0, 0), (int((binned.time_s < given.trial.time_s[0]).sum()), 0))
+        half = np.pad(self._half_difference(given, 0.0, TURNS[-1], BEYOND), before)
+        near = np.pad(self._half_difference(given, turn_rad, NEAR_TURN, 1.0), before)
         free = np.zeros(half.shape, dtype=np.bool_)
-        for c, (use, matrix) in enumerate(every_bin):
-            free[c, use] = half[c, use] < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
+        for c in range(len(half)):
+            use, matrix = covariance(self.noise, binned, c)
+            free[c, use] = np.abs(half[c, use]) < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
         known = np.isfinite(binned.mean)
         share = float(free[known].mean())
         of_sample = sample_weights(trial).tocsc().indices
-        change = 0.5 * (below - above)
-        first = int(np.flatnonzero(trial.phase != PHASE)[0])
-        offsets = UNIFORM * np.abs(change[:, of_sample[first]])
-        changes = []
+        changes = [UNIFORM * half, near]
         if given.start == "zeroed":
-            changes = [
-                np.where(np.arange(len(half)) == c, offsets[c], 0.0)[:, None] * np.ones(len(of_sample))
-                for c in range(len(half))
-            ]
-        if share >= POLICY.noise.start_free_share:
-            keep = free[:, of_sample]
-            trial = dataclasses.replace(
-                trial,
-                torque_nm=np.where(keep[0], trial.torque_nm, np.nan),
-                hall_rad=np.where(keep[1:].T, trial.hall_rad, np.nan),
+            first = of_sample[np.flatnonzero(trial.phase != PHASE)[0]]
+            changes += [np.where(place[:, None], half[:, [first]], 0.0) for place in np.eye(len(half))]
+        changed = np.array([np.broadcast_to(c, half.shape)[:, of_sample] for c in changes])
+        trial = dataclasses.replace(trial, start_change=changed)
+        if share < POLICY.noise.start_free_share:
+            return trial, (
+                f"{given.file}: {WORDS[given.start]}; {share:.0%} of the readings do not depend on it, too few"
+                f" for a run-in (limit {POLICY.noise.start_free_share:.0%}): the start is fitted as a turn of"
+                f" {deg(turn_rad):.0f}° from a relaxed shaft, and what another start would change counts as"
+                " uncertainty"
             )
-            note = f"{given.file}: {WORDS[given.start]}; {self._run_in(binned, free, known, share)}"
-        else:
-            changes.append(UNIFORM * change[:, of_sample])
-            note = (
-                f"{given.file}: {WORDS[given.start]}; {share:.0%} of the readings do not depend on the start, too few"
-                f" (limit {POLICY.noise.start_free_share:.0%}): the start is fitted as a turn of {deg(turn_rad):.0f}°"
-                " from a relaxed shaft, and what any other start would change counts as uncertainty"
-            )
-        return dataclasses.replace(trial, start_change=np.array(changes) if changes else None), note
+        keep = free[:, of_sample]
+        trial = dataclasses.replace(
+            trial,
+            torque_nm=np.where(keep[0], trial.torque_nm, np.nan),
+            hall_rad=np.where(keep[1:].T, trial.hall_rad, np.nan),
+        )
+        return trial, f"{given.file}: {WORDS[given.start]}; {self._run_in(binned, free, known, share)}"
+
+    def _half_difference(self, given: DatasetTrial, turn_rad: float, lags: float, harder: float) -> Array:
+        """Half of what means of the recorded bins (C, K) differ by between two starts, `lags` to either side of a
+        turn, for a shaft that is held `harder`."""
+        lag_rad = harder * self.lag_rad
+        model = dataclasses.replace(self.model, friction_n=harder * self.model.friction_n)
+        starts = [bin_trial(wound(given, turn_rad + way * lags * lag_rad, lag_rad)) for way in (1.0, -1.0)]
+        begin_s = float(given.trial.time_s[0])
+        one, other = (
+            reading[:, binned.time_s >= begin_s]
+            for reading, binned in zip(self.simulator.readings([model, model], starts), starts, strict=True)
+        )
+        return np.asarray(0.5 * (one - other), dtype=np.float64)
 
     def _run_in(
         self, binned: BinnedTrial, free: npt.NDArray[np.bool_], known: npt.NDArray[np.bool_], share: float
@@ -182,7 +216,8 @@ class _Shaft:
                 since.append(f"{name} from {binned.time_s[judged[0]]:.3g} s")
             elif is_known.any():
                 since.append(f"{name} never")
-        return f"after a run-in {share:.0%} of the readings do not depend on that and are judged: {', '.join(since)}"
+        first = ", ".join(since)
+        return f"after a run-in {share:.0%} of the readings do not depend on that and are judged: {first}"
 
     def _from(self, given: DatasetTrial, turn_rad: float) -> BinnedTrial:
         """In bins, with `turn_rad` before it; what is counted from the start may be off by any lag."""
@@ -190,8 +225,11 @@ class _Shaft:
         if given.start != "zeroed":
             return binned
         channels, bins = binned.mean.shape
-        most = np.r_[self.lag_rad * self.model.torsional_rigidity_nm2 / self.model.layout.needle_length_m, self.lag_rad]
-        offsets = np.eye(channels) * np.where(np.arange(channels) == 0, *most)
+        most_rad = rad(
+            LAGS_DEG[-1]
+        )  # of any shaft that is tried: a width of its own would favour the loosest
+        most_nm = most_rad * self.model.torsional_rigidity_nm2 / self.model.layout.needle_length_m
+        offsets = np.diag([most_nm, *[most_rad] * (channels - 1)])
         return dataclasses.replace(binned, from_start=np.repeat(offsets[:, None, :], bins, axis=1))
 
     def _chi2(self, binned: BinnedTrial) -> float:

@@ -189,7 +189,10 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
     from_start = None
     if given.start_change is not None:
         from_start = np.array(
-            [[bin_sum(block_mean(values) * size) / samples for values in change] for change in given.start_change]
+            [
+                [bin_sum(block_mean(values) * size) / samples for values in change]
+                for change in given.start_change
+            ]
         ).transpose(1, 2, 0)
     weights = np.zeros((number, grid_time.size))
     weights[of_bin, place[: first.size]] = size / samples[of_bin]

@@ -11,14 +11,14 @@ from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.workbench.observations.binning import motions_of
 
 BLOCKS = 4
-"""A quarter is left out at a time: with fewer blocks too little is left to fit, with more a block is one motion
-of Reed's five."""
+"""A quarter is left out at a time: with fewer too little is left to fit, with more a block is one motion of
+Reed's five."""
 FEWEST_SAMPLES = 10
 """Of a block, as of a trial."""
 NOTE = (
     f"One command alone was recorded: its time is cut into {BLOCKS} blocks, each left out in turn. This tells"
-    " whether a model foretells the rest of the recording, not another target, speed or dwell: add trials with"
-    " another one."
+    " whether a model foretells the rest of the recording, not another target, speed or dwell:"
+    " add trials with another one."
 )
 
 
