@@ -19,7 +19,7 @@ from needle_rig.dataset.description import (
 from needle_rig.dataset.records import Dataset, DatasetTrial, in_series
 from needle_rig.dataset.samples import LeftOut
 from needle_rig.dataset.trial_file import read_trial
-from needle_rig.dataset.units_check import check_units, judge_starts
+from needle_rig.dataset.units_check import check_units, guessed_rigidity, judge_starts
 from needle_rig.errors import BadInput
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -74,7 +74,12 @@ def _same_layout(one: Dataset, other: Dataset) -> bool:
         return False
     places = [
         np.array(
-            [d.layout.needle_length_m, *sum(d.layout.tissue_sections_m, ()), *d.layout.sensor_positions_m]
+            [
+                d.layout.needle_length_m,
+                *sum(d.layout.tissue_sections_m, ()),
+                *d.layout.sensor_positions_m,
+                *sum(d.layout.segments, ()),
+            ]
         )
         for d in (one, other)
     ]
@@ -116,6 +121,9 @@ def _read_one(path: Path) -> Dataset:
         end_s = start_s + float(trial.trial.time_s[-1])
         trials.append(trial)
         notes.extend(trial.notes)
+    if not needle.rigidity_is_known:
+        needle, said = guessed_rigidity(trials, layout)
+        notes.append(said)
     check_units(trials, layout, needle, sensors)
     kept, unlike = judge_starts(trials, sensors)
     notes.extend(unlike)

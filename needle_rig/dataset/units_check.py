@@ -9,11 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from needle_rig.dataset.channels import suspected_factor, white_noise
-from needle_rig.dataset.records import DatasetTrial, Needle
+from needle_rig.dataset.description import UNTOLD_NM2
+from needle_rig.dataset.records import UNKNOWN_SIGMA, DatasetTrial, Needle
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
 
+LEAST_TWIST_DEG = 3.0
+"""Below it the twist is the sensors' noise."""
 WOUND_DEG = 3.0
 """A shaft whose sensors start this far from where the other trials start was not relaxed."""
 
@@ -30,6 +33,33 @@ def check_units(
             _check_hall(trial, sensor, name)
     for trial in trials:
         _check_torque(trial, layout, needle)
+
+
+def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Needle, str]:
+    """The shaft with the rigidity that the torque's span over that of the twist tells, within a factor of
+    about two; and a sentence of what cannot be told."""
+    known = {s: place for s, place in enumerate(layout.sensor_positions_m) if place > 0}
+    found: list[float] = []
+    for trial in trials:
+        base, torque = trial.trial.base_angle_rad, trial.torque_nm
+        for sensor, place in sorted(known.items(), key=lambda item: item[1]):
+            twist = base - trial.hall_rad[:, sensor]
+            both = np.isfinite(twist) & np.isfinite(torque)
+            if both.sum() >= 20 and np.ptp(twist[both]) > math.radians(LEAST_TWIST_DEG):
+                found.append(float(np.ptp(torque[both]) / np.ptp(twist[both])) * place)
+                break
+    said = "rig.needle: the torsional rigidity is unknown"
+    if found:
+        rigidity = float(np.median(found))
+        return Needle.of_rigidity(rigidity, UNKNOWN_SIGMA), (
+            f"{said}: about {rigidity * 1e6:.2g} N·mm² from torque over twist, and learnt from there; a gain"
+            " of the torque sensor and a rigidity that is off cannot be told apart"
+        )
+    return Needle.of_rigidity(UNTOLD_NM2, UNKNOWN_SIGMA), (
+        f"{said} and no trial has a torque beside an angle of the shaft: {UNTOLD_NM2 * 1e6:g} N·mm² stands for"
+        " it; angles alone tell friction over rigidity, a torque alone tells them only as far as the shaft's"
+        " spring shows at reversals"
+    )
 
 
 def judge_starts(
@@ -164,7 +194,7 @@ def _check_hall(trial: DatasetTrial, sensor: int, name: str) -> None:
 
 def _check_torque(trial: DatasetTrial, layout: Layout, needle: Needle) -> None:
     """The twist up to the first sensor gives the torque to a factor of about two."""
-    if not layout.sensor_positions_m or not layout.tissue_sections_m:
+    if not layout.sensor_positions_m or not layout.tissue_sections_m or not needle.rigidity_is_known:
         return
     nearest = int(np.argmin(layout.sensor_positions_m))
     twist = trial.trial.base_angle_rad - trial.hall_rad[:, nearest]

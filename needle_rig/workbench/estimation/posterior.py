@@ -22,6 +22,8 @@ STEP = 0.003
 MOST_SOLVES = 150.0
 """Solves a sample beyond which a fit does not go: a needle that snaps from balance to balance, whose instants
 no derivative follows. Ageing friction takes about ten, most effects one or two."""
+RIGIDITY_REACH = 1.5
+"""Largest logarithm of the rigidity over a stated one."""
 LEVEL = 1e6
 """Weight that holds the mean of the trials' own friction at 0: the friction of all is their common level; and
 that of items which count against their mean. Without it the two trade places along a direction that the data
@@ -57,8 +59,9 @@ class Objective:
         low = [a.bounds[0] for a in axes]
         high = [a.bounds[1] for a in axes]
         own, free = np.full(self.trials, 1.2), np.full(self.q, 8.0)
-        self.low = np.r_[np.log(1e-7), self.stated - 1.5, low, -own, -free]
-        self.high = np.r_[np.log(0.045), self.stated + 1.5, high, own, free]
+        reach = max(RIGIDITY_REACH, 3.0 * problem.rigidity_prior)
+        self.low = np.r_[np.log(1e-7), self.stated - reach, low, -own, -free]
+        self.high = np.r_[np.log(0.045), self.stated + reach, high, own, free]
 
     def point(self, x: Array) -> Point:
         """The vector without its nuisances."""

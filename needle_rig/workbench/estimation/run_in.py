@@ -179,9 +179,10 @@ class _Shaft:
         changed = np.array([np.broadcast_to(c, half.shape)[:, of_sample] for c in changes])
         trial = dataclasses.replace(trial, start_change=changed)
         if share < POLICY.noise.start_free_share:
+            limit = f"{POLICY.noise.start_free_share:.0%}"
             return trial, (
-                f"{given.file}: {WORDS[given.start]}; {share:.0%} of the readings do not depend on it, too few"
-                f" for a run-in (limit {POLICY.noise.start_free_share:.0%}): the start is fitted as a turn of"
+                f"{given.file}: {WORDS[given.start]}; {share:.0%} of the readings do not depend on it, too"
+                f" few for a run-in (limit {limit}): the start is fitted as a turn of"
                 f" {deg(turn_rad):.0f}° from a relaxed shaft, and what another start would change counts as"
                 " uncertainty"
             )
@@ -194,7 +195,7 @@ class _Shaft:
         return trial, f"{given.file}: {WORDS[given.start]}; {self._run_in(binned, free, known, share)}"
 
     def _half_difference(self, given: DatasetTrial, turn_rad: float, lags: float, harder: float) -> Array:
-        """Half of what means of the recorded bins (C, K) differ by between two starts, `lags` to either side of a
+        """Half of what means of recorded bins (C, K) differ by between two starts, `lags` to either side of a
         turn, for a shaft that is held `harder`."""
         lag_rad = harder * self.lag_rad
         model = dataclasses.replace(self.model, friction_n=harder * self.model.friction_n)
