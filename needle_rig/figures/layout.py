@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from needle_rig.physics.rod import Layout
 from needle_rig.units import mm
 
 HALF_HEIGHT = 0.2
-"""Of the needle in the picture; a segment's goes with the fourth root of its rigidity, as a wire's diameter."""
+"""Of the needle in the picture; a segment's goes with the fourth root of its rigidity, as its diameter."""
 
 
 def draw_layout(layout: Layout, sensor_names: Sequence[str], title: str, path: Path) -> Path:
@@ -26,7 +27,7 @@ def draw_layout(layout: Layout, sensor_names: Sequence[str], title: str, path: P
         axes.axvspan(mm(start), mm(end), color="C1", alpha=0.3, linewidth=0, label=label)
     edges = [0.0, layout.needle_length_m]
     edges = sorted({*edges, *(place for segment in layout.segments for place in segment[:2])})
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges):
         middle = 0.5 * (start + end)
         relative = next((factor for a, b, factor in layout.segments if a < middle < b), 1.0)
         half = HALF_HEIGHT * relative**0.25

@@ -8,7 +8,7 @@ import pytest
 from needle_rig.model import load_parameters
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
-from needle_rig.workbench.estimation.baseline import judged, prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline, judged
 from needle_rig.workbench.estimation.run_in import PHASE, wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -91,13 +91,13 @@ def test_a_start_that_is_never_forgotten_is_fitted(start):
     whole = dataset(seed=4)
     late = [begun_late(t, "overshoot" if "overshoot" in t.phase else "step_2", start) for t in whole.trials]
     given = dataclasses.replace(whole, trials=tuple(late))
-    prepared = prepare(given, None, few("torque_bias"))
-    said = [note for note in prepared.dataset.notes if "the start is fitted as a turn of" in note]
+    baseline = fit_baseline(given, None, few("torque_bias"))
+    said = [note for note in baseline.dataset.notes if "the start is fitted as a turn of" in note]
     assert len(said) == 5
     assert "turn of -" in said[2]
     assert not any("turn of -" in said[k] for k in (0, 1, 4))
-    assert prepared.held.error < 1.15
-    assert np.exp(prepared.present.point.log_friction) * 100 == pytest.approx(0.0983, rel=0.02)
+    assert baseline.validation.error < 1.15
+    assert np.exp(baseline.current.vector.log_friction) * 100 == pytest.approx(0.0983, rel=0.02)
 
 
 def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does():

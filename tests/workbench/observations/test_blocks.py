@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.observations.blocks import BLOCKS, NOTE, in_blocks
 from tests.workbench.hidden import dataset, effect, few
 
@@ -59,6 +59,6 @@ def test_a_trial_too_short_to_be_cut_stays_whole():
     ],
 )
 def test_the_error_left_out_of_one_command_is_a_number_that_tells_a_right_model(hidden, low, high):
-    prepared = prepare(alone(dataset(*hidden, seed=2)), None, few())
-    assert low < prepared.held.error < high
-    assert NOTE in prepared.dataset.notes
+    baseline = fit_baseline(alone(dataset(*hidden, seed=2)), None, few())
+    assert low < baseline.validation.error < high
+    assert NOTE in baseline.dataset.notes
