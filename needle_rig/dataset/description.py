@@ -183,7 +183,7 @@ def _segment(rig: RigPart, number: int, places: Places) -> tuple[float, float, f
     else:
         raise places.error(
             path,
-            "its rigidity is not told once: write diameter_mm (with shear_modulus_gpa, if the needle has none)"
+            "its rigidity is not told once: write diameter_mm (with shear_modulus_gpa if the needle has none)"
             " or torsional_rigidity_nmm2",
         )
     if needle.torsional_rigidity_nmm2 == "unknown":

@@ -57,8 +57,8 @@ def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Ne
         )
     return Needle.of_rigidity(UNTOLD_NM2, UNKNOWN_SIGMA), (
         f"{said} and no trial has a torque beside an angle of the shaft: {UNTOLD_NM2 * 1e6:g} N·mm² stands"
-        " for it; angles alone tell friction over rigidity, a torque alone tells them only as far as the shaft's"
-        " spring shows at reversals"
+        " for it; angles alone tell friction over rigidity, a torque alone tells them only as far as the"
+        " shaft's spring shows at reversals"
     )
 
 
