@@ -4,8 +4,8 @@ Dry friction keeps order: of two shafts on one path of the base, that which begi
 place stays so (order preservation of Prandtl-Ishlinskii operators: Visintin 1994, III.2). Every start that
 friction can hold lies between the two in which each node has slipped to it, from above and from below.
 Readings that are the same from both are free of the start: a run-in leaves out the others. Where too few are
-free, the start is fitted as one turn from a relaxed shaft. What the two extremes differ by counts as
-uncertainty of the readings.
+free, the start is fitted as one turn from a relaxed shaft. What other turns would change, of a shaft with the
+friction found and of one held harder, has the covariance of an ensemble and counts as uncertainty.
 """
 
 from __future__ import annotations
@@ -48,10 +48,6 @@ REVERSALS, SHRINK = 20, 0.8
 left."""
 TURN_SAMPLES, TURN_S = 6, 2.0
 REST_S = 1.0
-NEAR_TURN = 0.25
-"""Turn about the fitted start, in lags, that counts as its uncertainty beside the extreme starts."""
-UNIFORM = 1.0 / math.sqrt(3.0)
-"""Standard deviation of what lies anywhere between −1 and 1."""
 PHASE = "run-in"
 WORDS = {
     "wound": "begins with an unknown twist",
@@ -162,9 +158,12 @@ class _Shaft:
         turn_rad = self._finer(given)
         trial = wound(given, turn_rad, self.lag_rad)
         binned = bin_trial(trial)
-        before = ((0, 0), (int((binned.time_s < given.trial.time_s[0]).sum()), 0))
-        half = np.pad(self._half_difference(given, 0.0, TURNS[-1], BEYOND), before)
-        near = np.pad(self._half_difference(given, turn_rad, NEAR_TURN, 1.0), before)
+        before = ((0, 0), (0, 0), (int((binned.time_s < given.trial.time_s[0]).sum()), 0))
+        turns_rad = [turn * self.lag_rad for turn in TURNS]
+        others = np.pad(self._recorded(given, [turn_rad, *turns_rad], 1.0), before)
+        harder = np.pad(self._recorded(given, [turn_rad, *(BEYOND * t for t in turns_rad)], BEYOND), before)
+        half = 0.5 * (harder[-1] - harder[1])
+        away = np.concatenate([others[1:] - others[0], harder[1:] - harder[0]])
         free = np.zeros(half.shape, dtype=np.bool_)
         for c in range(len(half)):
             use, matrix = covariance(self.noise, binned, c)
@@ -172,7 +171,7 @@ class _Shaft:
         known = np.isfinite(binned.mean)
         share = float(free[known].mean())
         of_sample = sample_weights(trial).tocsc().indices
-        changes = [UNIFORM * half, near]
+        changes = list(away / math.sqrt(len(away)))
         if given.start == "zeroed":
             first = of_sample[np.flatnonzero(trial.phase != PHASE)[0]]
             changes += [np.where(place[:, None], half[:, [first]], 0.0) for place in np.eye(len(half))]
@@ -194,18 +193,13 @@ class _Shaft:
         )
         return trial, f"{given.file}: {WORDS[given.start]}; {self._run_in(binned, free, known, share)}"
 
-    def _half_difference(self, given: DatasetTrial, turn_rad: float, lags: float, harder: float) -> Array:
-        """Half of what means of recorded bins (C, K) differ by between two starts, `lags` to either side of a
-        turn, for a shaft that is held `harder`."""
-        lag_rad = harder * self.lag_rad
+    def _recorded(self, given: DatasetTrial, turns_rad: Sequence[float], harder: float) -> Array:
+        """Means of the recorded bins (turns, C, K) from each start, of a shaft that is held `harder`."""
         model = dataclasses.replace(self.model, friction_n=harder * self.model.friction_n)
-        starts = [bin_trial(wound(given, turn_rad + way * lags * lag_rad, lag_rad)) for way in (1.0, -1.0)]
+        starts = [bin_trial(wound(given, turn_rad, harder * self.lag_rad)) for turn_rad in turns_rad]
+        readings = self.simulator.readings([model] * len(starts), starts)
         begin_s = float(given.trial.time_s[0])
-        one, other = (
-            reading[:, binned.time_s >= begin_s]
-            for reading, binned in zip(self.simulator.readings([model, model], starts), starts, strict=True)
-        )
-        return np.asarray(0.5 * (one - other), dtype=np.float64)
+        return np.array([r[:, b.time_s >= begin_s] for r, b in zip(readings, starts, strict=True)])
 
     def _run_in(
         self, binned: BinnedTrial, free: npt.NDArray[np.bool_], known: npt.NDArray[np.bool_], share: float
