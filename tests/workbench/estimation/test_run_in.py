@@ -11,8 +11,9 @@ from needle_rig.units import deg, nm, rad
 from needle_rig.workbench.estimation.baseline import fit_baseline, judged
 from needle_rig.workbench.estimation.run_in import PHASE, wound
 from needle_rig.workbench.learning.compare import compare
+from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
-from tests.workbench.hidden import dataset, few
+from tests.workbench.hidden import dataset, effect, few
 
 WIDE = Protocol(
     "wide",
@@ -118,3 +119,14 @@ def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does():
     for angle in hall:
         assert (np.diff(angle) <= rad(0.2)).all()
     assert deg(hall[3][0]) == pytest.approx(26.0, abs=2.0)
+
+
+def test_an_effect_is_named_at_its_size_beside_wound_starts():
+    whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
+    trials = list(whole.trials)
+    for place in (2, 4):
+        trials[place] = begun_late(trials[place], "overshoot", "wound")
+    found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few())
+    assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
+    assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
+    assert found.held_out_error_after < 1.1
