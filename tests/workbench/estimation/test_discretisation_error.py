@@ -141,10 +141,13 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
 
 def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     data, problem, found = slipping(encoder_deg=0.02)
-    met = []
-    monkeypatch.setattr(
-        discretisation_error, "over_forms", lambda _, found, steps: met.append(found) or found
-    )
+    met: list[Fit] = []
+
+    def over_forms(_: object, found: Fit, __: object) -> Fit:
+        met.append(found)
+        return found
+
+    monkeypatch.setattr(discretisation_error, "over_forms", over_forms)
     fine_m = load_parameters("rig_rigid").element_length_m
     before = np.linalg.norm(np.vstack(whitened_error(problem, found, data.trials, fine_m)))
     assert before > 5.0

@@ -19,7 +19,9 @@ ITEMS = np.array([3, 4, 5])
 PRECISION = np.r_[0.0, 2500.0, 0.01, 0.25, 0.25, 0.25, np.full(T, 400.0), np.ones(Q)]
 
 
-def toy(*, constrained=(), lumped: bool = True, blind: bool = False, alike: bool = False) -> LinearisedFit:
+def toy(
+    *, constrained: tuple[Array, ...] = (), lumped: bool = True, blind: bool = False, alike: bool = False
+) -> LinearisedFit:
     """Three trials; `lumped`: the random effect is a direction of its own; `blind`: nothing tells of
     the first scaled value; `alike`: two scaled values can hardly be told apart."""
     random = np.random.default_rng(5)
@@ -74,7 +76,9 @@ def test_a_step_is_the_least_squares_solution_of_the_stacked_rows() -> None:
 
 
 @pytest.mark.parametrize("constrained", [(), (ITEMS,)])
-def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(constrained) -> None:
+def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(
+    constrained: tuple[Array, ...],
+) -> None:
     linear = toy(constrained=constrained)
     rows, _ = dense(linear, mean_of_trials=True)
     inverse = np.linalg.inv(rows.T @ rows)[:P, :P]
@@ -85,7 +89,7 @@ def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_
 
 
 @pytest.mark.parametrize("constrained", [(), (ITEMS,)])
-def test_projection_leaves_the_residual_of_least_squares(constrained) -> None:
+def test_projection_leaves_the_residual_of_least_squares(constrained: tuple[Array, ...]) -> None:
     linear = toy(constrained=constrained)
     rows, values = dense(linear)
     left = values - rows @ np.linalg.lstsq(rows, values, rcond=None)[0]
@@ -134,7 +138,9 @@ def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row()
 
 
 @pytest.mark.parametrize("constrained", [(), (ITEMS,)])
-def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained) -> None:
+def test_without_a_trial_the_covariance_is_that_of_the_other_rows(
+    constrained: tuple[Array, ...],
+) -> None:
     linear = toy(constrained=constrained)
     shared = np.r_[0:P, P + T : P + T + Q]
     rows, _ = dense(linear, trials=(0, 2))

@@ -18,7 +18,8 @@ NAMES = ("tip_friction", "chuck_backlash")
 
 def fits() -> tuple[Problem, Fit, Fit]:
     baseline = fit_baseline(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
-    return baseline.problem, *(try_effect(baseline.problem, baseline.current, n).fit for n in NAMES)
+    tip, play = (try_effect(baseline.problem, baseline.current, name).fit for name in NAMES)
+    return baseline.problem, tip, play
 
 
 def test_candidates_are_ranked_by_what_a_minute_of_them_tells() -> None:

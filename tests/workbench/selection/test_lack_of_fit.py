@@ -15,7 +15,7 @@ from tests.workbench.hidden import dataset, effect, few, fit, try_effect
 
 def checked(data: Dataset) -> LackOfFit:
     baseline = fit_baseline(data, None, few())
-    return lack_of_fit(baseline.problem, baseline.current, data.sensor_names)
+    return known(lack_of_fit(baseline.problem, baseline.current, data.sensor_names))
 
 
 def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
@@ -38,9 +38,9 @@ def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
 def test_an_effect_is_significant_until_it_is_fitted(hidden: Effect) -> None:
     data = dataset(hidden, seed=41)
     baseline = fit_baseline(data, None, few())
-    before = lack_of_fit(baseline.problem, baseline.current, data.sensor_names)
+    before = known(lack_of_fit(baseline.problem, baseline.current, data.sensor_names))
     found = try_effect(baseline.problem, baseline.current, hidden.name()).fit
-    after = lack_of_fit(baseline.problem, found, data.sensor_names)
+    after = known(lack_of_fit(baseline.problem, found, data.sensor_names))
     assert before.p < 1e-6
     assert before.statistic > 5 * after.statistic
     assert after.p > 0.001
@@ -55,7 +55,7 @@ def test_a_wrong_noise_level_passes_for_no_effect() -> None:
 
     found = fit(louder, (), baseline.current.vector)
     assert found.chi2 > 2.5 * louder.size
-    assert lack_of_fit(louder, found, data.sensor_names).p > 0.01
+    assert known(lack_of_fit(louder, found, data.sensor_names)).p > 0.01
     assert baseline.current.chi2 < 1.2 * problem.size
 
 

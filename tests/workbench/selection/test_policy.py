@@ -12,9 +12,10 @@ import pytest
 from scipy.special import chdtri
 
 from needle_rig.physics.library import built_in_effects
-from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.linear import LinearisedFit
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
 from needle_rig.workbench.published.search import Candidate as SettledCandidate
@@ -60,7 +61,7 @@ def fit(**known: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def baseline():
+def baseline() -> Baseline:
     return fit_baseline(dataset(seed=21), None, few())
 
 
@@ -102,7 +103,9 @@ def test_a_change_beyond_three_times_the_discretisation_error_is_none_of_it(
 
 
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
-def test_a_size_is_limited_at_its_one_sided_95_percent(baseline, error_share: float, decision: str) -> None:
+def test_a_size_is_limited_at_its_one_sided_95_percent(
+    baseline: Baseline, error_share: float, decision: str
+) -> None:
     (parameter,) = baseline.problem.parameters(["torque_bias"])
     error = parameter.smallest / 1.645 * error_share
     vector = SimpleNamespace(scaled_values=np.zeros(1))
@@ -112,7 +115,7 @@ def test_a_size_is_limited_at_its_one_sided_95_percent(baseline, error_share: fl
 
 @pytest.mark.parametrize(("information", "seen"), [(0.7, 1), (1.4, 2)])
 def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(
-    baseline, information: float, seen: int
+    baseline: Baseline, information: float, seen: int
 ) -> None:
     problem = baseline.problem
     parameters = problem.parameters(["torque_bias", "tip_friction"])
@@ -223,7 +226,7 @@ def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind: float, tak
      (1.5, 0, "forward")],
 )  # fmt: skip
 def test_what_becomes_of_an_effect_that_is_too_small(
-    baseline, size: float, set_aside_before: int, move: str
+    baseline: Baseline, size: float, set_aside_before: int, move: str
 ) -> None:
     (parameter,) = baseline.problem.parameters(["torque_bias"])
     found = fit(
@@ -256,7 +259,7 @@ def test_forms_are_given_up_when_the_typical_one_promises_a_twentieth(
 
 
 def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
-    baseline, monkeypatch: pytest.MonkeyPatch
+    baseline: Baseline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: list[np.ndarray] = []
     monkeypatch.setattr(screening, "signature", lambda *given: tried.append(given[-1]))
@@ -330,7 +333,7 @@ def test_five_patterns_are_told() -> None:
 
 @pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
 def test_more_than_two_effects_are_named_with_plausible_values_only(
-    baseline, count: int, described_only: bool
+    baseline: Baseline, count: int, described_only: bool
 ) -> None:
     names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
     parameters = baseline.problem.parameters(names)
@@ -348,15 +351,15 @@ def test_settled_values_must_leave_half_a_degree_of_freedom(freedom: float, test
     assert SettledCandidate("x", found, 1.0).testable is testable
 
 
-def _smallest(parameter) -> float:
-    """Position at which an effect begins to matter; of several items the first."""
+def _smallest(parameter: FreeParameter) -> float:
+    """Scaled value at which an effect begins to matter; of several items the first."""
     if parameter.info.shapes or parameter.item not in (None, 0):
         return 0.0
     return float(np.clip(parameter.scaled_value(parameter.info.smallest), *parameter.bounds))
 
 
 def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(
-    baseline,
+    baseline: Baseline,
 ) -> None:
     """The same size, measured over whole trials: between the quartiles of what the library's effects do."""
     problem, current = baseline.problem, baseline.current
