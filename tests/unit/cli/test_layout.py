@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from needle_rig.cli.layout import command
 from needle_rig.errors import BadInput
@@ -21,13 +21,13 @@ hall_sensors:
 """
 
 
-def run(tmp_path: Path, text: str, *options: str):
+def run(tmp_path: Path, text: str, *options: str) -> Result:
     file = tmp_path / "shaft.yaml"
     file.write_text(text)
     return CliRunner().invoke(command, [str(file), *options])
 
 
-def test_ten_lines_by_hand_are_told_and_drawn(tmp_path):
+def test_ten_lines_by_hand_are_told_and_drawn(tmp_path: Path) -> None:
     assert len(STEPPED.splitlines()) <= 10
     result = run(tmp_path, STEPPED, "--png", str(tmp_path / "shaft.png"))
     assert result.exit_code == 0, result.output
@@ -41,7 +41,7 @@ def test_ten_lines_by_hand_are_told_and_drawn(tmp_path):
     assert (tmp_path / "shaft.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_unknown_rigidity_is_said(tmp_path):
+def test_an_unknown_rigidity_is_said(tmp_path: Path) -> None:
     text = "needle: {torsional_rigidity_nmm2: unknown}\n" + "".join(
         line for line in STEPPED.splitlines(True) if line[0] in "th" or "name" in line or "length" in line
     )
@@ -63,7 +63,9 @@ def test_an_unknown_rigidity_is_said(tmp_path):
         ("inner_diameter_mm", "bore_mm", "bore_mm"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_a_sentence_with_its_line(tmp_path, wrong, right, said):
+def test_what_cannot_be_is_a_sentence_with_its_line(
+    tmp_path: Path, wrong: str, right: str, said: str
+) -> None:
     assert wrong in STEPPED
     result = run(tmp_path, STEPPED.replace(wrong, right))
     assert isinstance(result.exception, BadInput)

@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.dataset.records import Start
 from needle_rig.model import load_parameters
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
@@ -25,7 +27,7 @@ WIDE = Protocol(
 )
 
 
-def begun_late(trial, phase, start):
+def begun_late(trial: DatasetTrial, phase: str, start: Start) -> DatasetTrial:
     """The trial from shortly before the motion `phase` on; its readings from there, if they are zeroed."""
     first = int(np.flatnonzero(trial.phase == phase)[0]) - 10
     torque, hall = trial.torque_nm[first:].copy(), trial.hall_rad[first:].copy()
@@ -46,21 +48,21 @@ def begun_late(trial, phase, start):
 
 
 @pytest.fixture(scope="module")
-def wide():
+def wide() -> Dataset:
     return simulate_dataset(load_parameters("rig_rigid"), WIDE, 3)
 
 
 @pytest.fixture(scope="module")
-def wide_begun_late(wide):
+def wide_begun_late(wide: Dataset) -> Dataset:
     late = [begun_late(t, "step_2", "wound") for t in wide.trials[:2]]
     return dataclasses.replace(wide, trials=(*late, wide.trials[2]))
 
 
-def test_relaxed_starts_are_left_as_they_are(wide):
+def test_relaxed_starts_are_left_as_they_are(wide: Dataset) -> None:
     assert judged(wide) is wide
 
 
-def test_readings_that_depend_on_the_start_are_left_out(wide, wide_begun_late):
+def test_readings_that_depend_on_the_start_are_left_out(wide: Dataset, wide_begun_late: Dataset) -> None:
     found = judged(wide_begun_late)
     for trial, given in zip(found.trials[:2], wide_begun_late.trials[:2], strict=True):
         recorded = trial.phase != PHASE
@@ -76,7 +78,9 @@ def test_readings_that_depend_on_the_start_are_left_out(wide, wide_begun_late):
     assert "hall_4 from" in said[0]
 
 
-def test_the_friction_found_after_a_run_in_is_that_of_relaxed_starts(wide, wide_begun_late):
+def test_the_friction_found_after_a_run_in_is_that_of_relaxed_starts(
+    wide: Dataset, wide_begun_late: Dataset
+) -> None:
     whole, late = (compare(d, few("torque_bias")) for d in (wide, wide_begun_late))
     name = "friction_nmm_per_100mm"
     assert late.free_parameters[name]["value"] == pytest.approx(
@@ -87,7 +91,7 @@ def test_the_friction_found_after_a_run_in_is_that_of_relaxed_starts(wide, wide_
 
 
 @pytest.mark.parametrize("start", ["wound", "zeroed"])
-def test_a_start_that_is_never_forgotten_is_fitted(start):
+def test_a_start_that_is_never_forgotten_is_fitted(start: Start) -> None:
     # Reed's sequence goes back by less than twice the lag: its end still depends on the beginning
     whole = dataset(seed=4)
     late = [begun_late(t, "overshoot" if "overshoot" in t.phase else "step_2", start) for t in whole.trials]
@@ -101,7 +105,7 @@ def test_a_start_that_is_never_forgotten_is_fitted(start):
     assert np.exp(baseline.current.vector.log_friction) * 100 == pytest.approx(0.0983, rel=0.02)
 
 
-def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does():
+def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does() -> None:
     trial = dataset(seed=4).trials[0]
     model = load_parameters("rig_rigid")
     still = dataclasses.replace(trial.trial, base_angle_rad=np.zeros_like(trial.trial.time_s))
@@ -121,7 +125,7 @@ def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does():
     assert deg(hall[3][0]) == pytest.approx(26.0, abs=2.0)
 
 
-def test_an_effect_is_named_at_its_size_beside_wound_starts():
+def test_an_effect_is_named_at_its_size_beside_wound_starts() -> None:
     whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
     trials = list(whole.trials)
     for place in (2, 4):

@@ -2,12 +2,15 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-from needle_rig.dataset import read_dataset, write_dataset
+from needle_rig.dataset import Dataset, read_dataset, write_dataset
 from needle_rig.model.files import model_mapping
 from needle_rig.workbench.learning.adopt import adopt
 from needle_rig.workbench.learning.observations import Traces
@@ -17,7 +20,7 @@ STIFFNESS = 0.45
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=STIFFNESS)
 
 
-def seen(data, torque=True, halls=(0, 1, 2, 3), every=1):
+def seen(data: Dataset, torque: bool = True, halls: Sequence[int] = (0, 1, 2, 3), every: int = 1) -> Dataset:
     """The dataset with the torque or without, of the angles those named, each `every` samples."""
     trials = []
     for trial in data.trials:
@@ -28,7 +31,7 @@ def seen(data, torque=True, halls=(0, 1, 2, 3), every=1):
     return dataclasses.replace(data, trials=tuple(trials))
 
 
-SHAPES = {
+SHAPES: dict[str, dict[str, Any]] = {
     "torque alone": {"halls": ()},
     "tip alone": {"torque": False, "halls": (3,)},
     "a slow camera": {"halls": (3,), "every": 5},
@@ -36,7 +39,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_any_subset_of_channels_is_compared_and_its_effect_adopted(shape):
+def test_any_subset_of_channels_is_compared_and_its_effect_adopted(shape: str) -> None:
     given = Traces(seen(dataset(ELASTIC), **SHAPES[shape]))
     found = given.compare(few(), None)
     assert found.held_out_error > 5.0
@@ -51,7 +54,7 @@ def test_any_subset_of_channels_is_compared_and_its_effect_adopted(shape):
     json.dumps(model_mapping(saved), allow_nan=False)
 
 
-def test_an_unknown_rigidity_is_learnt_from_torque_over_twist(tmp_path):
+def test_an_unknown_rigidity_is_learnt_from_torque_over_twist(tmp_path: Path) -> None:
     folder = write_dataset(dataset(seed=3), tmp_path / "data")
     described = folder / "dataset.yaml"
     told = yaml.safe_load(described.read_text())

@@ -5,21 +5,23 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
+from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.observations.blocks import BLOCKS, NOTE, in_blocks
 from tests.workbench.hidden import dataset, effect, few
 
 
-def alone(data, place=0):
+def alone(data: Dataset, place: int = 0) -> Dataset:
     return dataclasses.replace(data, trials=data.trials[place : place + 1])
 
 
-def test_several_commands_stay_trials():
+def test_several_commands_stay_trials() -> None:
     data = dataset()
     assert in_blocks(data) is data
 
 
-def test_the_blocks_of_a_trial_hold_each_reading_once():
+def test_the_blocks_of_a_trial_hold_each_reading_once() -> None:
     given = alone(dataset())
     found = in_blocks(given)
     assert len(found.trials) == BLOCKS == len({t.command for t in found.trials})
@@ -35,13 +37,13 @@ def test_the_blocks_of_a_trial_hold_each_reading_once():
     assert (seen == np.isfinite(trial.hall_rad)).all()
 
 
-def test_replicates_of_the_command_stay_replicates_block_by_block():
+def test_replicates_of_the_command_stay_replicates_block_by_block() -> None:
     data = dataset()
     given = dataclasses.replace(data, trials=(data.trials[0], data.trials[1], data.trials[4]))
     assert sorted(map(len, in_blocks(given).replicates.values())) == [3] * BLOCKS
 
 
-def test_a_trial_too_short_to_be_cut_stays_whole():
+def test_a_trial_too_short_to_be_cut_stays_whole() -> None:
     data = alone(dataset())
     trial = data.trials[0]
     few_known = np.arange(len(trial.torque_nm)) < 4 * 10 - 1
@@ -58,7 +60,9 @@ def test_a_trial_too_short_to_be_cut_stays_whole():
         ((effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45),), 5.0, 500.0),
     ],
 )
-def test_the_error_left_out_of_one_command_is_a_number_that_tells_a_right_model(hidden, low, high):
+def test_the_error_left_out_of_one_command_is_a_number_that_tells_a_right_model(
+    hidden: tuple[Effect, ...], low: float, high: float
+) -> None:
     baseline = fit_baseline(alone(dataset(*hidden, seed=2)), None, few())
     assert low < baseline.validation.error < high
     assert NOTE in baseline.dataset.notes

@@ -126,7 +126,7 @@ def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial
 @pytest.mark.parametrize(
     ("steps_deg", "runs_in"), [((60.0, -60.0, 60.0, -60.0), True), ((60.0, -60.0, 60.0), False)]
 )
-def test_a_run_in_leaves_half_of_the_readings(steps_deg, runs_in):
+def test_a_run_in_leaves_half_of_the_readings(steps_deg: tuple[float, ...], runs_in: bool) -> None:
     protocol = Protocol("late", (staircase(steps_deg, 45.0, 1.0),))
     data = simulate_dataset(load_parameters("rig_rigid"), protocol, 5)
     trial = dataclasses.replace(data.trials[0], start="wound")
@@ -135,12 +135,14 @@ def test_a_run_in_leaves_half_of_the_readings(steps_deg, runs_in):
     assert ("too few for a run-in (limit 50%)" in found.notes[-1]) is not runs_in
 
 
-def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_start(monkeypatch):
+def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     protocol = Protocol("late", (staircase((60.0, -60.0, 60.0), 45.0, 1.0),))
     data = simulate_dataset(load_parameters("rig_rigid"), protocol, 5)
     trial = dataclasses.replace(data.trials[0], start="wound")
 
-    def free(sigmas):
+    def free(sigmas: float) -> bool:
         ends = np.linspace(-sigmas, sigmas, len(TURNS))
         seen = np.array([turn * one_sigma for turn in (0.0, *ends)])
         monkeypatch.setattr(_Shaft, "_recorded", lambda *_: seen)
