@@ -16,7 +16,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -26,6 +26,7 @@ from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
 from needle_rig.service.orders import read_order
 from needle_rig.web.estimate import shaft_estimate
+from needle_rig.web.glossary import glossary_html
 from needle_rig.web.guard import LOOPBACK, WEBSOCKET_TOKEN, Guard
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.lessons_process import Lessons
@@ -267,12 +268,18 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),
+            put("/glossary.html", glossary, "GET"),
             Mount("/", StaticFiles(directory=STATIC, html=True)),
         ],
         exception_handlers={NeedleRigError: refuse, HTTPException: refuse_path},
         lifespan=page.lifespan,
     )
     return Guard(app, port, token)
+
+
+async def glossary(_: Request) -> Response:
+    """The words of the documentation."""
+    return HTMLResponse(await asyncio.to_thread(glossary_html))
 
 
 async def body(request: Request, limit_bytes: int = BODY_BYTES) -> bytes:
