@@ -107,7 +107,7 @@ def title(trial: DatasetTrial) -> str:
     else:
         goal = "" if command.target_deg is None else f"to {command.target_deg:g}°"
     speed = f"at {command.speed_deg_s:g}°/s" if command.speed_deg_s else ""
-    return " ".join(part for part in (command.kind, goal, speed) if part)
+    return " ".join(part for part in (command.kind, goal, speed) if part).replace("-", "−")
 
 
 def _rounded(values: Array, decimals: int) -> list[float | None]:

@@ -177,7 +177,7 @@ function Sequence({ state }) {
     ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
-    ${!active && ended.value ? html`<p class="ended">${ended.value.text}</p>` : null}</section>`;
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text}</p>` : null}</section>`;
 }
 
 /** @param {{state: any}} props */

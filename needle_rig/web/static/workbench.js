@@ -149,7 +149,7 @@ function Choose() {
       <ul class="sources">${all.map((source) => html`<li><label class="row"><input type="radio" name="source" checked=${chosen.value[0] === source.key}
         onChange=${() => { chosen.value = [source.key]; models.value = []; compareChosen(); }} /> ${source.name} <span class="quiet">${source.kind}</span></label></li>`)}
         ${runs.length ? html`<li><strong>${runs.length} recorded ${runs.length === 1 ? "run" : "runs"}</strong></li>` : null}</ul>
-      <p>Drop a dataset here, as a folder or a ZIP, or run files; or
+      <p>Drop a dataset here, as a folder or a ZIP, or run files; or${" "}
         <label class="row">choose files <input type="file" multiple onChange=${(/** @type {any} */ e) => take(e.target.files)} /></label></p>
     </div></section>`;
 }
@@ -235,7 +235,7 @@ function Traces({ found }) {
       return html`<div id=${`trace-${channel.name}`}><h3>${words(channel.name)} <span class="quiet">noise ${significant(channel.noise)} ${channel.unit}</span></h3>
         <${Plot} label=${`${channel.name} over time, measured and model`} unit=${`${words(channel.name)} / ${channel.unit}`} height=${200} band=${true} cursor="traces"
           range=${stretch.value} marks=${shown.motions}
-          series=${[dots("measured", "--quiet"), line("model", "--model"), line("+2σ", "--band", { width: 0.5 }), line("−2σ", "--band", { width: 0.5 }),
+          series=${[dots("measured", "--quiet"), line("model", "--model"), line("noise +2σ", "--band", { width: 0.5 }), line("noise −2σ", "--band", { width: 0.5 }),
             ...(candidate ? [line(`with ${words(over.value)}`, "--other", { width: 2 })] : [])]}
           data=${data} /></div>`;
     })}</div></section>`;
