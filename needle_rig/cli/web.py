@@ -58,7 +58,8 @@ def command(
     from needle_rig.cli._runs import runs_directory
     from needle_rig.folders import temporary_folder
     from needle_rig.service.client import private_daemon
-    from needle_rig.web.server import LOOPBACK, Page, Settings, listening, serve
+    from needle_rig.web.guard import LOOPBACK
+    from needle_rig.web.server import Page, Settings, listening, serve
 
     if rig is None and (parameters is not None or fast):
         raise BadInput("--parameters and --fast choose the page's own rig: give them with --rig simulated")

@@ -10,8 +10,9 @@ import inspect
 import math
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ _UNIT = re.compile(r"_(nmms?_per_rad(_per_100mm)?|nmm_per_100mm|nmm_per_min|nmm|
 Document = dict[str, Any]
 
 
-def effects_document(directories: tuple[str, ...]) -> list[Document]:
+def effects_document(directories: Sequence[Path]) -> list[Document]:
     """Every effect of the library: law, source and parameters with their ranges."""
     return [
         {
@@ -82,7 +83,7 @@ def _words(field: str) -> str:
     return _UNIT.sub("", field).replace("_", " ")
 
 
-def lesson(effect: str, values: Mapping[str, float], directories: tuple[str, ...] = ()) -> Document:
+def lesson(effect: str, values: Mapping[str, float], directories: Sequence[Path] = ()) -> Document:
     """The standard trial with and without `effect` at `values`, in units of files.
 
     Raises BadInput, SolverError.
@@ -122,7 +123,8 @@ def lesson(effect: str, values: Mapping[str, float], directories: tuple[str, ...
 
 
 def _effect(kind: type[Effect], values: Mapping[str, float]) -> Effect:
-    return dataclasses.replace(kind.at_strength(1.0), **values)
+    typical = kind.at_strength(1.0)
+    return kind(**{field: getattr(typical, field) for field in kind.parameters()} | dict(values))
 
 
 @cache

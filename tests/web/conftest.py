@@ -1,4 +1,6 @@
+import dataclasses
 import tempfile
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,14 +12,15 @@ from tests.web.served import Served
 
 def started(shell: Shell, *arguments: str) -> Iterator[Served]:
     """The page of these arguments, ended at the end with all of its processes."""
-    with shell.start("web", *arguments) as process:
+    own = dataclasses.replace(shell, mark=uuid.uuid4().hex)
+    with own.start("web", *arguments) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
         assert "the page: " in line, process.communicate()[1]
-        yield Served(process, line.split("the page: ")[1].strip())
+        yield Served(own, process, line.split("the page: ")[1].strip())
         process.terminate()
         process.communicate(timeout=30)
-    all_gone(shell.processes())
+    all_gone(own.processes())
 
 
 @pytest.fixture(scope="module")

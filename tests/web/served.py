@@ -8,11 +8,14 @@ from typing import Any
 
 import httpx
 
+from tests.closed_loop.shell import Shell
+
 
 @dataclass(frozen=True)
 class Served:
     """Its process and the address that it printed."""
 
+    shell: Shell
     process: subprocess.Popen[str]
     address: str
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator
@@ -130,15 +131,15 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
     assert not page.get_by_role("heading", name="4 · The error falls").is_visible()
 
 
-def test_cancel_ends_a_diagnosis_and_its_processes_within_a_second(visit: Open, shell: Shell) -> None:
+def test_cancel_ends_a_diagnosis_and_its_processes_within_a_second(visit: Open, page_server: Served) -> None:
     page = visit("workbench")
     page.get_by_label("data/mine").check()
     page.get_by_role("button", name="Diagnose").click()
     page.get_by_text("trying every effect").wait_for()
     page.get_by_role("button", name="Cancel").click()
-    page.wait_for_function("!document.querySelector('.job')", timeout=3000)
-    left = [line for line in shell.processes().values() if "web.worker" in line or "spawn_main" in line]
-    assert not left
+    page.locator(".job").wait_for(state="detached", timeout=3000)
+    running = page_server.shell.processes().values()
+    assert not [line for line in running if "web.worker" in line or "spawn_main" in line]
 
 
 def test_a_compensation_is_followed_to_its_end_and_stands_among_the_runs(visit: Open) -> None:
@@ -211,7 +212,7 @@ def test_a_slider_redraws_the_standard_trial_within_a_tenth_of_a_second(visit: O
     slider.focus()
     for _ in range(10):
         page.keyboard.press("ArrowRight")
-    page.wait_for_function("([text]) => document.querySelector('tbody td').innerText !== text", arg=[before])
+    playwright.expect(cell).not_to_have_text(before)
     took = page.evaluate(
         """async () => {
             const headers = {Authorization: `Bearer ${sessionStorage.getItem("needle-rig-token")}`};
@@ -271,9 +272,7 @@ def test_stop_by_mouse_and_by_key_brings_the_needle_to_a_stand(
             page.get_by_role("button", name="Stop").click()
         else:
             page.keyboard.press(how)
-        page.wait_for_function(
-            "document.querySelector('.phase').innerText.match(/stopped|at rest/)", timeout=5000
-        )
+        playwright.expect(page.locator(".phase")).to_have_text(re.compile("stopped|at rest"), timeout=5000)
         base = page.locator(".readings dd").first.inner_text()
         page.wait_for_timeout(500)
         after = page.locator(".readings dd").first.inner_text()
@@ -298,7 +297,7 @@ def test_a_lost_daemon_greys_everything_and_says_what_to_do(
     for served in started(shell, "--rig", "simulated", "--fast", "--dir", str(tmp_path)):
         page = visit("live", served=served)
         page.wait_for_selector(".live:not(.grey)")
-        for pid, line in shell.processes().items():
+        for pid, line in served.shell.processes().items():
             if "--private" in line and str(tmp_path) in line:
                 os.kill(pid, 9)
         page.wait_for_selector(".live.grey", timeout=2500)
