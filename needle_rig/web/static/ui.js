@@ -26,6 +26,8 @@ export const significant = (value) => {
  * @param {string} name */
 export const words = (name) => name.replaceAll("_", " ");
 
-/** Channels in a fixed order have a fixed colour, of Okabe and Ito's palette.
- * @param {number} index 0 is the torque */
-export const channelClass = (index) => `c${Math.min(index, 8)}`;
+/** A parameter as people read it: its unit, which ends its name, stands beside its value.
+ * @param {string} name */
+export const parameter = (name) =>
+  words(name.replace(/_(nmms?_per_rad(_per_100mm)?|nmm_per_100mm|nmm_per_min|nmm2|nmm|deg_s|deg|mm|m?s)(?=\[|$)/, ""))
+    .replace(".", ": ").replace(/\[(\d+)\]/, (_, k) => ` ${Number(k) + 1}`);

@@ -1,7 +1,7 @@
 // The circle by clicks: data, where the model fails, what is missing, add it, the error falls.
 import { ask, compute, save } from "./net.js";
 import { Plot, dots, line } from "./plot.js";
-import { html, number, signal, significant, useEffect, words } from "./ui.js";
+import { html, number, parameter, signal, significant, useEffect, words } from "./ui.js";
 
 /** What can be chosen. @type {{value: any}} */
 export const about = signal(null);
@@ -25,6 +25,9 @@ const stretch = signal(null);
 const cell = signal("");
 /** The candidate that is laid over the traces. */
 const over = signal("");
+
+const everyRow = signal(false);
+const SHOWN_ROWS = 6;
 
 const model = () => models.value.at(-1) ?? null;
 
@@ -259,13 +262,14 @@ function Verdict({ found }) {
       Add ${words(effect || found.effects.join(" and "))}</button> `)}</p>
     ${found.next_experiment ? html`<p><strong>Would tell them apart:</strong> ${found.next_experiment.sentence}</p>` : null}
     <div class="scroll" tabindex="0" role="group" aria-label="Ranking"><table><thead><tr><th class="text">effect</th><th>held-out error / noise</th><th>error removed</th><th class="text">for and against</th></tr></thead>
-      <tbody>${found.ranking.map((/** @type {any} */ row) => html`<tr class=${found.effects.includes(row.effect) ? "named" : ""}>
+      <tbody>${found.ranking.slice(0, everyRow.value ? undefined : SHOWN_ROWS).map((/** @type {any} */ row) => html`<tr class=${found.effects.includes(row.effect) ? "named" : ""}>
         <th scope="row">${found.candidates[row.effect] ? html`<button aria-pressed=${over.value === row.effect}
             onMouseEnter=${() => (over.value = row.effect)} onFocus=${() => (over.value = row.effect)}
             onClick=${() => (over.value = row.effect)}>${words(row.effect)}</button>` : words(row.effect)}</th>
         <td>${number(row.held_out_error, 2)}</td><td>${number(100 * row.error_removed, 0)} %</td>
         <td class="text">${row.in_favour}${row.against ? html`; against: ${row.against}` : null}
-          ${Object.entries(row.parameters).map(([name, v]) => html`<br /><span class="quiet">${words(name)} = ${significant(/** @type {any} */ (v).value)} (95 %: ${significant(/** @type {any} */ (v).low)} to ${significant(/** @type {any} */ (v).high)}) ${/** @type {any} */ (v).unit === "1" ? "" : /** @type {any} */ (v).unit}</span>`)}</td></tr>`)}</tbody></table></div>
+          ${Object.entries(row.parameters).map(([name, v]) => html`<br /><span class="quiet">${parameter(name)} = ${significant(/** @type {any} */ (v).value)} (95 %: ${significant(/** @type {any} */ (v).low)} to ${significant(/** @type {any} */ (v).high)}) ${/** @type {any} */ (v).unit === "1" ? "" : /** @type {any} */ (v).unit}</span>`)}</td></tr>`)}</tbody></table></div>
+    ${found.ranking.length > SHOWN_ROWS ? html`<p><button aria-expanded=${everyRow.value} onClick=${() => (everyRow.value = !everyRow.value)}>${everyRow.value ? "Fewer" : `The other ${found.ranking.length - SHOWN_ROWS}`}</button></p>` : null}
     ${found.left_over.length ? html`<h3>Left over</h3><ul>${found.left_over.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
     ${found.notes.length ? html`<details><summary>Notes</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}`;
 }
@@ -289,7 +293,7 @@ function Falls() {
         ${steps.map((/** @type {any} */ s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
         <td>${significant(steps.at(-1).channels[name]?.floor)}</td></tr>`)}</tbody></table></div>
     <h3>Model ${now.model}</h3>
-    <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${words(v.name)} = ${significant(v.value)}${v.uncertainty !== null ? ` ± ${significant(v.uncertainty)}` : ""} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>
+    <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${significant(v.value)}${v.uncertainty !== null ? ` ± ${significant(v.uncertainty)}` : ""} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>
     <p><button onClick=${undo} disabled=${Boolean(job.value)}>Undo</button>
       <button onClick=${() => save(`jobs/${now.key}/model.yaml`, `${now.model}.yaml`).catch((error) => (refused.value = error.message))}>Model file</button></p></section>`;
 }
