@@ -18,11 +18,11 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
 
+from needle_rig.records import JsonObject
 from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, application
 from needle_rig.service.connections import REQUEST_S, SPARE, Connections, HttpConnection, WatcherConnection
 from needle_rig.service.documents import Answered, Asked, Message
@@ -195,10 +195,17 @@ class _Rarely(logging.Filter):
         return True
 
 
-def _complain(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def _complain(_: asyncio.AbstractEventLoop, context: JsonObject) -> None:
     error = context.get("exception")
     reason = context["message"] if error is None else f"{context['message']}: {error!r}"
     logging.getLogger("api").warning("%s", reason)
+
+
+def limit_memory() -> None:
+    """Take at most MEMORY_BYTES of address space, or less where less is allowed."""
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    allowed = MEMORY_BYTES if hard == resource.RLIM_INFINITY else min(MEMORY_BYTES, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (allowed, allowed))
 
 
 def main(listener: int, lines: int, path: Path, daemon: int) -> None:
@@ -206,7 +213,7 @@ def main(listener: int, lines: int, path: Path, daemon: int) -> None:
     # the daemon decides when this ends, not a Ctrl-C, a closed terminal or a signal to the whole group
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    limit_memory()
     handler = logging.StreamHandler()
     handler.addFilter(_Rarely())
     handler.setFormatter(logging.Formatter("api: %(message)s"))

@@ -3,7 +3,9 @@
 import asyncio
 import json
 import socket
-from collections.abc import AsyncIterator, Callable
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -29,7 +31,7 @@ class Service:
         self.slow: dict[str, asyncio.Event] = {}
         self.clients: list[Client] = []
 
-    async def ask(self, order: str, content: dict[str, Any], begun_s: float, lease: str | None) -> Answer:
+    async def ask(self, order: str, content: Mapping[str, Any], begun_s: float, lease: str | None) -> Answer:
         self.asked.append(order)
         if order in self.slow:
             await self.slow[order].wait()
@@ -245,8 +247,10 @@ def dropped(deaf: socket.socket) -> bool:
 
 async def watch(service: Service) -> Client:
     client = await service.connect()
-    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
-    client.send("GET", "/stream", **upgrade, **{"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="})
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"} | {
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="
+    }
+    client.send("GET", "/stream", b"", **upgrade)
     assert b" 101 " in await client.reader.readuntil(b"\r\n\r\n")
     return client
 
@@ -302,3 +306,14 @@ async def test_the_openapi_document_has_every_path(tmp_path: Path) -> None:
         }  # fmt: skip
         speed = told["components"]["schemas"]["Jog"]["properties"]["speed_deg_s"]["anyOf"][0]
         assert speed == {"maximum": 360.0, "minimum": 0.1, "type": "number"}
+
+
+@pytest.mark.parametrize(("given_mb", "kept_mb"), [(768, 768), (4096, 1024)])
+def test_a_memory_limit_that_was_given_is_kept_and_never_raised(given_mb: int, kept_mb: int) -> None:
+    code = (
+        "import resource; from needle_rig.service.api_process import limit_memory;"
+        f" resource.setrlimit(resource.RLIMIT_AS, ({given_mb} << 20,) * 2); limit_memory();"
+        " print(resource.getrlimit(resource.RLIMIT_AS)[0] >> 20)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == f"{kept_mb}\n", done.stderr
