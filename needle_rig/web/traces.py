@@ -85,7 +85,7 @@ def model_document(
     Raises SolverError.
     """
     grid = problem.trials[t].trial
-    reading = problem.model(fit.axes, fit.point, t).predict(grid)
+    reading = problem.model(fit.parameters, fit.vector, t).predict(grid)
     values = np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
     at_s = trial.trial.time_s[kept(trial)]
     return [

@@ -68,14 +68,14 @@ def compare(voice: Voice, *, data: list[str], model: str | None, effects: list[s
 
 
 def _traces(found: TraceComparison) -> Document:
-    problem, dataset = found.prepared.problem, found.prepared.dataset
+    problem, dataset = found.baseline.problem, found.baseline.dataset
     told = traces.channels_document(problem, dataset)
     decimals = [channel["digits"] for channel in told]
     trials = []
     for t in traces.shown_trials(problem):
         trial = dataset.trials[t]
         drawn = traces.measured_document(dataset, trial, decimals)
-        drawn["model"] = traces.model_document(problem, found.prepared.present, t, trial, decimals)
+        drawn["model"] = traces.model_document(problem, found.baseline.current, t, trial, decimals)
         trials.append(drawn)
     return {"channels": told, "trials": trials, "of": len(dataset.trials)}
 
@@ -94,9 +94,8 @@ def diagnose(
     )
     voice.step("keeping the fits")
     save_diagnosis(Path(out) / DIAGNOSIS, keep(found, observed, saved))
-    document = found.as_json()
-    del document["policy"]
-    document |= {
+    document: Document = {
+        **{name: part for name, part in found.as_json().items() if name != "policy"},
         "sentence": found.sentence(),
         "errors_sentence": found.errors_sentence(),
         "ties": list(found.ties),
@@ -112,7 +111,7 @@ def diagnose(
 
 def _candidates(found: Diagnosis) -> Document:
     """By effect: what its fit foretells for every drawn trial, by channel."""
-    told = traces.channels_document(found.prepared.problem, found.prepared.dataset)
+    told = traces.channels_document(found.baseline.problem, found.baseline.dataset)
     decimals = [channel["digits"] for channel in told]
     drawn: Document = {}
     for row in found.ranking[:CANDIDATES]:
@@ -122,9 +121,9 @@ def _candidates(found: Diagnosis) -> Document:
         try:
             drawn[row.effect] = [
                 traces.model_document(
-                    found.search.problem, fit, t, found.prepared.dataset.trials[t], decimals
+                    found.search.problem, fit, t, found.baseline.dataset.trials[t], decimals
                 )
-                for t in traces.shown_trials(found.prepared.problem)
+                for t in traces.shown_trials(found.baseline.problem)
             ]
         except SolverError:
             continue

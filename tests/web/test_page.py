@@ -236,7 +236,7 @@ def test_no_page_has_a_serious_finding_of_accessibility(visit: Open, name: str, 
     for size, suffix in ((WIDE, "1440"), (NARROW, "390")):
         page = visit(name, size, scheme)
         ready = {"live": ".shaft", "workbench": ".sources label", "runs": ".orders", "learn": ".sliders"}
-        page.wait_for_selector(ready.get(name, "select option"))
+        page.wait_for_selector(ready.get(name, "form select"))
         if name == "learn":
             page.wait_for_selector(".plot canvas")
         pictured(page, f"{name}-{suffix}-{scheme}")

@@ -1,7 +1,8 @@
 // The shaft along its length: tissue, sensors, measured angles, the estimate between them and its uncertainty.
 import { html, number } from "./ui.js";
 
-const WIDTH = 1000;
+// on a narrow screen the same height is drawn with fewer units across, so that text stays readable
+const WIDTH = matchMedia("(max-width: 760px)").matches ? 460 : 1000;
 const HEIGHT = 250;
 const LEFT = 52;
 const RIGHT = 20;
@@ -60,7 +61,7 @@ export function ShaftPicture({ rig, points, target, curve, places, deviation }) 
     ${rig.hall_positions_mm.map((/** @type {number} */ p, /** @type {number} */ k) => html`<path class="mark" d=${`M${x(p)} ${GROUND + 9} l-5 9 h10 z`} />
       <text class="tick" x=${x(p)} y=${GROUND + 31} text-anchor="middle">${k + 1}</text>`)}
     <text class="tick" x=${x(0)} y=${GROUND + 31}>base</text>
-    ${[0, 100, 200, 300, 400].filter((mm) => mm <= rig.needle_length_mm).map((mm) => html`<text class="tick" x=${x(mm)} y=${HEIGHT - 6} text-anchor="middle">${mm}${mm ? "" : " mm"}</text>`)}
+    ${(WIDTH < 1000 ? [0, 200, 400] : [0, 100, 200, 300, 400]).filter((mm) => mm <= rig.needle_length_mm).map((mm) => html`<text class="tick" x=${x(mm)} y=${HEIGHT - 6} text-anchor="middle">${mm}${mm ? "" : " mm"}</text>`)}
     <text class="tick" x=${WIDTH - RIGHT} y=${GROUND - 8} text-anchor="end">tip</text></svg>
   <p class="key"><span class="k base"></span>base <span class="k sensor"></span>Hall sensors
     ${curve ? html`<span class="k curve"></span>estimate ± 2σ` : null}
