@@ -26,7 +26,6 @@ SILENT_S = 1.0
 """A stream that says nothing for so long is broken; it speaks 25 times a second."""
 ANSWER_S = 15.0
 HOLDER = "a person at the page"
-LEASED = frozenset(path.order for path in ROUTES if path.leased)
 ORDERS = frozenset(path.order for path in ROUTES if path.method == "POST" and path.order != "take_lease")
 
 Document = dict[str, Any]

@@ -46,11 +46,11 @@ def browser() -> Iterator[Any]:
 def data(shell: Shell) -> Path:
     """A practice set with a hidden effect, and one whose every name is an attack."""
     simulate({"tissue_elasticity": 0.35}, seed=1, name="mine", out=shell.folder / "data" / "mine")
-    simulate({}, seed=2, name=EVIL, out=shell.folder / "data" / "evil")
-    description = shell.folder / "data" / "evil" / "dataset.yaml"
+    simulate({}, seed=2, name=EVIL, out=shell.folder / "data" / "names")
+    description = shell.folder / "data" / "names" / "dataset.yaml"
     text = description.read_text().replace("hall_1", "'<i onclick=evil()>hall'", 1)
     description.write_text(text)
-    for trial in (shell.folder / "data" / "evil" / "trials").glob("*.csv"):
+    for trial in (shell.folder / "data" / "names" / "trials").glob("*.csv"):
         rows = trial.read_text().replace("hall_1_deg", "<i onclick=evil()>hall_deg").replace("rotate", EVIL)
         trial.write_text(rows)
     return Path(shell.folder) / "data"
@@ -98,6 +98,7 @@ def visit(browser: Any, page_server: Served) -> Iterator[Open]:
 
 def pictured(page: Any, name: str) -> None:
     PICTURES.mkdir(parents=True, exist_ok=True)
+    page.evaluate("scrollTo(0, 0)")
     page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
 
 
@@ -166,7 +167,7 @@ def test_a_compensation_is_followed_to_its_end_and_stands_among_the_runs(visit: 
 
 def test_names_from_files_are_shown_as_text(visit: Open) -> None:
     page = visit("workbench")
-    page.get_by_label("data/evil").check()
+    page.get_by_label("data/names").check()
     page.wait_for_selector(".map")
     assert page.get_by_text("<img src=x").first.is_visible()
     assert page.locator("main img, main i").count() == 0
