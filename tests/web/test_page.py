@@ -274,10 +274,11 @@ def test_stop_by_mouse_and_by_key_brings_the_needle_to_a_stand(
         else:
             page.keyboard.press(how)
         playwright.expect(page.locator(".phase")).to_have_text(re.compile("stopped|at rest"), timeout=5000)
+        page.wait_for_timeout(500)  # the stop is shown while the base still slows down
         base = page.locator(".readings dd").first.inner_text()
         page.wait_for_timeout(500)
         after = page.locator(".readings dd").first.inner_text()
-        assert abs(float(after[:-1]) - float(base[:-1])) < 0.5
+        assert abs(float(after[:-1]) - float(base[:-1])) < 0.1
         assert float(after[:-1]) < 290.0
 
 
