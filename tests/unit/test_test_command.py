@@ -1,4 +1,4 @@
-"""scripts/test runs the default tests in two halves, loses none, then the browser's; its exit code is theirs."""
+"""scripts/test runs the default tests in two halves and all, then the browser's; its exit code is theirs."""
 
 from __future__ import annotations
 
