@@ -1,0 +1,327 @@
+"""Curves of laws against data: screened by one linearised fit, fitted inside the solver, judged.
+
+Each function is a task: it takes what a search shares, and gives what can be sent back.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.library import load_effect
+from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
+from needle_rig.workbench.estimation.linear import LinearisedFit
+from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.posterior import Objective, start_point, sum_of_squares
+from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.laws.formulas import Formula
+from needle_rig.workbench.laws.law import UNIT, Law, every_law
+from needle_rig.workbench.laws.spline import Quadratic, Spline, smoothed
+from needle_rig.workbench.laws.spline_effect import SplineLaw, of_place, of_trial
+from needle_rig.workbench.selection.search import penalty
+
+KNOTS = {
+    "angle": 16,
+    "base_angle": 16,
+    "twist": 13,
+    "torque": 11,
+    "rate": 10,
+    "travel": 11,
+    "stop_time": 10,
+    "clock": 10,
+    "trial": 6,
+    "direction": 5,
+    "x": 20,
+}
+"""Coefficients of a spline: one in about 10° of a full sweep, 10 mm of tissue; smoothness is set by the data."""
+OF_TRIALS = 6
+"""Coefficients where the variable has one value a trial."""
+TYPICAL = {"N·mm per 100 mm": 0.05, "N·mm": 0.005, "°": 2.0, "1": 0.3}
+"""Size of a curve, in its unit, about which amplitudes are tried: the library's typical sizes."""
+WIDENED = 0.03
+"""Share by which a range seen in the data is widened, so that noise does not leave it."""
+SCREENING_STEP = 30.0
+"""Times the typical size for a linearised curve: its derivatives then step by a tenth of that size."""
+SHARES = (0.0, 0.1, 0.3, 1.0)
+"""Shares of a linearised curve at which a fit may start: of dry friction it says too much."""
+FIRST_ITERATIONS = 4
+FAR = 3.0
+"""A present model that misses by more than this bends its constants: fits start from the stated ones, too."""
+
+
+@dataclass(frozen=True)
+class FormulaLaw:
+    """A law with a formula, in an effect file."""
+
+    law: Law
+    path: Path
+    formula: Formula
+    """As it was drafted: a fit moves its numbers."""
+
+    @property
+    def name(self) -> str:
+        """Of the effect: that of the file."""
+        return self.path.stem
+
+    def effect(self) -> type[Effect]:
+        """The effect. Raises BadInput where the file is none."""
+        return load_effect(self.path)
+
+
+Made = SplineLaw | FormulaLaw
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all tasks of a search need; effects that were made are made again where a task runs."""
+
+    problem: Problem
+    made: tuple[Made, ...] = ()
+
+    def with_made(self, *further: Made) -> Problem:
+        """The problem, its library with all effects that were made."""
+        effects = {each.name: each.effect() for each in (*self.made, *further)}
+        return dataclasses.replace(self.problem, library={**self.problem.library, **effects})
+
+
+@dataclass(frozen=True)
+class Screened:
+    """What a linearised curve promises on top of a fit."""
+
+    made: SplineLaw
+    gain: float
+    """Twice the logarithm of the restricted likelihood, over that without the law."""
+    coefficients: Array
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """A law fitted with all else."""
+
+    made: Made
+    fit: Fit
+    held: HeldOut
+    score: float
+    """−2 log likelihood with the curve integrated out, or the objective with its price; lower is better."""
+    quadratic: Quadratic | None = None
+    """Of a spline's coefficients."""
+    coefficients: Array | None = None
+    covariance: Array | None = None
+    """Of the same (K, K)."""
+
+    @property
+    def law(self) -> Law:
+        """Where and on what."""
+        return self.made.law
+
+
+def present_score(problem: Problem, found: Fit) -> float:
+    """Of a fit without further laws, on the scale of `LawFit.score`."""
+    return found.objective + penalty(problem) * found.rank
+
+
+def candidates(problem: Problem, prefix: str) -> tuple[SplineLaw, ...]:
+    """Every law with a spline over the range that its variable has in the data."""
+    layout = problem.base.layout
+    found = []
+    for law in every_law(len(layout.sensor_positions_m), len(layout.tissue_sections_m)):
+        low, high = _range(problem, law)
+        unit = UNIT[law.variable_unit][2]
+        room = WIDENED * (high - low)
+        if not room > 0.0:
+            continue
+        single = law.hook == "shape" and law.variable != "x"
+        spline = Spline(
+            float((low - room) / unit),
+            float((high + room) / unit),
+            OF_TRIALS if single else KNOTS[law.variable],
+            SCREENING_STEP * typical(problem, law),
+            np.inf,
+        )
+        found.append(SplineLaw(law, spline, f"{prefix}_{law.name}"))
+    return tuple(found)
+
+
+def typical(problem: Problem, law: Law) -> float:
+    """Size about which the curve's amplitude is sought; in one section a torque needs more to be seen."""
+    size = TYPICAL[law.unit]
+    sections = problem.base.layout.tissue_sections_m
+    if law.hook == "torque" and law.number is not None:
+        start_m, end_m = sections[law.number]
+        size *= sum(end - start for start, end in sections) / (end_m - start_m)
+    return size
+
+
+def _range(problem: Problem, law: Law) -> tuple[float, float]:
+    """Smallest and largest value of the variable in the data, SI."""
+    layout = problem.base.layout
+    if law.variable == "x":
+        sections = layout.tissue_sections_m
+        ends = (0.0, layout.needle_length_m) if law.place == "rigidity" else (sections[0][0], sections[-1][1])
+        return float(ends[0]), float(ends[1])
+    values = seen(problem, law)
+    return float(values.min()), float(values.max())
+
+
+def seen(problem: Problem, law: Law) -> Array:
+    """All values of the variable in the data, SI; of the tissue's angle those of base and sensors."""
+    trials = problem.trials
+    if law.hook == "shape" and law.variable != "x":
+        return np.array([of_place(law.variable, b.trial) for b in trials])
+    if law.variable == "x":
+        return np.array([(a + b) / 2 for a, b in problem.base.layout.tissue_sections_m])
+    measured = [b.mean for b in trials]
+    if law.variable == "torque":
+        return _finite(np.concatenate([m[0] for m in measured]))
+    if law.variable in ("angle", "twist"):
+        rows = range(1, measured[0].shape[0]) if law.number is None or law.hook == "torque" else (law.number + 1,)
+        halls = [m[list(rows)] for m in measured]
+        if law.variable == "twist":
+            halls = [h - b.average @ b.trial.base_angle_rad for h, b in zip(halls, trials, strict=True)]
+        values = [h.ravel() for h in halls]
+        base = [b.trial.base_angle_rad for b in trials] if law.hook == "torque" else []
+        return _finite(np.concatenate([*values, *base]))
+    return _finite(np.concatenate([of_trial(law.variable, b.trial) for b in trials]))
+
+
+def _finite(values: Array) -> Array:
+    return np.asarray(values[np.isfinite(values)])
+
+
+def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
+    """What the law promises: the parent's residuals projected on the coefficients' derivatives."""
+    problem = shared.with_made(made)
+    names = (*parent.effects, made.name)
+    axes = problem.axes(names)
+    state = Objective(problem, axes)
+    positions = np.r_[parent.point.positions, np.zeros(made.spline.count)]
+    x = state.vector(dataclasses.replace(parent.point, positions=positions), parent.nuisance)
+    rows = state.rows(x)
+    jacobians = None if rows is None else state.derivatives(x, rows)
+    if rows is None or jacobians is None:
+        return None
+    linear = LinearisedFit.at(problem, axes, x, rows, jacobians, parent.scatter**-2)
+    inner = profiled(linear, made.spline.count)
+    if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
+        return None
+    of_coefficients = inner.scaled(np.linalg.inv(made.spline.root))
+    spline, gain, coefficients = smoothed(made.spline, of_coefficients, typical(problem, made.law))
+    return Screened(dataclasses.replace(made, spline=spline), gain, coefficients)
+
+
+def profiled(linear: LinearisedFit, count: int) -> Quadratic:
+    """−2 log likelihood as a function of the last `count` positions, all other parameters profiled out."""
+    inside = np.arange(linear.p - count, linear.p)
+    outside = np.setdiff1d(np.arange(linear.precision.size), inside)
+    curvature, descent = linear.curvature + linear.level, linear.descent
+    prior, at = linear.precision[inside], linear.from_centre[inside]
+    cross = curvature[np.ix_(inside, outside)]
+    rest = curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
+    solved = np.linalg.solve(rest, np.column_stack([cross.T, descent[outside]]))
+    G = curvature[np.ix_(inside, inside)] - np.diag(prior) - cross @ solved[:, :-1]
+    b = descent[inside] + prior * at - cross @ solved[:, -1] + G @ at
+    # differences of finite steps leave it not quite positive
+    values, vectors = np.linalg.eigh(0.5 * (G + G.T))
+    return Quadratic((vectors * np.maximum(values, 0.0)) @ vectors.T, b)
+
+
+def fit_spline(shared: Shared, parent: Fit, screened: Screened, whole: bool) -> LawFit | None:
+    """The law's curve fitted with all else: a few steps, its smoothness anew, and with `whole` to the end."""
+    problem = shared.with_made(screened.made)
+    best: Fit | None = None
+    for start in _starts(problem, parent, screened):
+        found = fit(
+            problem,
+            (*parent.effects, screened.made.name),
+            start,
+            nuisance=parent.nuisance,
+            iterations=FIRST_ITERATIONS,
+            enough=0.5,
+        )
+        if found is not None and (best is None or found.objective < best.objective):
+            best = found
+    if best is None:
+        return None
+    made, count = screened.made, screened.made.spline.count
+    if whole:
+        inner = profiled(LinearisedFit.of(problem, best), count)
+        of_coefficients = inner.scaled(np.linalg.inv(made.spline.root))
+        spline, _, _ = smoothed(made.spline, of_coefficients, typical(problem, made.law))
+        again = dataclasses.replace(made, spline=spline)
+        z = again.positions(made.coefficients(best.point.positions[-count:]))
+        positions = np.r_[best.point.positions[:-count], z]
+        problem = shared.with_made(again)
+        point = dataclasses.replace(best.point, positions=positions)
+        refined = fit(problem, best.effects, point, nuisance=best.nuisance)
+        if refined is None:
+            return None
+        made, best = again, refined
+    return _judged(problem, parent, made, best, whole)
+
+
+def _judged(problem: Problem, parent: Fit, made: SplineLaw, found: Fit, whole: bool) -> LawFit:
+    count, root = made.spline.count, made.spline.root
+    inner = profiled(LinearisedFit.of(problem, found), count)
+    occam = float(np.linalg.slogdet(np.eye(count) + inner.G)[1])
+    nothing = HeldOut(float("inf"), float("inf"), ())
+    return LawFit(
+        made,
+        found,
+        held_out(problem, found) if whole else nothing,
+        found.objective + occam + penalty(problem) * parent.rank,
+        inner.scaled(np.linalg.inv(root)),
+        made.coefficients(found.point.positions[-count:]),
+        np.asarray(root @ found.covariance[-count:, -count:] @ root.T),
+    )
+
+
+def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[Point]:
+    """The best share of the linearised curve from where the parent is; where that is far off, also from the
+    stated constants."""
+    axes = problem.axes((*parent.effects, screened.made.name))
+    state = Objective(problem, axes)
+    z = screened.made.positions(screened.coefficients)
+    points = [parent.point]
+    if parent.chi2 > FAR * problem.size:
+        stated = start_point(problem, parent.point.log_friction)
+        points.append(dataclasses.replace(stated, positions=parent.point.positions))
+    starts = []
+    for point in points:
+        rated: list[tuple[float, int, Point]] = []
+        for number, share in enumerate(SHARES):
+            start = dataclasses.replace(point, positions=np.r_[point.positions, share * z])
+            x = state.vector(start, parent.nuisance)
+            rows = state.rows(x)
+            if rows is not None:
+                rated.append((sum_of_squares(rows) + state.prior(x), number, start))
+        if rated:
+            starts.append(min(rated, key=lambda r: r[:2])[2])
+    return starts
+
+
+def fit_formula(shared: Shared, parent: Fit, starts: tuple[Point, ...], made: FormulaLaw) -> LawFit | None:
+    """A formula fitted in the place of a spline, from several points of all but its own parameters."""
+    problem = shared.with_made(made)
+    names = (*parent.effects, made.name)
+    own = problem.axes([made.name])
+    at = np.array([a.position(a.info.typical) for a in own])
+    best: Fit | None = None
+    for start in starts:
+        point = dataclasses.replace(start, positions=np.r_[start.positions, at])
+        found = fit(problem, names, point, nuisance=parent.nuisance)
+        if found is not None and (best is None or found.objective < best.objective):
+            best = found
+    if best is None:
+        return None
+    return LawFit(made, best, held_out(problem, best), best.objective + penalty(problem) * best.rank)
+
+
+def from_task(found: list[Any]) -> list[Any]:
+    """Without what could not be solved."""
+    return [each for each in found if each is not None]
