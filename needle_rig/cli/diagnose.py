@@ -90,6 +90,19 @@ def command(
         started = () if model_path is None else ("--model", str(model_path))
         folders = [word for folder in directories for word in ("--effects", folder)]
         click.echo(_next_step(found, data, started, folders, out))
+    elif found.verdict == "unknown":
+        started = () if model_path is None else ("--model", str(model_path))
+        folders = [word for folder in directories for word in ("--effects", folder)]
+        learn = [
+            "needle-rig",
+            "learn",
+            *(str(path) for path in data),
+            *started,
+            *folders,
+            "--out",
+            "found.py",
+        ]
+        click.echo(f"look for a law that the library does not hold: {shlex.join(learn)}")
 
 
 def _next_step(

@@ -14,7 +14,7 @@ import math
 import os
 import sys
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -26,6 +26,9 @@ from needle_rig.physics.effect import Effect, ParameterInfo
 
 LIMIT_BYTES = 1_000_000
 """A law takes a page; what is a thousand times longer is no effect."""
+
+USERS = "needle_rig_user_effects"
+"""What stands for a package in the names of the modules that users' files are."""
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "shape": ("self", "rod", "trial"),
@@ -73,10 +76,26 @@ def load_effect(path: Path) -> type[Effect]:
     return _load(path.parent.resolve() / path.name, stamp)
 
 
+def as_sent(effects: Mapping[str, type[Effect]]) -> dict[str, type[Effect] | Path]:
+    """Effects as another process can take them: those of users' files as the files."""
+    return {name: _file_of(effect) or effect for name, effect in effects.items()}
+
+
+def as_received(sent: Mapping[str, type[Effect] | Path]) -> dict[str, type[Effect]]:
+    """Inverse of `as_sent`. Raises BadInput where a file is no longer what it was."""
+    return {name: load_effect(each) if isinstance(each, Path) else each for name, each in sent.items()}
+
+
+def _file_of(effect: type[Effect]) -> Path | None:
+    if not effect.__module__.startswith(USERS):
+        return None
+    return Path(str(sys.modules[effect.__module__].__file__))
+
+
 @cache
 def _load(path: Path, stamp: int) -> type[Effect]:  # noqa: ARG001 the cache's key
     # Effects know their name from their module; the directory keeps equal names in two folders apart.
-    module_name = f"needle_rig_user_effects.d{abs(hash(path.parent)):x}.{path.stem}"
+    module_name = f"{USERS}.d{abs(hash(path.parent)):x}.{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     assert spec is not None
     assert spec.loader is not None

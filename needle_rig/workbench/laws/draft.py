@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from needle_rig.numerics import Array
 from needle_rig.workbench.laws.formulas import Formula, scaled_size, spelled
 from needle_rig.workbench.laws.law import UNIT, Law
@@ -87,7 +85,9 @@ def source(
     words = law.words()
     title = words[0].upper() + words[1:]
     head = _paragraph(f"{title}.") + "\n\n" + _paragraph(f"Law: {_law_text(law, curve)}")
-    told = "of Hall sensors, torque and base" if law.hook != "observe" else "of the reading against the others"
+    told = (
+        "of Hall sensors, torque and base" if law.hook != "observe" else "of the reading against the others"
+    )
     best = f"Shows best: trials that cover the range of {_axis(law)} in both directions, {told}."
     text = f'"""{head}\n\n{_paragraph(f"Source: {origin.sentence()}.")}\n\n{_paragraph(best)}\n"""\n\n'
     declared = "\n".join(_declared(f) for f in fields)
@@ -97,8 +97,10 @@ def source(
     blocks = [text + _imports(law, curve, body)]
     if constants:
         blocks[0] += "\n" + constants
-    blocks.append(f'@dataclass(frozen=True)\nclass {klass}(Effect):\n    """{title}."""\n\n{declared}\n\n{body}')
-    return "\n\n".join(block.rstrip("\n") for block in blocks) + "\n"
+    blocks.append(
+        f'@dataclass(frozen=True)\nclass {klass}(Effect):\n    """{title}."""\n\n{declared}\n\n{body}'
+    )
+    return "\n\n\n".join(block.rstrip("\n") for block in blocks) + "\n"
 
 
 def _axis(law: Law) -> str:
@@ -153,14 +155,18 @@ def _fields(law: Law, curve: Formula | Table, visible: float) -> list[Field]:
             found.append(Field(shape, value, 0.1, 20.0, "1", True, 0.0))
         elif kind == "width":
             unit = law.variable_unit
-            found.append(
-                Field(field_name(shape, unit), value, value / MOST, value * MOST, unit, True, 0.0)
-            )
+            found.append(Field(field_name(shape, unit), value, value / MOST, value * MOST, unit, True, 0.0))
         else:
             unit = law.variable_unit
             found.append(
                 Field(
-                    field_name(shape, unit), value, curve.low - curve.reach, curve.reach * 2.0, unit, True, 0.0
+                    field_name(shape, unit),
+                    value,
+                    curve.low - curve.reach,
+                    curve.reach * 2.0,
+                    unit,
+                    True,
+                    0.0,
                 )
             )
     return found
@@ -184,6 +190,14 @@ def _declared(field: Field) -> str:
     return "\n".join([*lines, "    )"])
 
 
+def _assigned(before: str, terms: str) -> list[str]:
+    """A statement, its sum on several lines where it is long."""
+    if len(before) + len(terms) < WIDTH:
+        return [f"{before}{terms}"]
+    first, *others = terms.split(" + ")
+    return [f"{before}(", f"    {first}", *(f"    + {term}" for term in others), ")"]
+
+
 def _number(value: float) -> str:
     return repr(float(f"{value:.7g}"))
 
@@ -198,7 +212,9 @@ def _constants(law: Law, curve: Formula | Table) -> str:
 
 
 def _wrapped(name: str, values: Array) -> str:
-    numbers = ", ".join(f"{v:.6g}" if "." in f"{v:.6g}" or "e" in f"{v:.6g}" else f"{v:.6g}.0" for v in values)
+    numbers = ", ".join(
+        f"{v:.6g}" if "." in f"{v:.6g}" or "e" in f"{v:.6g}" else f"{v:.6g}.0" for v in values
+    )
     body = textwrap.fill(numbers + ",", WIDTH, initial_indent="    ", subsequent_indent="    ")
     return f"{name} = (\n{body}\n)"
 
@@ -260,21 +276,26 @@ def _hook(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, fl
 def _method(law: Law, curve: Formula | Table) -> str:
     """The curve as a method of arrays."""
     if isinstance(curve, Table):
-        body = "return self.strength * np.interp(v, AT, VALUES)"
+        lines = ["return self.strength * np.interp(v, AT, VALUES)"]
     else:
-        body = f"return {_fielded(law, curve, 'np')} + 0.0 * v"
+        lines = _assigned("return ", f"{_fielded(law, curve, 'np')} + 0.0 * v")
+    body = textwrap.indent("\n".join(lines), "    ")
     unit = "" if law.variable_unit == "1" else f" in {law.variable_unit}"
     given = "1" if law.unit == "1" else law.unit
-    return f'def _curve(self, v: Array) -> Array:\n    """In {given}, of {_axis(law)}{unit}."""\n    {body}'
+    return f'def _curve(self, v: Array) -> Array:\n    """In {given}, of {_axis(law)}{unit}."""\n{body}'
 
 
 def _observe(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, float]]) -> str:
     del sections_m
     if law.place == "torque":
-        v = "reading.torque_nm" if law.variable == "torque" else _OF_TRIAL[law.variable].format("reading.trial")
+        v = (
+            "reading.torque_nm"
+            if law.variable == "torque"
+            else _OF_TRIAL[law.variable].format("reading.trial")
+        )
         told = "Add the error to the torque reading."
         added = _in_si(f"self._curve({_shown(v, law.variable_unit)})", law.unit)
-        lines = [f"return replace(reading, torque_nm=reading.torque_nm + {added})"]
+        lines = [f"added_nm = {added}", "return replace(reading, torque_nm=reading.torque_nm + added_nm)"]
     else:
         own = {
             "angle": "hall_rad[:, k]",
@@ -300,11 +321,13 @@ def _drive(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, f
     del sections_m
     v = _shown(_OF_TRIAL[law.variable].format("trial"), law.variable_unit)
     start = "trial.start_s" if law.variable == "clock" else "0.0"
-    added = _in_si(f"(self._curve({v}) - self._curve(np.array([{start}])))", law.unit)
-    return (
-        'def drive(self, trial: Trial) -> Array:\n    """Add what lies between encoder and needle; a trial'
-        f' begins relaxed."""\n    return trial.base_angle_rad + {added}\n\n{_method(law, curve)}\n'
-    )
+    lines = [
+        "def drive(self, trial: Trial) -> Array:",
+        '    """Add what lies between encoder and needle; a trial begins relaxed."""',
+        f"    added = self._curve({v}) - self._curve(np.array([{start}]))",
+        f"    return trial.base_angle_rad + {_in_si('added', law.unit)}",
+    ]
+    return "\n".join(lines) + f"\n\n{_method(law, curve)}\n"
 
 
 def _shape(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, float]]) -> str:
@@ -358,7 +381,7 @@ def _torque(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, 
             "value = self.strength * (VALUES[k] + (place - k) * (VALUES[k + 1] - VALUES[k]))",
         ]
     else:
-        lines.append(f"value = {_fielded(law, curve, 'math')}")
+        lines += _assigned("value = ", _fielded(law, curve, "math"))
     lines.append(f"return {_in_si('value', law.unit)}")
     body = textwrap.indent("\n".join(lines), "    ")
     arguments = "self, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float"

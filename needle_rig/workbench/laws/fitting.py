@@ -39,7 +39,7 @@ KNOTS = {
     "direction": 5,
     "x": 20,
 }
-"""Coefficients of a spline: one in about 10° of a full sweep, 10 mm of tissue; smoothness is set by the data."""
+"""Coefficients of a spline: more than a curve that these data can show needs. The data set the smoothness."""
 OF_TRIALS = 6
 """Coefficients where the variable has one value a trial."""
 TYPICAL = {"N·mm per 100 mm": 0.05, "N·mm": 0.005, "°": 2.0, "1": 0.3}
@@ -180,7 +180,11 @@ def seen(problem: Problem, law: Law) -> Array:
     if law.variable == "torque":
         return _finite(np.concatenate([m[0] for m in measured]))
     if law.variable in ("angle", "twist"):
-        rows = range(1, measured[0].shape[0]) if law.number is None or law.hook == "torque" else (law.number + 1,)
+        rows = (
+            range(1, measured[0].shape[0])
+            if law.number is None or law.hook == "torque"
+            else (law.number + 1,)
+        )
         halls = [m[list(rows)] for m in measured]
         if law.variable == "twist":
             halls = [h - b.average @ b.trial.base_angle_rad for h, b in zip(halls, trials, strict=True)]

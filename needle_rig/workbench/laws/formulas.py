@@ -1,9 +1,10 @@
 """Short formulas for a curve: named forms, ranked by description length against the spline.
 
-A form is an expression in the variable v, in the unit of the curve's axis; `reach`, the largest |v| in the data,
-and `low`, the smallest v, are numbers in it. Coefficients stand before a term and vanish with it; shapes
-(where a step is, how wide) do not. Against the likelihood of a spline's coefficients c, −2 log L(c) = cᵀGc − 2bᵀc,
-a formula's coefficients follow by least squares, its shapes from a grid; each parameter has its price.
+A form is an expression in the variable v, in the unit of the curve's axis; `reach`, the largest |v| in the
+data, and `low`, the smallest v, are numbers in it. Coefficients stand before a term and vanish with it;
+shapes (where a step is, how wide) do not. Against the likelihood of a spline's coefficients c,
+−2 log L(c) = cᵀGc − 2bᵀc, a formula's coefficients follow by least squares, its shapes from a grid; each
+parameter has its price (minimum description length: Rissanen, Automatica 14 (1978)).
 """
 
 from __future__ import annotations

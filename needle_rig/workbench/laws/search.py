@@ -1,8 +1,8 @@
-"""The search for laws: one after the other on top of what the library explains, each judged as an effect is.
+"""The search for laws: one after the other on top of what the library explains, each judged as an effect.
 
-Every law is screened; the leading ones are fitted inside the solver, those that stay close get formulas, which
-are fitted in the spline's place. A law is kept when it does better than every library effect and than chance,
-foretells commands left out, and cannot be our own error.
+Every law is screened; the leading ones are fitted inside the solver, those that stay close get formulas,
+which are fitted in the spline's place. A law is kept when it does better than every library effect and than
+chance, foretells commands left out, and cannot be our own error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Point, Problem
-from needle_rig.workbench.laws.draft import Origin, Table, written
+from needle_rig.workbench.laws.draft import Origin, written
 from needle_rig.workbench.laws.fitting import (
     FormulaLaw,
     LawFit,
@@ -30,7 +30,6 @@ from needle_rig.workbench.laws.fitting import (
     fit_formula,
     fit_spline,
     from_task,
-    present_score,
     screen,
 )
 from needle_rig.workbench.laws.formulas import Formula, ranked
@@ -51,7 +50,6 @@ WITH_FORMULA = 3
 """and with formulas,"""
 FORMULAS = 4
 """of which so many forms are fitted inside the solver."""
-TABLE_POINTS = 61
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ class LawSearch:
 
 
 def borne(formula: LawFit | None, spline: LawFit) -> LawFit | None:
-    """The formula if the data bear it: it costs no more than the spline, up to what two explanations tie by."""
+    """The formula if the data bear it: it costs no more than the spline."""
     if formula is None or formula.score > spline.score + POLICY.laws.formula_margin:
         return None
     return formula
@@ -197,8 +195,10 @@ def asked_of(tried: int) -> float:
 
 
 def kept(problem: Problem, parent: Parent, rival: Parent, found: FoundLaw, tried: int) -> bool:
-    """Whether a law is there: better than its parent and the rival (the best of the library) by what is asked,
-    better at commands left out than both, large enough to matter, and not our own error."""
+    """Whether a law is there: better than its parent and the best of the library, by what is asked.
+
+    Also at commands left out; and large enough to matter, and not our own error.
+    """
     best = found.best
     asked = asked_of(tried)
     for other in (parent, rival):
@@ -226,15 +226,6 @@ def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:
         return ()
     first = found[0]
     return tuple(each for each in found[1:] if each.score < first.score + POLICY.ties.close)
-
-
-def table_of(spline: LawFit) -> Table:
-    """A spline's curve as points."""
-    assert isinstance(spline.made, SplineLaw)
-    assert spline.coefficients is not None
-    family = spline.made.spline
-    at = np.linspace(family.low, family.high, TABLE_POINTS)
-    return Table(at, family.values(spline.coefficients, at))
 
 
 def _spread(promised: Sequence[Screened]) -> list[Screened]:

@@ -1,9 +1,9 @@
 """Curves without a form: penalised cubic B-splines whose smoothness the data set.
 
-A curve is f(v) = Σ c_k B_k(v) on a uniform grid (P-splines: Eilers, Marx, Statistical Science 11 (1996)), with
-the prior c ~ N(0, P⁻¹), P = (I + DᵀD/ρ²)/A², D second differences. Amplitude A and roughness ρ maximise the
-likelihood of the data with c and all other parameters integrated out: restricted maximum likelihood (Wood,
-J. R. Statist. Soc. B 73 (2011)). With c = S z, S Sᵀ = P⁻¹, a fit moves z, whose prior is N(0, 1).
+A curve is f(v) = Σ c_k B_k(v) on a uniform grid (P-splines: Eilers, Marx, Statistical Science 11 (1996)),
+with the prior c ~ N(0, P⁻¹), P = (I + DᵀD/ρ²)/A², D second differences. Amplitude A and roughness ρ maximise
+the likelihood of the data with c and all other parameters integrated out: restricted maximum likelihood
+(Wood, J. R. Statist. Soc. B 73 (2011)). With c = S z, S Sᵀ = P⁻¹, a fit moves z, whose prior is N(0, 1).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DEGREE = 3
 AMPLITUDES = 2.0 ** np.arange(-11, 8)
 """Factors on the amplitude of a curve that are tried,"""
 ROUGHNESSES = (0.03, 0.1, 0.3, 1.0, 3.0)
-"""and second differences of its coefficients in units of that amplitude: from a near line to no smoothness."""
+"""and second differences of its coefficients in units of that amplitude: from near a line to rough."""
 
 
 @dataclass(frozen=True)
