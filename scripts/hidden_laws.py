@@ -1,6 +1,7 @@
 """Laws that the library does not hold, to be hidden in datasets: by hand, without the workbench's code.
 
-Each has the place and variable that a search should name, and the formula. At size 1 a law is of medium strength.
+Each has the place and variable that a search should name, and the formula. At size 1 it is of medium
+strength.
 """
 
 from __future__ import annotations

@@ -16,9 +16,10 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
 from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
+from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.posterior import Objective, start_point, sum_of_squares
+from needle_rig.workbench.estimation.posterior import STEP, Objective, start_point, sum_of_squares
 from needle_rig.workbench.estimation.problem import Point, Problem
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import UNIT, Law, every_law
@@ -48,9 +49,11 @@ WIDENED = 0.03
 """Share by which a range seen in the data is widened, so that noise does not leave it."""
 SCREENING_STEP = 30.0
 """Times the typical size for a linearised curve: its derivatives then step by a tenth of that size."""
-SHARES = (0.0, 0.1, 0.3, 1.0)
+SHARES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Shares of a linearised curve at which a fit may start: of dry friction it says too much."""
 FIRST_ITERATIONS = 4
+MOST_AMPLITUDE = 8.0
+"""Times the typical size that a curve's amplitude may have in its first fit."""
 FAR = 3.0
 """A present model that misses by more than this bends its constants: fits start from the stated ones, too."""
 
@@ -206,17 +209,58 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     state = Objective(problem, axes)
     positions = np.r_[parent.point.positions, np.zeros(made.spline.count)]
     x = state.vector(dataclasses.replace(parent.point, positions=positions), parent.nuisance)
-    rows = state.rows(x)
-    jacobians = None if rows is None else state.derivatives(x, rows)
-    if rows is None or jacobians is None:
+    if made.law.hook == "observe":
+        columns: list[Array] | None = _reading_columns(problem, parent, made)
+    else:
+        columns = _moving_columns(state, x, parent, made.spline.count)
+    if columns is None:
         return None
-    linear = LinearisedFit.at(problem, axes, x, rows, jacobians, parent.scatter**-2)
+    known = len(parent.axes) + 2
+    jacobians = [
+        np.column_stack([j[:, :known], c, j[:, known:]])
+        for j, c in zip(parent.jacobians, columns, strict=True)
+    ]
+    linear = LinearisedFit.at(problem, axes, x, parent.residuals, jacobians, parent.scatter**-2)
     inner = profiled(linear, made.spline.count)
     if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
         return None
     of_coefficients = inner.scaled(np.linalg.inv(made.spline.root))
     spline, gain, coefficients = smoothed(made.spline, of_coefficients, typical(problem, made.law))
+    # what is stuck does not move until it slips: derivatives then ask for curves that are far too large
+    most = MOST_AMPLITUDE * typical(problem, made.law)
+    spline = dataclasses.replace(spline, amplitude=min(spline.amplitude, most))
     return Screened(dataclasses.replace(made, spline=spline), gain, coefficients)
+
+
+def _moving_columns(state: Objective, x: Array, parent: Fit, count: int) -> list[Array] | None:
+    """Derivatives of the whitened model (n, count) a trial by a law that moves the needle."""
+    rows = np.concatenate(parent.residuals)
+
+    def left(moved: Array) -> Array | None:
+        after = state.rows(moved)
+        return None if after is None else np.concatenate(after)
+
+    directions = np.eye(state.p, x.size)[state.p - count :]
+    found = directional_derivatives(left, x, rows, directions, np.full(count, STEP), state.low, state.high)
+    if found is None:
+        return None
+    return np.split(-found, np.cumsum([r.size for r in parent.residuals])[:-1])
+
+
+def _reading_columns(problem: Problem, parent: Fit, made: SplineLaw) -> list[Array]:
+    """The same by a law of the readings, which are linear in it: nothing is solved but the parent's model."""
+    law, columns = made.law, []
+    factor = UNIT[law.unit][2]
+    for t, (binned, whiten) in enumerate(zip(problem.trials, problem.whiteners, strict=True)):
+        reading = problem.model(parent.axes, parent.point, t).predict(binned.trial)
+        changes = np.zeros((*binned.mean.shape, made.spline.count))
+        if law.place == "torque":
+            changes[0] = binned.average @ made.on(reading, None)
+        else:
+            for k in range(reading.hall_rad.shape[1]) if law.number is None else (law.number,):
+                changes[1 + k] = binned.average @ made.on(reading, k)
+        columns.append(whiten(factor * changes @ made.spline.root))
+    return columns
 
 
 def profiled(linear: LinearisedFit, count: int) -> Quadratic:

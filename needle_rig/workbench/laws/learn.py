@@ -177,7 +177,7 @@ class _Learning:
             return None
         search.say("fitting the leading laws")
         rounds = [search.on_top_of(root, on_root)]
-        if not alone:
+        if not alone and not _better(rounds[0], library):
             search.say("fitting laws beside what the library explains")
             rounds.append(search.on_top_of(library, on_library))
         return self._kept(rounds, library)
@@ -340,6 +340,12 @@ class _Learning:
             if again is not None:
                 found.append(spline.made.coefficients(again.point.positions[-count:]))
         return found
+
+
+def _better(met: Round, library: Parent) -> bool:
+    """Whether a law alone reaches the noise, and does better than the library."""
+    best = met.found[0].best if met.found else None
+    return best is not None and best.score < library.score and best.held.error <= POLICY.verdict.reached
 
 
 def _try_library(shared: Shared, parent: Fit, effect: str) -> Candidate:

@@ -229,11 +229,14 @@ def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:
 
 
 def _spread(promised: Sequence[Screened]) -> list[Screened]:
-    """The leading ones, and the best of each hook: a linearised curve says too little of dry friction."""
+    """The leading ones, every torque and the best of each other hook.
+
+    A linearised curve says too little of dry friction.
+    """
     chosen = list(promised[:FIRST_FITS])
     for hook in ("torque", "shape", "drive", "observe"):
         own = [s for s in promised if s.made.law.hook == hook]
-        chosen += [s for s in own[: 4 if hook == "torque" else 2] if s not in chosen]
+        chosen += [s for s in (own if hook == "torque" else own[:2]) if s not in chosen]
     return chosen
 
 

@@ -38,8 +38,7 @@ class Spline:
 
     def basis(self, at: Array) -> Array:
         """Values of the B-splines (n, count) at (n,)."""
-        inside = np.clip(np.asarray(at, dtype=np.float64), self.low, self.high)
-        return np.asarray(BSpline.design_matrix(inside, self.knots, DEGREE).toarray())
+        return np.asarray(BSpline.design_matrix(self._inside(at), self.knots, DEGREE).toarray())
 
     @property
     def spacing(self) -> float:
@@ -58,7 +57,11 @@ class Spline:
 
     def values(self, coefficients: Array, at: Array) -> Array:
         """The curve (n,) at (n,)."""
-        return np.asarray(self.basis(at) @ coefficients)
+        return np.asarray(BSpline(self.knots, coefficients, DEGREE)(self._inside(at)))
+
+    def _inside(self, at: Array) -> Array:
+        knots = self.knots
+        return np.clip(np.asarray(at, dtype=np.float64), knots[DEGREE], knots[self.count])
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,11 @@ class SplineLaw:
         """The effect; the same class for the same curves."""
         return _effect(self)
 
+    def on(self, reading: Reading, sensor: int | None) -> Array:
+        """Values of the spline's basis (samples, K) at a reading."""
+        unit = UNIT[self.law.variable_unit][2]
+        return self.spline.basis(of_reading(self.law.variable, reading, sensor) / unit)
+
     def coefficients(self, positions: Array) -> Array:
         """Of the spline (K,), from the effect's fields."""
         return np.asarray(self.spline.root @ positions)
