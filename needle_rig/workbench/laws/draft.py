@@ -126,7 +126,7 @@ def _law_text(law: Law, curve: Formula | Table) -> str:
 
 def formula_text(formula: Formula) -> str:
     """A formula with its numbers, in words of mathematics."""
-    text = formula.form.expression.replace("RAD * ", "").replace(" ** ", "**")
+    text = formula.form.text.replace("RAD * ", "").replace(" ** ", "**")
     known = {**formula.parameters, "reach": formula.reach, "low": formula.low}
     for name, value in sorted(known.items(), key=lambda item: -len(item[0])):
         text = _replaced(text, name, f"{value:.4g}")

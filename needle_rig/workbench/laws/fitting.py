@@ -367,7 +367,8 @@ def fit_formula(shared: Shared, parent: Fit, starts: tuple[Point, ...], made: Fo
             best = found
     if best is None:
         return None
-    return LawFit(made, best, held_out(problem, best), best.objective + penalty(problem) * best.rank)
+    price = penalty(problem) * (parent.rank + len(own))
+    return LawFit(made, best, held_out(problem, best), best.objective + price)
 
 
 def from_task(found: list[Any]) -> list[Any]:

@@ -45,6 +45,18 @@ class Form:
     shapes: tuple[tuple[str, ShapeKind], ...] = ()
     periodic: bool = False
     """For angles alone."""
+    short: str = ""
+    """The expression as a person writes it, where that is shorter."""
+
+    @property
+    def has_constant(self) -> bool:
+        """Whether it has a constant beside or alone."""
+        return "constant" in self.coefficients
+
+    @property
+    def text(self) -> str:
+        """To be read."""
+        return self.short or self.expression
 
     def with_constant(self) -> Form:
         """The same beside a constant."""
@@ -54,6 +66,7 @@ class Form:
             ("constant", *self.coefficients),
             self.shapes,
             self.periodic,
+            f"constant + {self.text}",
         )
 
 
@@ -80,9 +93,22 @@ _SIMPLE = (
         "line * (v - 0.5 * (abs(v + dead) - abs(v - dead))) / reach",
         ("line",),
         (("dead", "width"),),
+        short="line * (v - clip(v, -dead, dead)) / reach",
     ),
-    Form("line beyond", f"line * {_BEYOND.format('(v - at)')}", ("line",), (("at", "place"),)),
-    Form("line below", f"line * {_BEYOND.format('(at - v)')}", ("line",), (("at", "place"),)),
+    Form(
+        "line beyond",
+        f"line * {_BEYOND.format('(v - at)')}",
+        ("line",),
+        (("at", "place"),),
+        short="line * max(v - at, 0) / reach",
+    ),
+    Form(
+        "line below",
+        f"line * {_BEYOND.format('(at - v)')}",
+        ("line",),
+        (("at", "place"),),
+        short="line * max(at - v, 0) / reach",
+    ),
     Form(
         "bump",
         "height * exp(-(((v - at) / width) ** 2))",
@@ -131,6 +157,9 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
     found = []
     for form in FORMS:
         if form.periodic and law.variable not in ("angle", "base_angle"):
+            continue
+        # what a drive adds is counted from the start of the trial; a factor's constant is friction or rigidity
+        if form.has_constant and (law.hook == "drive" or law.place in ("slip_limit", "rigidity")):
             continue
         best: RankedFormula | None = None
         for shapes in _grid(form, spline):

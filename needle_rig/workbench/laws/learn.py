@@ -141,6 +141,16 @@ def learn_laws(
         return _Learning(diagnosis, search, dataset.sensor_names, origin).answer()
 
 
+def goes_on(found: int, reached: bool) -> bool:
+    """Whether one more law is looked for."""
+    return not reached and found < POLICY.laws.most
+
+
+def verdict_of(reached: bool, tied_with: int) -> Verdict:
+    """Of laws that were found, whether these reach the noise and how many tie with one of them at most."""
+    return "law" if reached and tied_with <= POLICY.laws.ties else "cannot_tell"
+
+
 class _Learning:
     """One run: what is known as it goes on."""
 
@@ -157,7 +167,7 @@ class _Learning:
     def answer(self) -> Learnt:
         """The laws, one after the other."""
         current = self._first()
-        while current is not None and len(self.found) < POLICY.laws.most and not _reached(current):
+        while current is not None and goes_on(len(self.found), _reached(current)):
             further = self._next(current)
             if further is None:
                 break
@@ -232,7 +242,7 @@ class _Learning:
             return self._without_law(before)
         ties_most = max(len(ties) for _, ties in self.found)
         reached = _reached(current)
-        verdict: Verdict = "law" if reached and ties_most <= POLICY.laws.ties else "cannot_tell"
+        verdict = verdict_of(reached, ties_most)
         laws = tuple(self._law(current, place) for place in range(len(self.found)))
         words = " and ".join(law.law.words() for law in laws)
         if verdict == "law":
