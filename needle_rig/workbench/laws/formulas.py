@@ -158,7 +158,7 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
     for form in FORMS:
         if form.periodic and law.variable not in ("angle", "base_angle"):
             continue
-        # what a drive adds is counted from the start of the trial; a factor's constant is friction or rigidity
+        # a drive counts from the start of the trial; a constant factor is friction or rigidity
         if form.has_constant and (law.hook == "drive" or law.place in ("slip_limit", "rigidity")):
             continue
         best: RankedFormula | None = None
