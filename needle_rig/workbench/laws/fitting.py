@@ -41,6 +41,8 @@ KNOTS = {
     "x": 20,
 }
 """Coefficients of a spline: more than a curve that these data can show needs. The data set the smoothness."""
+ALONG_M = 1e-3
+"""Distance of the places along the needle that count as seen."""
 OF_TRIALS = 6
 """Coefficients where the variable has one value a trial."""
 TYPICAL = {"N·mm per 100 mm": 0.05, "N·mm": 0.005, "°": 2.0, "1": 0.3}
@@ -178,7 +180,9 @@ def seen(problem: Problem, law: Law) -> Array:
     if law.hook == "shape" and law.variable != "x":
         return np.array([of_place(law.variable, b.trial) for b in trials])
     if law.variable == "x":
-        return np.array([(a + b) / 2 for a, b in problem.base.layout.tissue_sections_m])
+        layout = problem.base.layout
+        parts = ((0.0, layout.needle_length_m),) if law.place == "rigidity" else layout.tissue_sections_m
+        return np.concatenate([np.arange(start, end, ALONG_M) for start, end in parts])
     measured = [b.mean for b in trials]
     if law.variable == "torque":
         return _finite(np.concatenate([m[0] for m in measured]))
