@@ -242,7 +242,7 @@ class LawPolicy:
     )
     most: int = _threshold(
         2,
-        "laws that are added one after the other",
+        "laws, or library effects beside one, that are added one after the other",
         "more of them can stand for anything, as `verdict.at_any_value`",
         "laws/test_policy.py",
     )

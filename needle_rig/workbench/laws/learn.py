@@ -141,9 +141,9 @@ def learn_laws(
         return _Learning(diagnosis, search, dataset.sensor_names, origin).answer()
 
 
-def goes_on(found: int, reached: bool) -> bool:
-    """Whether one more law is looked for."""
-    return not reached and found < POLICY.laws.most
+def goes_on(steps: int, reached: bool) -> bool:
+    """Whether one more law, or a library effect beside it, is looked for."""
+    return not reached and steps < POLICY.laws.most
 
 
 def verdict_of(reached: bool, tied_with: int) -> Verdict:
@@ -167,11 +167,12 @@ class _Learning:
     def answer(self) -> Learnt:
         """The laws, one after the other."""
         current = self._first()
-        while current is not None and goes_on(len(self.found), _reached(current)):
+        steps = 1
+        while current is not None and goes_on(steps, _reached(current)):
             further = self._next(current)
             if further is None:
                 break
-            current = further
+            current, steps = further, steps + 1
         return self._told(current)
 
     def _first(self) -> Parent | None:
@@ -227,7 +228,8 @@ class _Learning:
         names = [n for n in trace.names if n not in current.fit.effects]
         search.work.share(Shared(search.problem, search.made))
         tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n) for n in names])
-        fits = [Parent(c.fit, c.held, score(problem, c.fit)) for c in tried if c.fit and c.held]
+        known = current.score - score(problem, current.fit)
+        fits = [Parent(c.fit, c.held, score(problem, c.fit) + known) for c in tried if c.fit and c.held]
         return min([current, *fits], key=lambda p: p.score)
 
     def _beside(self, current: Parent, rival: Parent) -> Parent | None:
@@ -292,7 +294,7 @@ class _Learning:
     def _law(self, current: Parent, place: int) -> LearntLaw:
         found, ties = self.found[place]
         formula, parameters = _fitted_formula(current.fit, found)
-        curve = self._curve(found)
+        curve = self._curve(current, found)
         told = formula or Table(curve.at, curve.value)
         text = None if formula is None else f"{formula.form.name}: {formula_text(formula)}"
         return LearntLaw(
@@ -317,16 +319,21 @@ class _Learning:
         first, second = found.best.fit, other.best.fit
         return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
 
-    def _curve(self, found: FoundLaw) -> Curve:
+    def _curve(self, current: Parent, found: FoundLaw) -> Curve:
         """The spline's curve with its band, and from halves of the trials."""
         spline = found.spline
         assert isinstance(spline.made, SplineLaw)
         assert spline.coefficients is not None
         assert spline.covariance is not None
+        coefficients = spline.coefficients
+        if found.formula is None:
+            # as all laws were last fitted together
+            own = [axis.effect == spline.made.name for axis in current.fit.axes]
+            coefficients = spline.made.coefficients(current.fit.point.positions[own])
         family = spline.made.spline
         at = np.linspace(family.low, family.high, CURVE_POINTS)
         basis = family.basis(at)
-        value = basis @ spline.coefficients
+        value = basis @ coefficients
         spread = BAND_SIGMAS * np.sqrt(np.maximum(((basis @ spline.covariance) * basis).sum(axis=1), 0.0))
         values = seen(self.search.problem, spline.law) / UNIT[spline.law.variable_unit][2]
         step = at[1] - at[0]
