@@ -228,7 +228,7 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     inner = profiled(linear, made.spline.count)
     if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
         return None
-    of_coefficients = inner.scaled(np.linalg.inv(made.spline.root))
+    of_coefficients = inner.scaled(made.spline.inverse)
     spline, gain, coefficients = smoothed(made.spline, of_coefficients, typical(problem, made.law))
     # what is stuck does not move until it slips: derivatives then ask for curves that are far too large
     most = MOST_AMPLITUDE * typical(problem, made.law)
@@ -303,7 +303,7 @@ def fit_spline(shared: Shared, parent: Fit, screened: Screened, whole: bool) -> 
     made, count = screened.made, screened.made.spline.count
     if whole:
         inner = profiled(LinearisedFit.of(problem, best), count)
-        of_coefficients = inner.scaled(np.linalg.inv(made.spline.root))
+        of_coefficients = inner.scaled(made.spline.inverse)
         spline, _, _ = smoothed(made.spline, of_coefficients, typical(problem, made.law))
         again = dataclasses.replace(made, spline=spline)
         z = again.positions(made.coefficients(best.point.positions[-count:]))
@@ -327,7 +327,7 @@ def _judged(problem: Problem, parent: Fit, made: SplineLaw, found: Fit, whole: b
         found,
         held_out(problem, found) if whole else nothing,
         found.objective + occam + penalty(problem) * parent.rank,
-        inner.scaled(np.linalg.inv(root)),
+        inner.scaled(made.spline.inverse),
         made.coefficients(found.point.positions[-count:]),
         np.asarray(root @ found.covariance[-count:, -count:] @ root.T),
     )

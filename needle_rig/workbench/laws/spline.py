@@ -55,6 +55,11 @@ class Spline:
         """S (count, count)."""
         return _root(self.count, self.amplitude, self.roughness)
 
+    @property
+    def inverse(self) -> Array:
+        """S⁻¹ (count, count)."""
+        return np.asarray(np.linalg.inv(self.root), dtype=np.float64)
+
     def values(self, coefficients: Array, at: Array) -> Array:
         """The curve (n,) at (n,)."""
         return np.asarray(BSpline(self.knots, coefficients, DEGREE)(self._inside(at)))

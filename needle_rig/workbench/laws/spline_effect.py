@@ -49,7 +49,7 @@ class SplineLaw:
 
     def positions(self, coefficients: Array) -> Array:
         """The effect's fields (K,) for coefficients of the spline."""
-        return np.asarray(np.linalg.solve(self.spline.root, coefficients))
+        return np.asarray(self.spline.inverse @ coefficients)
 
 
 def of_trial(variable: str, trial: Trial) -> Array:
