@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from needle_rig.units import M_PER_MM, N_PER_NMM_PER_100MM, NM_PER_NMM, RAD_PER_DEG
 
@@ -22,7 +22,6 @@ Variable = Literal[
     "trial",
     "direction",
 ]
-VARIABLES: tuple[Variable, ...] = get_args(Variable)
 
 UNIT: dict[str, tuple[str, str, float]] = {
     "°": ("°", "_deg", RAD_PER_DEG),

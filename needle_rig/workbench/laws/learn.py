@@ -25,7 +25,6 @@ from needle_rig.workbench.laws.search import (
     FoundLaw,
     LawSearch,
     Parent,
-    Round,
     Say,
     asked_of,
     kept,
@@ -205,19 +204,19 @@ class _Learning:
             return self._kept(rounds, rival) or self._beside(current, rival)
         return self._kept(rounds, rival)
 
-    def _kept(self, rounds: Sequence[Round], rival: Parent) -> Parent | None:
-        leading = [r for r in rounds if r.found]
+    def _kept(self, rounds: Sequence[Sequence[FoundLaw]], rival: Parent) -> Parent | None:
+        leading = [found for found in rounds if found]
         if not leading:
             return None
-        chosen = min(leading, key=lambda r: r.found[0].score)
+        chosen = min(leading, key=lambda found: found[0].score)
         first = leading[0]
         # an effect of the library beside the law must be worth its name
-        if first.found[0].score < chosen.found[0].score + POLICY.search.fewer_named:
+        if first[0].score < chosen[0].score + POLICY.search.fewer_named:
             chosen = first
-        best = chosen.found[0]
+        best = chosen[0]
         if not kept(self.search.whole_problem(), best.parent, rival, best, self.tried):
             return None
-        self.found.append((best, tied(chosen.found)))
+        self.found.append((best, tied(chosen)))
         return self.search.add(best)
 
     def _with_library(self, current: Parent) -> Parent:
@@ -359,9 +358,9 @@ class _Learning:
         return found
 
 
-def _better(met: Round, library: Parent) -> bool:
+def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
     """Whether a law alone reaches the noise, and does better than the library."""
-    best = met.found[0].best if met.found else None
+    best = met[0].best if met else None
     return best is not None and best.score < library.score and best.held.error <= POLICY.verdict.reached
 
 

@@ -85,16 +85,6 @@ class FoundLaw:
         return self.best.score
 
 
-@dataclass(frozen=True)
-class Round:
-    """What one search for one more law met, best first."""
-
-    found: tuple[FoundLaw, ...]
-    tried: int
-    promise: float
-    """Largest gain that screening promised."""
-
-
 class LawSearch:
     """One search on a problem; what it drafts on its way stands in a folder of its own while it lasts."""
 
@@ -123,19 +113,16 @@ class LawSearch:
         found: list[Screened] = from_task(self.work.run(screen, tasks))
         return sorted(found, key=lambda s: -s.gain)
 
-    def on_top_of(self, parent: Parent, promised: Sequence[Screened]) -> Round:
-        """The laws that do best on top of a fit."""
-        tried = len(promised)
-        asked = asked_of(tried)
+    def on_top_of(self, parent: Parent, promised: Sequence[Screened]) -> list[FoundLaw]:
+        """The laws that do best on top of a fit, best first."""
+        asked = asked_of(len(promised))
         leading = [s for s in promised if s.gain > asked]
         first = self._fits(parent, _spread(leading), whole=False)
         chosen = first[:WHOLE_FITS]
         by_name = {s.made.name: s for s in leading}
         splines = self._fits(parent, [by_name[f.made.name] for f in chosen], whole=True)
         found = [FoundLaw(spline, None, parent) for spline in splines]
-        found = self._with_formulas(found)
-        found.sort(key=lambda each: each.score)
-        return Round(tuple(found), tried, promised[0].gain if promised else 0.0)
+        return sorted(self._with_formulas(found), key=lambda each: each.score)
 
     def add(self, found: FoundLaw) -> Parent:
         """The fit with the law, to add more to."""
