@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.rod import Rod
 
@@ -50,7 +51,7 @@ class Hidden(Effect):
         return cls.__name__.lower()
 
 
-def _observed(name: str, change: Callable[[float, Reading, np.ndarray, np.ndarray], None]) -> type[Effect]:
+def _observed(name: str, change: Callable[[float, Reading, Array, Array], None]) -> type[Effect]:
     def observe(self: Hidden, reading: Reading) -> Reading:
         torque_nm, hall_rad = reading.torque_nm.copy(), reading.hall_rad.copy()
         change(self.size, reading, torque_nm, hall_rad)
@@ -59,14 +60,14 @@ def _observed(name: str, change: Callable[[float, Reading, np.ndarray, np.ndarra
     return _made(name, observe=observe)
 
 
-def _driven(name: str, error_rad: Callable[[Trial], np.ndarray]) -> type[Effect]:
-    def drive(self: Hidden, trial: Trial) -> np.ndarray:
+def _driven(name: str, error_rad: Callable[[Trial], Array]) -> type[Effect]:
+    def drive(self: Hidden, trial: Trial) -> Array:
         return trial.base_angle_rad + self.size * error_rad(trial)
 
     return _made(name, drive=drive)
 
 
-def _limited(name: str, share: Callable[[np.ndarray, Trial], Any]) -> type[Effect]:
+def _limited(name: str, share: Callable[[Array, Trial], Any]) -> type[Effect]:
     def shape(self: Hidden, rod: Rod, trial: Trial) -> Rod:
         factor = 1.0 + self.size * share(rod.position_m * 1e3, trial)
         return dataclasses.replace(
@@ -80,15 +81,15 @@ def _made(name: str, **hooks: Any) -> type[Effect]:
     return dataclass(frozen=True)(type(name, (Hidden,), {"__doc__": name, **hooks}))
 
 
-def _base_rate(trial: Trial) -> np.ndarray:
+def _base_rate(trial: Trial) -> Array:
     return np.asarray(np.gradient(trial.base_angle_rad, trial.time_s))
 
 
-def _turned(trial: Trial) -> np.ndarray:
+def _turned(trial: Trial) -> Array:
     return np.asarray(np.abs(np.diff(trial.base_angle_rad, prepend=0.0)).cumsum())
 
 
-def _stood(trial: Trial) -> np.ndarray:
+def _stood(trial: Trial) -> Array:
     since, out = 0.0, []
     for t, w in zip(trial.time_s, _base_rate(trial), strict=True):
         since = t if abs(w) > 0.01 else since
@@ -96,7 +97,7 @@ def _stood(trial: Trial) -> np.ndarray:
     return np.array(out)
 
 
-def _way(trial: Trial) -> np.ndarray:
+def _way(trial: Trial) -> Array:
     last, out = 0.0, []
     for w in _base_rate(trial):
         last = math.copysign(1.0, w) if abs(w) > 0.01 else last
@@ -104,52 +105,52 @@ def _way(trial: Trial) -> np.ndarray:
     return np.array(out)
 
 
-def _hall_2_third(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _hall_2_third(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     hall_rad[:, 1] += size * 0.03 * np.sin(3.0 * hall_rad[:, 1])
 
 
-def _cell_cube(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _cell_cube(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     torque_nm += size * 1e-5 * (reading.torque_nm / 1e-4) ** 3
 
 
-def _bearing(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _bearing(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     torque_nm += size * 5e-6 * _base_rate(reading.trial) / 0.785
 
 
-def _cross_talk(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _cross_talk(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     hall_rad[:, 3] += size * 0.03 * (reading.torque_nm / 1e-4) ** 2
 
 
-def _hall_3_warms(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _hall_3_warms(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     clock_s = reading.trial.start_s + reading.trial.time_s
     hall_rad[:, 2] += size * 0.05 * (1.0 - np.exp(-clock_s / 100.0))
 
 
-def _cable(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _cable(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     torque_nm += size * 8e-6 * np.sin(reading.trial.base_angle_rad + 0.6)
 
 
-def _lag(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _lag(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     hall_rad[:, 0] -= size * 0.04 * _base_rate(reading.trial)
 
 
-def _dead_cell(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _dead_cell(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     torque_nm -= size * np.clip(reading.torque_nm, -1.5e-5, 1.5e-5)
 
 
-def _cell_relaxes(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _cell_relaxes(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     torque_nm += size * 1e-5 * np.exp(-_stood(reading.trial) / 0.8)
 
 
-def _cell_sticks(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _cell_sticks(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     torque_nm += size * 6e-6 * _way(reading.trial)
 
 
-def _magnet_turns(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _magnet_turns(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     hall_rad[:, 1] += size * 0.015 * _turned(reading.trial)
 
 
-def _two_poles(size: float, reading: Reading, torque_nm: np.ndarray, hall_rad: np.ndarray) -> None:
+def _two_poles(size: float, reading: Reading, torque_nm: Array, hall_rad: Array) -> None:
     hall_rad += size * 0.02 * np.cos(2.0 * hall_rad)
 
 

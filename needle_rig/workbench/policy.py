@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from needle_rig.records import JsonObject
+
 TABLE = "judged by scripts/diagnosis_table: 920 datasets with known answers"
 CHOSEN = "chosen, not derived; " + TABLE
 
@@ -30,6 +32,12 @@ class NoisePolicy:
     still_deg: float = _threshold(
         0.12,
         "a base that stays within this of where it ends holds still",
+        CHOSEN,
+        _NOISE,
+    )
+    smallest_motion_rad: float = _threshold(
+        0.01,
+        "a base that turns by less has moved in no direction: 0.6°",
         CHOSEN,
         _NOISE,
     )
@@ -62,6 +70,9 @@ class NoisePolicy:
         "scatter of the rests beyond this many of its standard errors is an offset",
         "95 %, two-sided",
         _NOISE,
+    )
+    offset_floor_share: float = _threshold(
+        0.7, "share of the floor that an offset from trial to trial has at least", CHOSEN, _NOISE
     )
     scatter: float = _threshold(0.025, "prior scatter of friction from trial to trial", CHOSEN, _NOISE)
     scatter_dof: float = _threshold(
@@ -193,7 +204,10 @@ class EvidencePolicy:
         "selection/test_evidence.py",
     )
     discretisation_margin: float = _threshold(
-        3.0, "a change of less than this many times our own error along it may be that error", CHOSEN, _RULES
+        3.0,
+        "a change of the residuals below this many times the discretisation error along it may be that error",
+        CHOSEN,
+        _RULES,
     )
     seen_information: float = _threshold(
         1.0,
@@ -290,7 +304,7 @@ class VerdictPolicy:
 
     pattern_significance: float = _threshold(
         1e-3,
-        "p, over all signatures, of a pattern in what is left",
+        "p, adjusted over all generic functions, of a residual pattern",
         "one false unknown in a thousand",
         _RULES,
     )
@@ -299,6 +313,15 @@ class VerdictPolicy:
         "p of a trend in the trials' friction: an effect that tells of it is to be named first",
         "a hundredth of `evidence.significance`, for a library of about 20",
         _RULES,
+    )
+    testable_share: float = _threshold(
+        0.02,
+        "share of a pattern that projection must leave for it to be tested: less is rounding and curvature",
+        CHOSEN,
+        _RULES,
+    )
+    distinct_share: float = _threshold(
+        0.1, "share of a pattern that those found before must leave for it to be another", CHOSEN, _RULES
     )
     patterns: int = _threshold(5, "patterns that are told", CHOSEN, _RULES)
     lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)
@@ -338,9 +361,9 @@ class Policy:
     size: SizePolicy = SizePolicy()
     verdict: VerdictPolicy = VerdictPolicy()
 
-    def as_json(self) -> dict[str, dict[str, Any]]:
+    def as_json(self) -> dict[str, JsonObject]:
         """Values by group and name."""
-        found: dict[str, dict[str, Any]] = {}
+        found: dict[str, JsonObject] = {}
         for row in thresholds(self):
             value = list(row.value) if isinstance(row.value, tuple) else row.value
             found.setdefault(row.group, {})[row.name] = value

@@ -348,7 +348,7 @@ class _Learning:
         count, found = spline.made.spline.count, []
         for half in (0, 1):
             trials = [t for t in range(len(problem.trials)) if t % 2 == half]
-            if len(trials) < 2:
+            if len(trials) <= 1:
                 continue
             point = spline.fit.point
             start = dataclasses.replace(point, trial_friction=point.trial_friction[trials])

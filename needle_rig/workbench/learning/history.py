@@ -1,17 +1,17 @@
-"""The ladder of a model: what each step added and what it bought, as rows."""
+"""The ladder of a model: what each step added, and the errors after it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from needle_rig.model import ChannelErrors, SavedModel
+from needle_rig.records import JsonObject
 from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 
 
 @dataclass(frozen=True)
 class Step:
-    """One rung."""
+    """One step of learning: what was added, on which data, and the errors after it."""
 
     label: str
     dataset: str
@@ -22,7 +22,7 @@ class Step:
     channels: dict[str, ChannelErrors]
     note: str = ""
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "step": self.label,

@@ -20,6 +20,7 @@ from needle_rig.control.strategy import Strategy, Task, make_strategy
 from needle_rig.model import MODEL_LAYOUT, load_parameter_set, load_parameters
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
+from needle_rig.records import JsonObject
 from needle_rig.units import deg, mm, nmm, rad
 from needle_rig.workbench.paper.identify import held_tip_torque_nm, settling_time_s, with_effect
 from needle_rig.workbench.virtual.noise import NO_NOISE
@@ -31,6 +32,8 @@ EXPECTED_RANGE_OF_FOUR = 2.059
 """Expected range of four normal values over their standard deviation (Tippett 1925)."""
 TARGET_DEG = 45.0
 SPEED_DEG_S, SETTLE_S = 45.0, 3.0
+NO_TORQUE_NM = 1e-9
+"""A millionth of the windup torque: its sign is rounding."""
 TURNED_RAD = 1e-7
 """A node that moves less has stuck: the solver softens the grip of rigid tissue by a tenth of it."""
 Needles = tuple[SettledNeedle, ...]
@@ -134,7 +137,7 @@ def aligned(model: NeedleModel, strategy: Strategy, target_deg: float) -> Needle
     return run_settled(model, strategy, task, np.random.default_rng(0), NO_NOISE).needles[1:]
 
 
-def as_document(rows: tuple[Row, ...]) -> dict[str, Any]:
+def as_document(rows: tuple[Row, ...]) -> JsonObject:
     """The rows as `--json` prints them."""
     return {
         "rows": [
@@ -187,7 +190,7 @@ def _figure_3(runs: Reproduction) -> tuple[Row, ...]:
         Row(
             "figure 3, base turned to the tip's angle: sign of the base torque (before: 1)",
             -1.0,
-            math.copysign(1.0, at_tip.torque_nm) if abs(at_tip.torque_nm) > 1e-9 else 0.0,
+            math.copysign(1.0, at_tip.torque_nm) if abs(at_tip.torque_nm) > NO_TORQUE_NM else 0.0,
             "",
             name,
             0.0,

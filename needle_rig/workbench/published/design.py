@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from needle_rig.control.strategy import History, make_strategy
 from needle_rig.dataset.settled import Seen
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.published.fit import SettledFit, SettledProblem
+from needle_rig.workbench.selection.documents import NextSettled, Watched, WatchedPair
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
@@ -28,14 +28,14 @@ class Watch:
     number: int
     given: tuple[float, ...]
     turned: tuple[float, ...]
-    """By how much each lets it change in that motion."""
+    """Change of that reading in the motion, by each of the models."""
     sigmas: float
     """The first model's smallest distance to another, over the standard error."""
 
 
 def drive(problem: SettledProblem, found: SettledFit, paths: Sequence[History]) -> tuple[History, ...]:
     """Every sequence on a fitted model, with the base angles of `paths`. Raises SolverError."""
-    model = problem.model(found.axes, found.x)
+    model = problem.model(found.parameters, found.x)
     random = np.random.default_rng(0)
     runs = []
     for path, (_, task) in zip(paths, problem.loops, strict=True):
@@ -48,7 +48,7 @@ def drive(problem: SettledProblem, found: SettledFit, paths: Sequence[History]) 
 
 def watches(problem: SettledProblem, fits: Sequence[SettledFit]) -> list[Watch]:
     """Readings of sensors with a stated standard error that are not among the data, most telling first."""
-    paths = problem.run(problem.model(fits[0].axes, fits[0].x))
+    paths = problem.run(problem.model(fits[0].parameters, fits[0].x))
     runs = [drive(problem, f, paths) for f in fits]
     known = {v.of for v in problem.data.values}
     found = []
@@ -71,7 +71,7 @@ def watches(problem: SettledProblem, fits: Sequence[SettledFit]) -> list[Watch]:
 
 def next_experiment(
     problem: SettledProblem, names: Sequence[str], fits: Sequence[SettledFit]
-) -> dict[str, Any] | None:
+) -> NextSettled | None:
     """What to watch to tell the first of the tied effects from all others, and each pair from another.
 
     None when no sensor has a stated standard error.
@@ -81,11 +81,11 @@ def next_experiment(
         return None
     best = ranked[0]
     sequence = problem.data.sequences[best.of.sequence]
-    pairs = []
+    pairs: list[WatchedPair] = []
     for i, first in enumerate(names):
         for j in range(i + 1, len(names)):
             top = watches(problem, (fits[i], fits[j]))[0]
-            pairs.append({"between": [first, names[j]]} | _told(problem, top))
+            pairs.append({"between": [first, names[j]], **_told(problem, top)})
     return {
         "between": list(names),
         "kind": "compensate",
@@ -105,7 +105,7 @@ def _reading(history: History, number: int, sensor: int | None) -> float:
     return nmm(motion.torque_nm) if sensor is None else deg(motion.hall_rad[sensor])
 
 
-def _told(problem: SettledProblem, watch: Watch) -> dict[str, Any]:
+def _told(problem: SettledProblem, watch: Watch) -> Watched:
     return {
         "separation_sigma": round(watch.sigmas, 2),
         "watch": f"{problem.data.words(watch.of)} (motion {watch.number})",

@@ -5,17 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from needle_rig.records import JsonObject
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.documents import DiagnoseDocument, FittedNumber, NextExperiment
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
-from needle_rig.workbench.selection.residual_patterns import Leftover
+from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
 from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 Say = Callable[[str], None]
+
+SIGMAS_95 = 1.96
+"""Half a two-sided 95 % interval, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,7 @@ class Value:
     unit: str
     plausible: bool
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "value": _plain(self.value),
@@ -61,7 +66,7 @@ class Decision:
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.effect} ({'>' if self.downwards else '<'} {self.limit:.2g}{unit})"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "decision": self.decision,
@@ -85,7 +90,7 @@ class Ranked:
     in_favour: str
     against: str
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "effect": self.effect,
@@ -112,19 +117,19 @@ class Answer:
     effects: tuple[str, ...]
     ranking: tuple[Ranked, ...]
     decisions: dict[str, Decision]
-    left_over: Leftover
+    residual_patterns: ResidualPatterns
     explained: bool
     reasons: tuple[Reason, ...]
     """Why it is unknown; empty for the other verdicts."""
     lack_before: LackOfFit | None
-    """Whether replicates show anything to explain in the present model; None without replicates."""
+    """Lack of fit of the current model; None without replicates."""
     lack_after: LackOfFit | None
-    """The same of what the answer leaves."""
+    """Lack of fit of the model with what is named; None without replicates."""
     explained_fraction: float
     held_out_error_before: float
     held_out_error_after: float
     noise_floor: float
-    next_experiment: dict[str, Any] | None
+    next_experiment: NextExperiment | None
     notes: tuple[str, ...]
 
     @property
@@ -163,9 +168,9 @@ class Answer:
         """What is left: patterns, and what replicates share beyond how they differ."""
         lack = self.lack_after
         shared = [lack.sentence()] if lack is not None and lack.significant else []
-        return [p.sentence() for p in self.left_over.patterns] + shared
+        return [p.sentence() for p in self.residual_patterns.patterns] + shared
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> DiagnoseDocument:
         """The stated form of the answer."""
         return {
             "dataset": self.dataset,
@@ -195,7 +200,7 @@ def left_out_error(error: float | None) -> str:
     return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
 
 
-def fitted_sentences(free_parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def fitted_sentences(free_parameters: Mapping[str, FittedNumber]) -> list[str]:
     """What was fitted, a sentence each."""
     said = []
     for name, of in free_parameters.items():
