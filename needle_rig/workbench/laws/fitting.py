@@ -15,12 +15,12 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
-from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
+from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.posterior import STEP, Objective, start_point, sum_of_squares
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.posterior import STEP, Objective, start_vector, sum_of_squares
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import UNIT, Law, every_law
 from needle_rig.workbench.laws.spline import Quadratic, Spline, smoothed
@@ -111,7 +111,7 @@ class LawFit:
 
     made: Made
     fit: Fit
-    held: HeldOut
+    validation: CrossValidation
     score: float
     """−2 log likelihood with the curve integrated out, or the objective with its price; lower is better."""
     quadratic: Quadratic | None = None
@@ -209,22 +209,22 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     """What the law promises: the parent's residuals projected on the coefficients' derivatives."""
     problem = shared.with_made(made)
     names = (*parent.effects, made.name)
-    axes = problem.axes(names)
-    state = Objective(problem, axes)
-    positions = np.r_[parent.point.positions, np.zeros(made.spline.count)]
-    x = state.vector(dataclasses.replace(parent.point, positions=positions), parent.nuisance)
+    parameters = problem.parameters(names)
+    state = Objective(problem, parameters)
+    scaled_values = np.r_[parent.vector.scaled_values, np.zeros(made.spline.count)]
+    x = state.packed(dataclasses.replace(parent.vector, scaled_values=scaled_values), parent.nuisance)
     if made.law.hook == "observe":
         columns: list[Array] | None = _reading_columns(problem, parent, made)
     else:
         columns = _moving_columns(state, x, parent, made.spline.count)
     if columns is None:
         return None
-    known = len(parent.axes) + 2
+    known = len(parent.parameters) + 2
     jacobians = [
         np.column_stack([j[:, :known], c, j[:, known:]])
         for j, c in zip(parent.jacobians, columns, strict=True)
     ]
-    linear = LinearisedFit.at(problem, axes, x, parent.residuals, jacobians, parent.scatter**-2)
+    linear = LinearisedFit.at(problem, parameters, x, parent.residuals, jacobians, parent.scatter**-2)
     inner = profiled(linear, made.spline.count)
     if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
         return None
@@ -241,7 +241,7 @@ def _moving_columns(state: Objective, x: Array, parent: Fit, count: int) -> list
     rows = np.concatenate(parent.residuals)
 
     def left(moved: Array) -> Array | None:
-        after = state.rows(moved)
+        after = state.residuals(moved)
         return None if after is None else np.concatenate(after)
 
     directions = np.eye(state.p, x.size)[state.p - count :]
@@ -256,7 +256,7 @@ def _reading_columns(problem: Problem, parent: Fit, made: SplineLaw) -> list[Arr
     law, columns = made.law, []
     factor = UNIT[law.unit][2]
     for t, (binned, whiten) in enumerate(zip(problem.trials, problem.whiteners, strict=True)):
-        reading = problem.model(parent.axes, parent.point, t).predict(binned.trial)
+        reading = problem.model(parent.parameters, parent.vector, t).predict(binned.trial)
         changes = np.zeros((*binned.mean.shape, made.spline.count))
         if law.place == "torque":
             changes[0] = binned.average @ made.on(reading, None)
@@ -268,7 +268,7 @@ def _reading_columns(problem: Problem, parent: Fit, made: SplineLaw) -> list[Arr
 
 
 def profiled(linear: LinearisedFit, count: int) -> Quadratic:
-    """−2 log likelihood as a function of the last `count` positions, all other parameters profiled out."""
+    """−2 log likelihood as a function of the last `count` scaled values, all else profiled out."""
     inside = np.arange(linear.p - count, linear.p)
     outside = np.setdiff1d(np.arange(linear.precision.size), inside)
     curvature, descent = linear.curvature + linear.level, linear.descent
@@ -294,7 +294,7 @@ def fit_spline(shared: Shared, parent: Fit, screened: Screened, whole: bool) -> 
             start,
             nuisance=parent.nuisance,
             iterations=FIRST_ITERATIONS,
-            enough=0.5,
+            tolerance=0.5,
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
@@ -306,11 +306,11 @@ def fit_spline(shared: Shared, parent: Fit, screened: Screened, whole: bool) -> 
         of_coefficients = inner.scaled(made.spline.inverse)
         spline, _, _ = smoothed(made.spline, of_coefficients, typical(problem, made.law))
         again = dataclasses.replace(made, spline=spline)
-        z = again.positions(made.coefficients(best.point.positions[-count:]))
-        positions = np.r_[best.point.positions[:-count], z]
+        z = again.scaled_values(made.coefficients(best.vector.scaled_values[-count:]))
+        scaled_values = np.r_[best.vector.scaled_values[:-count], z]
         problem = shared.with_made(again)
-        point = dataclasses.replace(best.point, positions=positions)
-        refined = fit(problem, best.effects, point, nuisance=best.nuisance)
+        vector = dataclasses.replace(best.vector, scaled_values=scaled_values)
+        refined = fit(problem, best.effects, vector, nuisance=best.nuisance)
         if refined is None:
             return None
         made, best = again, refined
@@ -321,35 +321,35 @@ def _judged(problem: Problem, parent: Fit, made: SplineLaw, found: Fit, whole: b
     count, root = made.spline.count, made.spline.root
     inner = profiled(LinearisedFit.of(problem, found), count)
     occam = float(np.linalg.slogdet(np.eye(count) + inner.G)[1])
-    nothing = HeldOut(float("inf"), float("inf"), ())
+    nothing = CrossValidation(float("inf"), float("inf"), ())
     return LawFit(
         made,
         found,
-        held_out(problem, found) if whole else nothing,
+        cross_validate(problem, found) if whole else nothing,
         found.objective + occam + penalty(problem) * parent.rank,
         inner.scaled(made.spline.inverse),
-        made.coefficients(found.point.positions[-count:]),
+        made.coefficients(found.vector.scaled_values[-count:]),
         np.asarray(root @ found.covariance[-count:, -count:] @ root.T),
     )
 
 
-def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[Point]:
+def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[ParameterVector]:
     """The best share of the linearised curve from where the parent is; where that is far off, also from the
     stated constants."""
-    axes = problem.axes((*parent.effects, screened.made.name))
-    state = Objective(problem, axes)
-    z = screened.made.positions(screened.coefficients)
-    points = [parent.point]
+    parameters = problem.parameters((*parent.effects, screened.made.name))
+    state = Objective(problem, parameters)
+    z = screened.made.scaled_values(screened.coefficients)
+    vectors = [parent.vector]
     if parent.chi2 > FAR * problem.size:
-        stated = start_point(problem, parent.point.log_friction)
-        points.append(dataclasses.replace(stated, positions=parent.point.positions))
+        stated = start_vector(problem, parent.vector.log_friction)
+        vectors.append(dataclasses.replace(stated, scaled_values=parent.vector.scaled_values))
     starts = []
-    for point in points:
-        rated: list[tuple[float, int, Point]] = []
+    for vector in vectors:
+        rated: list[tuple[float, int, ParameterVector]] = []
         for number, share in enumerate(SHARES):
-            start = dataclasses.replace(point, positions=np.r_[point.positions, share * z])
-            x = state.vector(start, parent.nuisance)
-            rows = state.rows(x)
+            start = dataclasses.replace(vector, scaled_values=np.r_[vector.scaled_values, share * z])
+            x = state.packed(start, parent.nuisance)
+            rows = state.residuals(x)
             if rows is not None:
                 rated.append((sum_of_squares(rows) + state.prior(x), number, start))
         if rated:
@@ -357,22 +357,24 @@ def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[Point]:
     return starts
 
 
-def fit_formula(shared: Shared, parent: Fit, starts: tuple[Point, ...], made: FormulaLaw) -> LawFit | None:
-    """A formula fitted in the place of a spline, from several points of all but its own parameters."""
+def fit_formula(
+    shared: Shared, parent: Fit, starts: tuple[ParameterVector, ...], made: FormulaLaw
+) -> LawFit | None:
+    """A formula fitted in the place of a spline, from several vectors of all but its own parameters."""
     problem = shared.with_made(made)
     names = (*parent.effects, made.name)
-    own = problem.axes([made.name])
-    at = np.array([a.position(a.info.typical) for a in own])
+    own = problem.parameters([made.name])
+    at = np.array([a.scaled_value(a.info.typical) for a in own])
     best: Fit | None = None
     for start in starts:
-        point = dataclasses.replace(start, positions=np.r_[start.positions, at])
-        found = fit(problem, names, point, nuisance=parent.nuisance)
+        vector = dataclasses.replace(start, scaled_values=np.r_[start.scaled_values, at])
+        found = fit(problem, names, vector, nuisance=parent.nuisance)
         if found is not None and (best is None or found.objective < best.objective):
             best = found
     if best is None:
         return None
     price = penalty(problem) * (parent.rank + len(own))
-    return LawFit(made, best, held_out(problem, best), best.objective + price)
+    return LawFit(made, best, cross_validate(problem, best), best.objective + price)
 
 
 def from_task(found: list[Any]) -> list[Any]:

@@ -16,7 +16,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.parameters import Coordinate
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.laws.draft import Origin, Table, formula_text, written
 from needle_rig.workbench.laws.fitting import FormulaLaw, LawFit, Shared, present_score, seen
 from needle_rig.workbench.laws.formulas import Formula
@@ -54,7 +54,7 @@ class Curve:
     """95 % band."""
     high: Array
     data: Array
-    """How many values of the variable the data have nearest to each point."""
+    """How many values of the variable the data have nearest to each vector."""
     halves: tuple[Array, ...]
     """The same curve from halves of the trials."""
 
@@ -113,7 +113,7 @@ class Learnt:
 
     def write_drafts(self, path: Path) -> tuple[Path, ...]:
         """The effect files: the first law's at `path`, those of others numbered beside it."""
-        sections_m = self.diagnosis.prepared.dataset.layout.tissue_sections_m
+        sections_m = self.diagnosis.baseline.dataset.layout.tissue_sections_m
         files = []
         for number, law in enumerate(self.laws, start=1):
             file = path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")
@@ -228,13 +228,17 @@ class _Learning:
         search.work.share(Shared(search.problem, search.made))
         tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n) for n in names])
         known = current.score - score(problem, current.fit)
-        fits = [Parent(c.fit, c.held, score(problem, c.fit) + known) for c in tried if c.fit and c.held]
+        fits = [
+            Parent(c.fit, c.validation, score(problem, c.fit) + known)
+            for c in tried
+            if c.fit and c.validation
+        ]
         return min([current, *fits], key=lambda p: p.score)
 
     def _beside(self, current: Parent, rival: Parent) -> Parent | None:
         """The library effect beside the law, if it is worth its name."""
         gained = current.score - rival.score > POLICY.ties.close
-        return rival if gained and rival.held.loss < current.held.loss else None
+        return rival if gained and rival.validation.loss < current.validation.loss else None
 
     def _told(self, current: Parent | None) -> Learnt:
         diagnosis = self.diagnosis
@@ -251,7 +255,7 @@ class _Learning:
         elif not reached:
             sentence = (
                 f"A law is missing, and these data do not say which: the nearest ({words}) leaves"
-                f" {current.held.error:.2f} × the noise on commands left out."
+                f" {current.validation.error:.2f} × the noise on commands left out."
             )
         else:
             sentence = (
@@ -260,7 +264,7 @@ class _Learning:
             )
         made = {each.best.made.name for each, _ in self.found}
         library = tuple(e for e in current.fit.effects if e not in made and e not in diagnosis.search.start)
-        return self._answer(verdict, laws, library, current.held.error, sentence)
+        return self._answer(verdict, laws, library, current.validation.error, sentence)
 
     def _without_law(self, before: float) -> Learnt:
         diagnosis = self.diagnosis
@@ -299,8 +303,8 @@ class _Learning:
         return LearntLaw(
             found.law,
             tuple(each.law for each in ties),
-            found.parent.held.error,
-            found.best.held.error,
+            found.parent.validation.error,
+            found.best.validation.error,
             text,
             parameters,
             curve,
@@ -327,8 +331,8 @@ class _Learning:
         coefficients = spline.coefficients
         if found.formula is None:
             # as all laws were last fitted together
-            own = [axis.effect == spline.made.name for axis in current.fit.axes]
-            coefficients = spline.made.coefficients(current.fit.point.positions[own])
+            own = [each.effect == spline.made.name for each in current.fit.parameters]
+            coefficients = spline.made.coefficients(current.fit.vector.scaled_values[own])
         family = spline.made.spline
         at = np.linspace(family.low, family.high, CURVE_POINTS)
         basis = family.basis(at)
@@ -350,18 +354,18 @@ class _Learning:
             trials = [t for t in range(len(problem.trials)) if t % 2 == half]
             if len(trials) <= 1:
                 continue
-            point = spline.fit.point
-            start = dataclasses.replace(point, trial_friction=point.trial_friction[trials])
+            vector = spline.fit.vector
+            start = dataclasses.replace(vector, trial_friction=vector.trial_friction[trials])
             again = fit(problem.over([problem.trials[t] for t in trials]), spline.fit.effects, start)
             if again is not None:
-                found.append(spline.made.coefficients(again.point.positions[-count:]))
+                found.append(spline.made.coefficients(again.vector.scaled_values[-count:]))
         return found
 
 
 def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
     """Whether a law alone reaches the noise, and does better than the library."""
     best = met[0].best if met else None
-    return best is not None and best.score < library.score and best.held.error <= POLICY.verdict.reached
+    return best is not None and best.score < library.score and best.validation.error <= POLICY.verdict.reached
 
 
 def _try_library(shared: Shared, parent: Fit, effect: str) -> Candidate:
@@ -369,8 +373,8 @@ def _try_library(shared: Shared, parent: Fit, effect: str) -> Candidate:
 
 
 def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:
-    found, held = trace.fits[key]
-    return Parent(found, held or trace.root_held, present_score(trace.problem, found))
+    found, validation = trace.fits[key]
+    return Parent(found, validation or trace.root_validation, present_score(trace.problem, found))
 
 
 def _supported(trace: SearchTrace) -> list[frozenset[str]]:
@@ -380,7 +384,7 @@ def _supported(trace: SearchTrace) -> list[frozenset[str]]:
 
 def _reached(found: Parent) -> bool:
     """Whether commands left out are foretold to within the noise; one command alone leaves none out."""
-    return not math.isfinite(found.held.error) or found.held.error <= POLICY.verdict.reached
+    return not math.isfinite(found.validation.error) or found.validation.error <= POLICY.verdict.reached
 
 
 def _fitted_formula(
@@ -391,16 +395,19 @@ def _fitted_formula(
     if not isinstance(best, FormulaLaw):
         return None, ()
     rows = []
-    for axis, at, error in zip(current.axes, current.point.positions, current.position_error, strict=True):
-        if axis.effect == best.name:
-            rows.append((axis.field, axis.value(float(at)), _spread(axis, float(at), float(error))))
+    for parameter, at, error in zip(
+        current.parameters, current.vector.scaled_values, current.scaled_errors, strict=True
+    ):
+        if parameter.effect == best.name:
+            spread = _spread(parameter, float(at), float(error))
+            rows.append((parameter.field, parameter.value(float(at)), spread))
     formula = dataclasses.replace(best.formula, values=tuple(value for _, value, _ in rows))
-    units = {a.field: a.info.unit for a in current.axes if a.effect == best.name}
+    units = {a.field: a.info.unit for a in current.parameters if a.effect == best.name}
     return formula, tuple((field, value, spread, units[field]) for field, value, spread in rows)
 
 
-def _spread(axis: Coordinate, at: float, error: float) -> float:
-    low, high = (axis.value(float(np.clip(at + s * error, *axis.bounds))) for s in (-1, 1))
+def _spread(parameter: FreeParameter, at: float, error: float) -> float:
+    low, high = (parameter.value(float(np.clip(at + s * error, *parameter.bounds))) for s in (-1, 1))
     return abs(high - low) / 2
 
 

@@ -2,7 +2,7 @@
 
 Every law is screened; the leading ones are fitted inside the solver, those that stay close get formulas,
 which are fitted in the spline's place. A law is kept when it does better than every library effect and than
-chance, foretells commands left out, and cannot be our own error.
+chance, improves_cross_validation commands left out, and cannot be our own error.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.units import deg, nmm
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.laws.draft import Origin, written
 from needle_rig.workbench.laws.fitting import (
     FormulaLaw,
@@ -37,7 +37,7 @@ from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.evidence import foretells, may_be_ours
+from needle_rig.workbench.selection.evidence import improves_cross_validation, within_discretisation_error
 from needle_rig.workbench.selection.search import penalty
 
 Say = Callable[[str], None]
@@ -57,7 +57,7 @@ class Parent:
     """What laws are added to: a fit with its held-out error, and its score on the scale of laws."""
 
     fit: Fit
-    held: HeldOut
+    validation: CrossValidation
     score: float
 
 
@@ -127,7 +127,7 @@ class LawSearch:
     def add(self, found: FoundLaw) -> Parent:
         """The fit with the law, to add more to."""
         self.made = (*self.made, found.best.made)
-        return Parent(found.best.fit, found.best.held, found.best.score)
+        return Parent(found.best.fit, found.best.validation, found.best.score)
 
     def _share(self) -> None:
         self.work.share(Shared(self.problem, self.made))
@@ -191,16 +191,20 @@ def kept(problem: Problem, parent: Parent, rival: Parent, found: FoundLaw, tried
     for other in (parent, rival):
         if best.score > other.score - asked:
             return False
-        if np.isfinite(other.held.error) and not foretells(other.fit, other.held, best.fit, best.held):
+        if np.isfinite(other.validation.error) and not improves_cross_validation(
+            other.fit, other.validation, best.fit, best.validation
+        ):
             return False
-    return not may_be_ours(problem, parent.fit, best.fit) and matters(problem, parent.fit, found)
+    return not within_discretisation_error(problem, parent.fit, best.fit) and matters(
+        problem, parent.fit, found
+    )
 
 
 def matters(problem: Problem, parent: Fit, found: FoundLaw) -> bool:
     """Whether some reading changes by as much as counts."""
     with_it = Shared(problem, (found.best.made,)).with_made()
-    before = problem.predict(parent.axes, parent.point)
-    after = with_it.predict(found.best.fit.axes, found.best.fit.point)
+    before = problem.predict(parent.parameters, parent.vector)
+    after = with_it.predict(found.best.fit.parameters, found.best.fit.vector)
     change = np.hstack([a - b for a, b in zip(after, before, strict=True)])
     largest = np.nanmax(np.abs(change), axis=1)
     size = POLICY.size
@@ -227,7 +231,7 @@ def _spread(promised: Sequence[Screened]) -> list[Screened]:
     return chosen
 
 
-def _starts_without(found: Fit, name: str, parent: Fit) -> tuple[Point, ...]:
+def _starts_without(found: Fit, name: str, parent: Fit) -> tuple[ParameterVector, ...]:
     """Where the fit with a law stands, and where its parent does, the law's own parameters left out."""
-    keep = [i for i, axis in enumerate(found.axes) if axis.effect != name]
-    return dataclasses.replace(found.point, positions=found.point.positions[keep]), parent.point
+    keep = [i for i, each in enumerate(found.parameters) if each.effect != name]
+    return dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values[keep]), parent.vector

@@ -43,11 +43,11 @@ class SplineLaw:
         unit = UNIT[self.law.variable_unit][2]
         return self.spline.basis(of_reading(self.law.variable, reading, sensor) / unit)
 
-    def coefficients(self, positions: Array) -> Array:
+    def coefficients(self, scaled_values: Array) -> Array:
         """Of the spline (K,), from the effect's fields."""
-        return np.asarray(self.spline.root @ positions)
+        return np.asarray(self.spline.root @ scaled_values)
 
-    def positions(self, coefficients: Array) -> Array:
+    def scaled_values(self, coefficients: Array) -> Array:
         """The effect's fields (K,) for coefficients of the spline."""
         return np.asarray(self.spline.inverse @ coefficients)
 

@@ -58,9 +58,9 @@ def test_settled_values_are_too_few_for_a_curve(capsys):
 def answered(monkeypatch):
     """The command with an answer that needs no computing."""
     layout = SimpleNamespace(tissue_sections_m=((0.1, 0.12), (0.2, 0.22), (0.3, 0.32)))
-    prepared = SimpleNamespace(dataset=SimpleNamespace(layout=layout))
+    baseline = SimpleNamespace(dataset=SimpleNamespace(layout=layout))
     origin = Origin("mine", "ab" * 32, "2026-11-23")
-    diagnosis = SimpleNamespace(prepared=prepared)
+    diagnosis = SimpleNamespace(baseline=baseline)
     answer = Learnt("law", (SLIT,), (), 18.8, 0.97, "A torque.", 70, diagnosis, origin)
     monkeypatch.setattr(learn, "learn_laws", lambda *_, **__: answer)
     return str(Path(__file__).resolve().parents[2] / "data" / "practice" / "backlash")

@@ -88,7 +88,7 @@ def test_a_curve_acts_alike_as_a_spline_and_as_the_table_of_its_draft(law, coars
         law.variable_unit, (-90.0, 120.0)
     )
     made = SplineLaw(law, Spline(low, high, 9, SIZES[law.unit], 1.0), "curve")
-    z = made.positions(SIZES[law.unit] * np.random.default_rng(4).uniform(0.2, 1.0, 9))
+    z = made.scaled_values(SIZES[law.unit] * np.random.default_rng(4).uniform(0.2, 1.0, 9))
     spline = made.effect()(**{f"z{k}": float(v) for k, v in enumerate(z)})
     at = np.linspace(low, high, 2001)
     table = drafted(tmp_path, law, Table(at, made.spline.values(made.coefficients(z), at)))

@@ -13,7 +13,7 @@ import pytest
 from needle_rig.model import load_model, save_model
 from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.physics.library import find_effects, load_effect
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.fitting import Shared, candidates, fit_spline, screen
 from needle_rig.workbench.laws.law import Law
@@ -117,35 +117,35 @@ def test_an_effect_that_the_library_holds_is_no_law():
 
 
 @pytest.fixture(scope="module")
-def prepared(data):
-    return prepare(data, None, few())
+def baseline(data):
+    return fit_baseline(data, None, few())
 
 
-def test_screening_ranks_the_law_that_is_there_first(prepared):
-    shared = Shared(prepared.problem)
+def test_screening_ranks_the_law_that_is_there_first(baseline):
+    shared = Shared(baseline.problem)
     every = [
-        m for m in candidates(prepared.problem, "law") if m.law.hook == "observe" and m.law.place != "halls"
+        m for m in candidates(baseline.problem, "law") if m.law.hook == "observe" and m.law.place != "halls"
     ]
-    screened = [screen(shared, prepared.present, made) for made in every]
+    screened = [screen(shared, baseline.current, made) for made in every]
     best = max((s for s in screened if s is not None), key=lambda s: s.gain)
     assert best.made.law == Law("observe", "hall_2", "angle")
 
 
-def test_a_task_gives_the_same_in_another_process(prepared):
-    made = next(m for m in candidates(prepared.problem, "law") if m.law == Law("observe", "hall_2", "angle"))
-    shared = Shared(prepared.problem)
-    sent = pickle.loads(pickle.dumps((shared, prepared.present, made)))
-    here, there = screen(shared, prepared.present, made), screen(*sent)
+def test_a_task_gives_the_same_in_another_process(baseline):
+    made = next(m for m in candidates(baseline.problem, "law") if m.law == Law("observe", "hall_2", "angle"))
+    shared = Shared(baseline.problem)
+    sent = pickle.loads(pickle.dumps((shared, baseline.current, made)))
+    here, there = screen(shared, baseline.current, made), screen(*sent)
     assert here is not None
     assert there is not None
     assert here.gain == pytest.approx(there.gain)
-    fitted = fit_spline(shared, prepared.present, here, whole=False)
+    fitted = fit_spline(shared, baseline.current, here, whole=False)
     assert fitted is not None
     assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
 
 
-def test_a_users_effect_goes_to_another_process_as_its_file(prepared, learnt, tmp_path):
+def test_a_users_effect_goes_to_another_process_as_its_file(baseline, learnt, tmp_path):
     (path,) = learnt.write_drafts(tmp_path / "mine.py")
     library = {**find_effects(), "mine": load_effect(path)}
-    problem = dataclasses.replace(prepared.problem, library=library)
+    problem = dataclasses.replace(baseline.problem, library=library)
     assert pickle.loads(pickle.dumps(problem)).library == library

@@ -12,19 +12,19 @@ from needle_rig.workbench.laws.search import FoundLaw, Parent, asked_of, borne, 
 
 
 def fitted(score, loss=0.0, error=1.0):
-    held = SimpleNamespace(loss=loss, error=error)
+    validation = SimpleNamespace(loss=loss, error=error)
     found = SimpleNamespace(pull_rigidity=0.0)
-    return SimpleNamespace(score=score, held=held, fit=found, law="law")
+    return SimpleNamespace(score=score, validation=validation, fit=found, law="law")
 
 
 def parent(score, loss=100.0, error=3.0):
     made = fitted(score, loss, error)
-    return Parent(made.fit, made.held, score)
+    return Parent(made.fit, made.validation, score)
 
 
 @pytest.fixture(autouse=True)
 def large_and_not_ours(monkeypatch):
-    monkeypatch.setattr(search, "may_be_ours", lambda *_: False)
+    monkeypatch.setattr(search, "within_discretisation_error", lambda *_: False)
     monkeypatch.setattr(search, "matters", lambda *_: True)
 
 
@@ -81,12 +81,12 @@ def test_a_law_that_foretells_less_than_the_library_is_not_kept():
     assert not kept(None, before, parent(960.0, loss=50.0), found, 70)
 
 
-@pytest.mark.parametrize("which", ["may_be_ours", "matters"])
+@pytest.mark.parametrize("which", ["within_discretisation_error", "matters"])
 def test_what_may_be_our_own_error_or_is_too_small_is_no_law(which, monkeypatch):
     before = parent(1000.0)
     found = FoundLaw(fitted(900.0), None, before)
     assert kept(None, before, before, found, 70)
-    monkeypatch.setattr(search, which, lambda *_: which == "may_be_ours")
+    monkeypatch.setattr(search, which, lambda *_: which == "within_discretisation_error")
     assert not kept(None, before, before, found, 70)
 
 
