@@ -35,6 +35,7 @@ from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
+from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.selection.search import Candidate, SearchTrace, score, try_effect
 
 Verdict = Literal["law", "none", "library", "cannot_tell"]
@@ -74,7 +75,7 @@ class LearntLaw:
     curve: Curve
     told: Formula | Table
     """What the effect file holds."""
-    experiment: dict[str, Any] | None
+    experiment: NextTrial | None
 
     def as_json(self) -> dict[str, Any]:
         """As it stands in the JSON answer."""
@@ -312,7 +313,7 @@ class _Learning:
             self._experiment(found, ties),
         )
 
-    def _experiment(self, found: FoundLaw, ties: Sequence[FoundLaw]) -> dict[str, Any] | None:
+    def _experiment(self, found: FoundLaw, ties: Sequence[FoundLaw]) -> NextTrial | None:
         """The trial that would tell the law from the first that ties with it."""
         if not ties:
             return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,13 +42,15 @@ SLIT = LearntLaw(
         ("torque_bias.py", "there is an effect torque_bias already; name the file otherwise"),
     ],
 )
-def test_a_place_for_the_draft_that_cannot_be_one(out, said, tmp_path, monkeypatch, capsys):
+def test_a_place_for_the_draft_that_cannot_be_one(
+    out: Any, said: Any, tmp_path: Any, monkeypatch: Any, capsys: Any
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert command(["learn", "no-data", "--out", out]) == 2
     assert capsys.readouterr().err == f"--out {out}: {said}\n"
 
 
-def test_settled_values_are_too_few_for_a_curve(capsys):
+def test_settled_values_are_too_few_for_a_curve(capsys: Any) -> None:
     assert command(["learn", "reed2008"]) == 2
     said = capsys.readouterr().err
     assert "reed2008: holds settled values only, from which no curve can be learnt" in said
@@ -55,7 +58,7 @@ def test_settled_values_are_too_few_for_a_curve(capsys):
 
 
 @pytest.fixture
-def answered(monkeypatch):
+def answered(monkeypatch: Any) -> Any:
     """The command with an answer that needs no computing."""
     layout = SimpleNamespace(tissue_sections_m=((0.1, 0.12), (0.2, 0.22), (0.3, 0.32)))
     baseline = SimpleNamespace(dataset=SimpleNamespace(layout=layout))
@@ -66,7 +69,9 @@ def answered(monkeypatch):
     return str(Path(__file__).resolve().parents[2] / "data" / "practice" / "backlash")
 
 
-def test_a_law_is_told_with_its_numbers_its_ties_and_the_next_step(answered, tmp_path, capsys):
+def test_a_law_is_told_with_its_numbers_its_ties_and_the_next_step(
+    answered: Any, tmp_path: Any, capsys: Any
+) -> None:
     draft = tmp_path / "found.py"
     assert command(["learn", answered, "--out", str(draft)]) == 0
     told = capsys.readouterr()
@@ -79,7 +84,7 @@ def test_a_law_is_told_with_its_numbers_its_ties_and_the_next_step(answered, tmp
     assert "class Found(Effect):" in draft.read_text(encoding="utf-8")
 
 
-def test_the_json_answer_stands_alone_on_stdout(answered, capsys):
+def test_the_json_answer_stands_alone_on_stdout(answered: Any, capsys: Any) -> None:
     assert command(["learn", answered, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["verdict"] == "law"

@@ -1,6 +1,7 @@
 """Drafted effect files: the contract of effects, and the same law as the curve that was fitted."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,12 +25,12 @@ SINE = Formula(BY_NAME["sine"], 90.0, -45.0, (0.05, 0.01, 2.0))
 
 
 @pytest.fixture
-def coarse():
+def coarse() -> Any:
     model = NeedleModel("null", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3)
     return dataclasses.replace(model, element_length_m=2.5e-3)
 
 
-def bump(law):
+def bump(law: Any) -> Any:
     ranges = {"°": (20.0, 30.0), "°/s": (20.0, 30.0), "N·mm": (0.05, 0.05), "mm": (250.0, 60.0)}
     at, width = ranges.get(law.variable_unit, (2.0, 4.0))
     if law.variable in ("clock", "travel"):
@@ -37,7 +38,7 @@ def bump(law):
     return Formula(BY_NAME["bump"], 4.0 * width, -width, (SIZES[law.unit], at, width))
 
 
-def drafted(folder, law, curve, name="found"):
+def drafted(folder: Any, law: Any, curve: Any, name: Any = "found") -> Any:
     return load_effect(written(folder / f"{name}.py", law, curve, ORIGIN, SECTIONS_M))
 
 
@@ -45,7 +46,7 @@ EVERY = (*every_law(1, 1), Law("observe", "halls", "angle"), Law("torque", "sect
 
 
 @pytest.mark.parametrize("law", EVERY, ids=lambda law: law.name)
-def test_the_draft_of_every_law_meets_the_contract_of_effects(law, coarse, tmp_path):
+def test_the_draft_of_every_law_meets_the_contract_of_effects(law: Any, coarse: Any, tmp_path: Any) -> None:
     effect = drafted(tmp_path, law, bump(law))
     contract.test_off_leaves_the_model_bit_for_bit(effect, coarse)
     contract.test_hooks_themselves_do_nothing_at_off(effect, coarse)
@@ -57,7 +58,7 @@ def test_the_draft_of_every_law_meets_the_contract_of_effects(law, coarse, tmp_p
 
 
 @pytest.mark.parametrize("law", EVERY[::4], ids=lambda law: law.name)
-def test_the_draft_of_a_table_meets_the_contract_of_effects(law, coarse, tmp_path):
+def test_the_draft_of_a_table_meets_the_contract_of_effects(law: Any, coarse: Any, tmp_path: Any) -> None:
     table = Table(np.linspace(-40.0, 300.0, 61), SIZES[law.unit] * np.cos(np.linspace(0.0, 3.0, 61)))
     effect = drafted(tmp_path, law, table)
     contract.test_off_leaves_the_model_bit_for_bit(effect, coarse)
@@ -83,7 +84,9 @@ SAME = (
 
 
 @pytest.mark.parametrize("law", SAME, ids=lambda law: law.name)
-def test_a_curve_acts_alike_as_a_spline_and_as_the_table_of_its_draft(law, coarse, tmp_path):
+def test_a_curve_acts_alike_as_a_spline_and_as_the_table_of_its_draft(
+    law: Any, coarse: Any, tmp_path: Any
+) -> None:
     low, high = {"mm": (0.0, 400.0), "N·mm": (-0.3, 0.3), "s": (-1.0, 200.0)}.get(
         law.variable_unit, (-90.0, 120.0)
     )
@@ -98,7 +101,7 @@ def test_a_curve_acts_alike_as_a_spline_and_as_the_table_of_its_draft(law, coars
     assert contract.distance(one, other) < 0.02 * contract.distance(one, nothing) + 0.02
 
 
-def test_the_file_says_where_it_was_learnt_and_what_the_law_is():
+def test_the_file_says_where_it_was_learnt_and_what_the_law_is() -> None:
     text = source("slit", Law("torque", "section_3", "angle"), SINE, ORIGIN, SECTIONS_M)
     assert "learnt from mine, sha256 abababababababab, 2026-11-23" in " ".join(text.split())
     assert "class Slit(Effect):" in text
@@ -106,10 +109,10 @@ def test_the_file_says_where_it_was_learnt_and_what_the_law_is():
     assert all(len(line) <= 110 for line in text.splitlines())
 
 
-def test_a_formula_is_told_with_its_numbers():
+def test_a_formula_is_told_with_its_numbers() -> None:
     assert formula_text(SINE) == "0.05 · sin(2 · v) + 0.01 · cos(2 · v)"
 
 
-def test_a_negative_coefficient_is_told_by_its_sign_alone():
+def test_a_negative_coefficient_is_told_by_its_sign_alone() -> None:
     told = formula_text(dataclasses.replace(SINE, values=(0.05, -0.01, 2.0)))
     assert told == "0.05 · sin(2 · v) − 0.01 · cos(2 · v)"

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import pickle
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,16 +42,16 @@ class ThirdHarmonic(Effect):
 
 
 @pytest.fixture(scope="module")
-def data():
+def data() -> Any:
     return dataset(ThirdHarmonic(2.0), seed=31)
 
 
 @pytest.fixture(scope="module")
-def learnt(data):
+def learnt(data: Any) -> Any:
     return learn_laws(data, few(), origin=ORIGIN)
 
 
-def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt):
+def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt: Any) -> None:
     assert learnt.verdict == "law"
     (law,) = learnt.laws
     assert law.law == Law("observe", "hall_2", "angle")
@@ -65,7 +66,7 @@ def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt):
     assert abs(fields["sine_deg"][0] - 2.0) < 4.0 * fields["sine_deg"][1]
 
 
-def test_the_true_curve_lies_in_the_band_where_data_are(learnt):
+def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
     curve = learnt.laws[0].curve
     truth = 2.0 * np.sin(np.radians(3.0 * curve.at))
     covered = curve.data > 0
@@ -76,7 +77,7 @@ def test_the_true_curve_lies_in_the_band_where_data_are(learnt):
         assert np.abs(half - truth)[covered].mean() < 0.5
 
 
-def test_the_json_answer_has_what_is_promised_and_no_more(learnt):
+def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:
     told = json.loads(json.dumps(learnt.as_json(1.25)))
     assert set(told) == {"verdict", "laws", "seconds"}
     assert set(told["laws"][0]) == {
@@ -85,7 +86,9 @@ def test_the_json_answer_has_what_is_promised_and_no_more(learnt):
     assert [told["laws"][0][k] for k in ("hook", "place", "variable")] == ["observe", "hall_2", "angle"]
 
 
-def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(learnt, data, tmp_path):
+def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
+    learnt: Any, data: Any, tmp_path: Any
+) -> None:
     (path,) = learnt.write_drafts(tmp_path / "third_harmonic.py")
     library = {**few(), "third_harmonic": load_effect(path)}
     saved = adopt(Traces(data), "third_harmonic", library)
@@ -98,7 +101,7 @@ def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(learnt
     assert undo(again).model.effects == ()
 
 
-def test_the_curves_are_drawn(learnt):
+def test_the_curves_are_drawn(learnt: Any) -> None:
     from needle_rig.figures.laws import laws_figure
 
     figure = laws_figure(learnt)
@@ -106,22 +109,22 @@ def test_the_curves_are_drawn(learnt):
     assert "hall_2" in figure.axes[0].get_title()
 
 
-def test_nothing_hidden_is_no_law():
+def test_nothing_hidden_is_no_law() -> None:
     found = learn_laws(dataset(seed=5), few(), origin=ORIGIN)
     assert (found.verdict, found.laws) == ("none", ())
 
 
-def test_an_effect_that_the_library_holds_is_no_law():
+def test_an_effect_that_the_library_holds_is_no_law() -> None:
     found = learn_laws(dataset(ELASTIC), few(), origin=ORIGIN)
     assert (found.verdict, found.laws, found.library) == ("library", (), ("tissue_elasticity",))
 
 
 @pytest.fixture(scope="module")
-def baseline(data):
+def baseline(data: Any) -> Any:
     return fit_baseline(data, None, few())
 
 
-def test_screening_ranks_the_law_that_is_there_first(baseline):
+def test_screening_ranks_the_law_that_is_there_first(baseline: Any) -> None:
     shared = Shared(baseline.problem)
     every = [
         m for m in candidates(baseline.problem, "law") if m.law.hook == "observe" and m.law.place != "halls"
@@ -131,7 +134,7 @@ def test_screening_ranks_the_law_that_is_there_first(baseline):
     assert best.made.law == Law("observe", "hall_2", "angle")
 
 
-def test_a_task_gives_the_same_in_another_process(baseline):
+def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
     made = next(m for m in candidates(baseline.problem, "law") if m.law == Law("observe", "hall_2", "angle"))
     shared = Shared(baseline.problem)
     sent = pickle.loads(pickle.dumps((shared, baseline.current, made)))
@@ -144,7 +147,9 @@ def test_a_task_gives_the_same_in_another_process(baseline):
     assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
 
 
-def test_a_users_effect_goes_to_another_process_as_its_file(baseline, learnt, tmp_path):
+def test_a_users_effect_goes_to_another_process_as_its_file(
+    baseline: Any, learnt: Any, tmp_path: Any
+) -> None:
     (path,) = learnt.write_drafts(tmp_path / "mine.py")
     library = {**find_effects(), "mine": load_effect(path)}
     problem = dataclasses.replace(baseline.problem, library=library)
