@@ -28,7 +28,18 @@ SLIT = LearntLaw(
     (("times", 2.0, 0.001, "1"), ("sine_nmm_per_100mm", 0.05, 0.002, "N·mm per 100 mm")),
     CURVE,
     SINE,
-    {"sentence": "a trial would tell."},
+    {
+        "between": ["a", "b"],
+        "kind": "compensate",
+        "target_deg": 45.0,
+        "settle_s": 3.0,
+        "separation_sigma": 4.0,
+        "watch": "hall_2_deg",
+        "sentence": "a trial would tell.",
+        "steps_deg": [45.0],
+        "speed_deg_s": 45.0,
+        "duration_s": 10.0,
+    },
 )
 
 
@@ -63,7 +74,7 @@ def answered(monkeypatch: Any) -> Any:
     layout = SimpleNamespace(tissue_sections_m=((0.1, 0.12), (0.2, 0.22), (0.3, 0.32)))
     baseline = SimpleNamespace(dataset=SimpleNamespace(layout=layout))
     origin = Origin("mine", "ab" * 32, "2026-11-23")
-    diagnosis = SimpleNamespace(baseline=baseline)
+    diagnosis: Any = SimpleNamespace(baseline=baseline)
     answer = Learnt("law", (SLIT,), (), 18.8, 0.97, "A torque.", 70, diagnosis, origin)
     monkeypatch.setattr(learn, "learn_laws", lambda *_, **__: answer)
     return str(Path(__file__).resolve().parents[2] / "data" / "practice" / "backlash")

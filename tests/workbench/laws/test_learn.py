@@ -21,6 +21,7 @@ from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import learn_laws
 from needle_rig.workbench.learning.adopt import adopt, undo
 from needle_rig.workbench.learning.observations import Traces
+from tests.values import known
 from tests.workbench.hidden import dataset, effect, few
 
 ORIGIN = Origin("hidden", "cd" * 32, "2026-11-23")
@@ -93,8 +94,8 @@ def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
     library = {**few(), "third_harmonic": load_effect(path)}
     saved = adopt(Traces(data), "third_harmonic", library)
     errors = saved.history[-1].errors["noise_units"]
-    assert errors.held_out_before > 2.0
-    assert errors.held_out_after < 1.1
+    assert known(errors.held_out_before) > 2.0
+    assert known(errors.held_out_after) < 1.1
     save_model(tmp_path / "fitted.yaml", saved)
     again = load_model(tmp_path / "fitted.yaml", effects=[tmp_path])
     assert again.model.values()["third_harmonic.sine_deg"] == pytest.approx(2.0, abs=0.2)
