@@ -78,8 +78,9 @@ SAME = (
     Law("shape", "slip_limit", "clock"),
     Law("shape", "stiffness", "x"),
     Law("shape", "rigidity", "x"),
-    Law("torque", "tissue", "x"),
-    Law("torque", "section_3", "angle"),
+    # the solver is compiled for each of their curves, a minute long
+    pytest.param(Law("torque", "tissue", "x"), marks=pytest.mark.slow),
+    pytest.param(Law("torque", "section_3", "angle"), marks=pytest.mark.slow),
 )
 
 

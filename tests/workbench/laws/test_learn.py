@@ -115,6 +115,7 @@ def test_nothing_hidden_is_no_law() -> None:
     assert (found.verdict, found.laws) == ("none", ())
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_library_holds_is_no_law() -> None:
     found = learn_laws(dataset(ELASTIC), few(), origin=ORIGIN)
     assert (found.verdict, found.laws, found.library) == ("library", (), ("tissue_elasticity",))
