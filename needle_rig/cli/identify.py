@@ -52,8 +52,8 @@ def command(
     needle-rig identify jg
 
     DATA is a dataset folder or a run file, or several; whether the tip is clamped stands in its layout
-    (rig: tip: clamped). What a recording does not give is told with the experiment that would. With --update a
-    recording that contradicts the model file is refused (exit code 1).
+    (rig: tip: clamped). What a recording does not give is told with the experiment that would. With --update
+    a recording that contradicts the model file is refused (exit code 1).
 
     One of the words makes the paper's experiment on the simulated rig (exit code 1: off by more than 2 %):
 
@@ -65,7 +65,7 @@ def command(
     if data[0] in SIMULATED:
         if len(data) > 1 or model_path or out or updated:
             raise click.UsageError(
-                f"{data[0]} is an experiment on the simulated rig: give it alone, or ./{data[0]} for a folder."
+                f"{data[0]} is an experiment on the simulated rig: give it alone, or ./{data[0]}, a folder."
             )
         return _simulated(
             data[0], parameters or "rig_elastic", effects, directories, 1 if seed is None else seed, as_json
