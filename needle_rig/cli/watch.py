@@ -92,13 +92,15 @@ def _show(runs: list[WatchedRun]) -> None:
     names = list(dict.fromkeys(name for run in runs for name in run.parameters))
     units = {name: one.unit for run in runs for name, one in run.parameters.items()}
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("run", *(f"{name.rpartition('.')[2]}\n{units[name]}" for name in names), "misfit\nnoise"):
-        table.add_column(heading)
+    table.add_column("run", no_wrap=True)
+    for name in names:
+        table.add_column(f"{name.rpartition('.')[2].partition('_nmm')[0]}\n{units[name]}")
+    table.add_column("left\n× noise")
     for run in runs:
         if run.not_judged:
             table.add_row(run.run, f"not judged: {run.not_judged}")
             continue
         told = [run.parameters.get(name) for name in names]
-        cells = ["—" if one is None else f"{one.value:.4g} ± {one.uncertainty:.2g}" for one in told]
+        cells = ["—" if one is None else f"{one.value:.4g}" for one in told]
         table.add_row(run.run, *cells, number(run.misfit))
     Console(highlight=False, markup=False).print(table)

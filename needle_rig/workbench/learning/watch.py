@@ -7,6 +7,7 @@ model leaves, say what changed and since when; or that something did which the m
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import fcntl
 import hashlib
@@ -24,14 +25,17 @@ from pydantic import Field, ValidationError
 
 from needle_rig.config.schema import Section, WatchSection
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.samples import AT_REST_DEG
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.model import load_parameters
 from needle_rig.model.schema import Number
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import BASE_PARAMETERS, NeedleModel
 from needle_rig.recording import RunFile, journal_path
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER
 from needle_rig.records import JsonObject
+from needle_rig.units import nm, rad
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.control_chart import shift
 from needle_rig.workbench.learning.identify import Identification, identify
@@ -42,6 +46,9 @@ ADDED = ("chuck_backlash", "torque_bias")
 """What wears or drifts on any rig: free in every run beside the model's own parameters."""
 JUDGED = ("aligned", "not_aligned")
 """How a run ends that went through."""
+BEGIN_S = 0.2
+AT_REST_NMM = 0.01
+"""Torque at the beginning of a run above which the shaft may be wound: a tenth of what friction holds."""
 LEAST_RELATIVE = 0.02
 """Change of friction and of torsional rigidity that does not matter: what the latter is known to."""
 LEAST_MISFIT = 0.1
@@ -246,6 +253,26 @@ def look_at(
     )
 
 
+def as_it_began(dataset: Dataset) -> Dataset:
+    """The dataset of one run; a shaft on which nothing shows a twist when it begins is relaxed there."""
+    (trial,) = dataset.trials
+    first = trial.trial.time_s < trial.trial.time_s[0] + BEGIN_S
+    angles_rad = np.column_stack([trial.trial.base_angle_rad, trial.hall_rad])[first]
+    shown = [
+        *(_mean(column) / rad(AT_REST_DEG) for column in angles_rad.T),
+        _mean(trial.torque_nm[first]) / nm(AT_REST_NMM),
+    ]
+    if max(map(abs, shown)) > 1.0:
+        return dataset
+    return dataclasses.replace(dataset, trials=(dataclasses.replace(trial, start="relaxed"),))
+
+
+def _mean(values: Array) -> float:
+    """Mean of the numbers among `values` (n,); 0 where there are none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else 0.0
+
+
 def _look_at_file(
     path: Path, library: Mapping[str, type[Effect]], section: WatchSection | None
 ) -> WatchedRun:
@@ -257,7 +284,7 @@ def _look_at_file(
         status = (run.result or {}).get("status", "cut off")
         if status not in JUDGED:
             raise BadInput(f"ended as {status}")
-        dataset = runs_as_dataset([run])
+        dataset = as_it_began(runs_as_dataset([run], start="wound"))
         stated = (section or run.config.recording.watch or WatchSection()).model
         model = load_parameters(stated, layout=dataset.layout) if stated else None
         return look_at(dataset, library, model, path.stem, started_utc)

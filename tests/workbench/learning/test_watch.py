@@ -15,7 +15,7 @@ from needle_rig.physics.library import find_effects
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_summary
 from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.learning import watch
-from needle_rig.workbench.learning.watch import Watch, WatchedRun, judge, look_at
+from needle_rig.workbench.learning.watch import Watch, WatchedRun, as_it_began, judge, look_at
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.recorded_run import write_run
 from tests.workbench.hidden import effect
@@ -131,6 +131,31 @@ def runs_until(first: list[WatchedRun], later: list[WatchedRun], parameter: str)
             assert [change.parameter for change in found.changes] == [parameter], found.sentences
             return end
     return np.inf
+
+
+def test_a_run_that_begins_with_a_wound_shaft_is_judged_after_a_run_in() -> None:
+    protocol = Protocol("one", (compensation(45.0),))
+    data = simulate_dataset(load_parameters("rig_rigid"), protocol, 7)
+    (trial,) = data.trials
+    whole = dataclasses.replace(data, trials=(dataclasses.replace(trial, start="wound"),))
+    assert as_it_began(whole).trials[0].start == "relaxed"
+    late = trial.trial.time_s >= 4.0  # at 45°, with the torque that friction holds
+    drive = dataclasses.replace(
+        trial.trial, time_s=trial.trial.time_s[late], base_angle_rad=trial.trial.base_angle_rad[late]
+    )
+    cut = dataclasses.replace(
+        trial,
+        trial=drive,
+        base_measured_rad=trial.base_measured_rad[late],
+        torque_nm=trial.torque_nm[late],
+        hall_rad=trial.hall_rad[late],
+        phase=trial.phase[late],
+        start="wound",
+    )
+    begun = as_it_began(dataclasses.replace(data, trials=(cut,)))
+    assert begun.trials[0].start == "wound"
+    friction = look_at(begun, find_effects(), None, "run", "").parameters[FRICTION]
+    assert abs(friction.value - 0.1) < 3.0 * friction.uncertainty
 
 
 def test_every_run_is_looked_at_once_and_kept_beside_it(tmp_path: Path) -> None:
