@@ -52,7 +52,7 @@ AT_REST_NMM = 0.01
 LEAST_RELATIVE = 0.02
 """Change of friction and of torsional rigidity that does not matter: what the latter is known to."""
 LEAST_MISFIT = 0.1
-"""The same of the logarithm of what the model leaves."""
+"""The same of the logarithm of what the model leaves, and the least of that."""
 UNFINISHED = "its identification did not end: it took too long or too much memory"
 
 
@@ -96,6 +96,8 @@ class Change:
     after: float
     unit: str
     words: str
+    impossible: bool = False
+    """Every run since then wants it beyond its bound: it stands for something else."""
 
 
 @dataclass(frozen=True)
@@ -178,31 +180,37 @@ def judge(runs: Sequence[WatchedRun], reference: int) -> Watch:
     if len(told) <= reference:
         said = f"reference period: {len(told)} of {reference} runs, nothing can be said yet{aside}"
         return Watch("reference", (), len(told), silent, reference, (said,))
-    names = [name for name in told[-1].parameters if all(name in run.parameters for run in told[:reference])]
+    first = told[:reference]
+    names = [name for name in first[0].parameters if all(name in run.parameters for run in first)]
     charts = len(names) + 1
     changes = [change for name in names if (change := _change(told, name, reference, charts)) is not None]
-    misfit = np.log([max(run.misfit, 1e-6) for run in told])
+    misfit = np.log([max(run.misfit, LEAST_MISFIT) for run in told])
     worse = shift(misfit, reference, LEAST_MISFIT, charts, both_ways=False)
-    against = f"against the {reference} of the reference period{aside}"
-    if worse is None and not changes:
-        since = len(told) - reference
-        said = f"nothing has changed: {since} runs since {_day(told[reference].started_utc)} {against}"
-        return Watch("unchanged", (), len(told), silent, reference, (said,))
-    sentences = [change.words for change in changes]
+    counts = len(told), silent, reference
     if worse is not None:
-        first = told[worse.since]
-        sentences = [
-            f"something has changed since {_day(first.started_utc)} ({first.run}), these runs do not say"
-            f" what: the model leaves {math.exp(worse.after):.2f} × the noise,"
-            f" {math.exp(worse.before):.2f} before;"
-            f" find out with: needle-rig diagnose {first.run}.h5",
-            *(f"believe no number until then: {sentence}" for sentence in sentences),
-        ]
-    grown = {c.parameter: math.log(c.after / c.before) for c in changes if c.parameter in BASE_PARAMETERS}
-    if len(grown) == len(BASE_PARAMETERS) and np.ptp(list(grown.values())) < LEAST_RELATIVE:
+        why = f"the model leaves {math.exp(worse.after):.2f} × the noise, {math.exp(worse.before):.2f} before"
+        return Watch("unknown", (), *counts, (_unknown(told[worse.since], why),))
+    for change in changes:
+        if change.impossible:
+            why = f"{change.parameter} would lie beyond its bound of {change.after:g} {change.unit}"
+            run = next(run for run in told if run.run == change.since_run)
+            return Watch("unknown", (), *counts, (_unknown(run, why),))
+    if not changes:
+        since = f"{len(told) - reference} runs since {_day(told[reference].started_utc)}"
+        said = f"nothing has changed: {since} against the {reference} of the reference period{aside}"
+        return Watch("unchanged", (), *counts, (said,))
+    sentences = [change.words for change in changes]
+    grown = [math.log(c.after / c.before) for c in changes if c.parameter in BASE_PARAMETERS]
+    if len(grown) == len(BASE_PARAMETERS) and np.ptp(grown) < LEAST_RELATIVE:
         sentences.append("a torque sensor whose gain has changed looks the same: check it with a weight")
-    verdict: Literal["changed", "unknown"] = "changed" if worse is None else "unknown"
-    return Watch(verdict, tuple(changes), len(told), silent, reference, tuple(sentences))
+    return Watch("changed", tuple(changes), *counts, tuple(sentences))
+
+
+def _unknown(first: WatchedRun, why: str) -> str:
+    return (
+        f"something has changed since {_day(first.started_utc)} ({first.run}), these runs do not say what:"
+        f" {why}; find out with: needle-rig diagnose {first.run}.h5 and the runs after it"
+    )
 
 
 def _change(told: Sequence[WatchedRun], name: str, reference: int, charts: int) -> Change | None:
@@ -226,7 +234,9 @@ def _change(told: Sequence[WatchedRun], name: str, reference: int, charts: int) 
     else:
         way = "up" if after > before else "down"
         words = f"{name} {way} {when}: {after:.3g} {unit}, {before:.3g} before"
-    return Change(name, first.run, first.started_utc, since, before, after, unit, words)
+    seen_after = [one.at for one in seen[found.since :]]
+    impossible = len({one.value for one in seen[found.since :]}) == 1 and len(set(seen_after)) > 1
+    return Change(name, first.run, first.started_utc, since, before, after, unit, words, impossible)
 
 
 def look_at(

@@ -94,6 +94,17 @@ def test_a_torque_gain_that_changed_is_told_beside_friction_and_rigidity(
     assert found.sentences[-1].startswith("a torque sensor whose gain has changed")
 
 
+def test_a_parameter_beyond_its_bound_stands_for_something_else(in_control: list[WatchedRun]) -> None:
+    beyond = []
+    for run in in_control[:8]:
+        play = run.parameters[PLAY].model_copy(update={"at": -0.4 + 0.1 * run.misfit, "value": 0.0})
+        parameters = {**run.parameters, PLAY: play}
+        beyond.append(run.model_copy(update={"run": f"later_{run.run}", "parameters": parameters}))
+    found = after(in_control, *beyond)
+    assert found.verdict == "unknown"
+    assert "play_deg would lie beyond its bound of 0 °" in found.sentences[0]
+
+
 def test_runs_of_another_rig_are_not_compared(in_control: list[WatchedRun]) -> None:
     other = [
         run.model_copy(update={"rig": "another", "run": f"other{k}"}) for k, run in enumerate(in_control)
