@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from needle_rig.cli._motion import socket_option
+from needle_rig.cli._workbench import effects_option, jobs_option
 from needle_rig.errors import BadInput
 
 
@@ -21,15 +22,8 @@ from needle_rig.errors import BadInput
 @click.option("--parameters", help="Parameter set of that rig's needle, such as rig_rigid.")
 @click.option("--fast", is_flag=True, help="That rig in virtual time.")
 @click.option("--dir", "directory", type=click.Path(path_type=Path), help="Folder of the runs.")
-@click.option(
-    "--effects",
-    "directories",
-    multiple=True,
-    type=click.Path(),
-    metavar="DIR",
-    help="A further folder with effects of your own: Python that will be run.",
-)
-@click.option("--jobs", type=click.IntRange(1, 64), help="Processes of a diagnosis; default: one a core.")
+@effects_option
+@jobs_option
 def command(
     data: tuple[Path, ...],
     show: bool,

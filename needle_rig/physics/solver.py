@@ -176,8 +176,7 @@ def _run(
     laws, keep = _packed_laws(rod)
     creeps, viscous, memory = rod.depends_on_rate
     by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
-    limits = coefficients[[layout.PLUS, layout.MINUS]]
-    dry = by_rate and bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
+    dry = by_rate and _some_node_is_dry(coefficients)
     has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, dry)
     settings = layout.Settings(
         base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm,
@@ -246,6 +245,14 @@ def _run(
         steps=int(counts[layout.STEPS]),
         solves=int(counts[layout.SOLVES]),
     )
+
+
+def _some_node_is_dry(coefficients: Array) -> bool:
+    """Whether somewhere friction has no part that grows with the rate."""
+    from needle_rig.physics.kernel import layout
+
+    limits = coefficients[[layout.PLUS, layout.MINUS]]
+    return bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
 
 
 def _packed_state(rod: Rod, state: RodState) -> Array:

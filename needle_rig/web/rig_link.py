@@ -23,7 +23,7 @@ from needle_rig.service.stream import Listener, Stream
 AGAIN_S = 0.3
 """From one try to reach the daemon to the next, and from one word to the watchers that nobody answers."""
 SILENT_S = 1.0
-"""A stream that says nothing for so long is broken; it speaks 25 times a second."""
+"""A stream that says nothing for so long is broken; it speaks 30 times a second."""
 ANSWER_S = 15.0
 HOLDER = "a person at the page"
 ORDERS = frozenset(path.order for path in ROUTES if path.method == "POST" and path.order != "take_lease")

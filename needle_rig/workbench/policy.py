@@ -255,12 +255,6 @@ class TiePolicy:
 class LawPolicy:
     """When a law that no library holds is said."""
 
-    formula_margin: float = _threshold(
-        0.0,
-        "score that a formula may be behind its spline and still be said",
-        "description length: the shorter of the two is told",
-        "laws/test_policy.py",
-    )
     ties: int = _threshold(
         1,
         "further laws that may tie with one that is said; with more, nothing is said",

@@ -54,19 +54,22 @@ def test_a_pause_is_seen_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pauses_s", "ends"),
+    ("pauses_s", "ends", "workers"),
     [
-        ([0.0, 0.06, 0.0, 0.06, 0.0, 0.0], "1 passed"),
-        ([0.0, 0.06, 0.0, 0.009], "1 failed"),
-        ([0.0, 0.0], "1 failed"),
+        ([0.0, 0.06, 0.0, 0.06, 0.0, 0.0], "1 passed", "0"),
+        ([0.0, 0.06, 0.0, 0.06, 0.0, 0.0], "1 passed", "1"),
+        ([0.0, 0.06, 0.0, 0.009], "1 failed", "0"),
+        ([0.0, 0.0], "1 failed", "0"),
     ],
 )
-def test_only_a_spoiled_trial_is_repeated(tmp_path: Path, pauses_s: list[float], ends: str) -> None:
+def test_only_a_spoiled_trial_is_repeated(
+    tmp_path: Path, pauses_s: list[float], ends: str, workers: str
+) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST.format(pauses_s=pauses_s))
     (tmp_path / "test_it.py").write_text(TEST)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = real_time\n")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(tmp_path)],
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-n", workers, str(tmp_path)],
         capture_output=True,
         text=True,
         cwd=tmp_path,

@@ -170,7 +170,7 @@ class LawSearch:
 
 def borne(formula: LawFit | None, spline: LawFit) -> LawFit | None:
     """The formula if the data bear it: it costs no more than the spline."""
-    if formula is None or formula.score > spline.score + POLICY.laws.formula_margin:
+    if formula is None or formula.score > spline.score:
         return None
     return formula
 
