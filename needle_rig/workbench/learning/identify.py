@@ -73,6 +73,19 @@ class Estimate:
     experiment: str = ""
     """What would give the constant that the recording does not."""
 
+    def as_json(self) -> JsonObject:
+        """As it stands in the JSON answer; JSON has no infinity, which is written as text."""
+        numbers = (self.value, self.uncertainty, *(self.interval or (None, None)))
+        value, uncertainty, low, high = (n if n is None or np.isfinite(n) else str(n) for n in numbers)
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": value,
+            "uncertainty": uncertainty,
+            "interval": None if self.interval is None else [low, high],
+            "experiment": self.experiment,
+        }
+
     def sentence(self) -> str:
         """In words."""
         if self.value is None or self.interval is None:
@@ -122,7 +135,7 @@ class Identification:
         return {
             "dataset": self.baseline.problem.name,
             "tip": "clamped" if self.baseline.dataset.layout.tip_clamped else "free",
-            "estimates": [dataclasses.asdict(e) for e in self.estimates],
+            "estimates": [e.as_json() for e in self.estimates],
             "misfit": round(self.misfit, 4),
             "notes": list(self.baseline.dataset.notes),
         }
@@ -136,14 +149,14 @@ class Identification:
         )
         model = problem.model(self.parameters, vector)
         sizes = _in_file_units(self.parameters, at, self.posterior.deviations)
-        known = dict(zip(self.names, sizes.tolist(), strict=True))
+        known = {n: s for n, s in zip(self.names, sizes.tolist(), strict=True) if 0.0 < s < np.inf}
         deviations = self.posterior.deviations
         of = self.posterior.covariance / np.outer(deviations, deviations)
         correlations = {
             (one, other): round(float(np.clip(of[i, k], -1.0, 1.0)), 6)
             for i, one in enumerate(self.names)
             for k, other in enumerate(self.names)
-            if i < k
+            if i < k and {one, other} <= known.keys()
         }
         entry = HistoryEntry(
             dataset=problem.name,

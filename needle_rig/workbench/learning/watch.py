@@ -256,7 +256,8 @@ def look_at(
         dataset, library, start.with_effects(*(library[name]() for name in ADDED if name not in present))
     )
     constants = dataset.needle.torsional_rigidity_nm2, dataset.needle.rigidity_sigma
-    told = [asdict(dataset.layout), constants, dataset.sensor_names, model.values() if model else None]
+    stated = [asdict(dataset.layout), constants, dataset.sensor_names, dataset.simulated]
+    told = [*stated, model.values() if model else None]
     rig = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
     return WatchedRun(
         run=run, started_utc=started_utc, rig=rig, parameters=_watched(found), misfit=found.misfit

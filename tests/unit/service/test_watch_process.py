@@ -6,11 +6,13 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from needle_rig.cli.status import _text
 from needle_rig.config.loader import load_rig_config
-from needle_rig.recording.watch_summary import read_summary
+from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_summary
 from needle_rig.service import recorder_process, watch_process
 from needle_rig.service.recorder_process import Keeper
 from needle_rig.service.watch_process import WatchProcess
@@ -78,6 +80,16 @@ def test_the_recorder_starts_it_after_a_run_where_the_rig_file_says_so(
     assert started == []
     keeper.finish({"status": "aligned"}, 1.0)
     assert started == ([tmp_path] if watched else [])
+
+
+def test_status_repeats_what_was_said_of_the_runs(tmp_path: Path) -> None:
+    state: Any = dict.fromkeys(("sensors", "ticks", "lease", "run", "fault", "last", "before"))
+    state |= {"rig": {"name": "rig", "simulated": False}, "since_utc": "", "starting": True}
+    state |= {"latched": False, "released": False, "unfinished": [], "warnings": [], "runs": str(tmp_path)}
+    assert "watch:" not in _text(state, "socket")
+    (tmp_path / WATCH_FOLDER).mkdir()
+    (tmp_path / WATCH_FOLDER / SUMMARY).write_text('{"sentences": ["friction 12 % up"]}')
+    assert "watch:   friction 12 % up" in _text(state, "socket")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 from functools import lru_cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.adopt import undo
 from needle_rig.workbench.learning.identify import Contradiction, Identification, identify, update
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -152,6 +154,17 @@ def test_a_model_file_is_narrowed_run_by_run(tmp_path) -> None:
     assert abs(last.model.values()[FRICTION] - 0.1) < 3.0 * sizes[-1]
     assert len(last.history) == 6
     assert undo(last).model.values() == pytest.approx(last.history[-1].values_before)
+
+
+def test_an_effect_that_is_off_at_infinity_is_told_and_kept(tmp_path) -> None:
+    library, path = find_effects(), tmp_path / "rig.yaml"
+    data = recording(8)
+    start = dataclasses.replace(null_model(data), effects=(library["tissue_elasticity"](),))
+    identification = identify(data, library, start)
+    json.dumps(identification.as_json(), allow_nan=False)
+    save_model(path, identification.saved(None, "rig"))
+    again = update(recording(9), library, load_model(path))
+    assert of(again)[FRICTION] is not None
 
 
 def test_runs_without_torque_never_make_friction_certain(tmp_path) -> None:
