@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
@@ -54,7 +54,8 @@ class Information:
         p = linear.p
         matrix = np.sum(linear.information, axis=0)
         friction = found.vector.trial_friction
-        score = sum(t.push(t.residuals, float(b)) for t, b in zip(linear.trials, friction, strict=True))
+        pushes = [t.push(t.residuals, float(b)) for t, b in zip(linear.trials, friction, strict=True)]
+        score = np.sum(pushes, axis=0)
         rest = matrix[p:, p:] + np.eye(matrix.shape[0] - p)
         carried = np.linalg.solve(rest, np.column_stack([matrix[p:, :p], score[p:] - found.nuisance]))
         return cls(
@@ -81,4 +82,4 @@ class Information:
         use = seen > SEEN
         away = directions.T @ root.T @ (self.score + self.matrix @ (self.at - prior.mean))
         squares = away[use] ** 2 / (seen[use] * (1.0 + seen[use]))
-        return float(chi2.sf(squares.sum(), max(1, int(use.sum()))))
+        return float(chdtrc(max(1, int(use.sum())), squares.sum()))

@@ -366,7 +366,7 @@ def _truncated(parameters: Sequence[FreeParameter], posterior: Gaussian, reach: 
 def _values(parameters: Sequence[FreeParameter], x: Array) -> Array:
     """The vector x (p,) in the units of files."""
     effects = [p.value(float(v)) for p, v in zip(parameters, x[2:], strict=True)]
-    return np.r_[per_100mm(np.exp(x[0])), np.exp(x[1]) * NMM2_PER_NM2, effects]
+    return np.asarray(np.r_[per_100mm(np.exp(x[0])), np.exp(x[1]) * NMM2_PER_NM2, effects])
 
 
 def _in_file_units(parameters: Sequence[FreeParameter], x: Array, deviations: Array) -> Array:
@@ -377,4 +377,4 @@ def _in_file_units(parameters: Sequence[FreeParameter], x: Array, deviations: Ar
         span = abs(parameter.value(float(ends[1])) - parameter.value(float(ends[0])))
         steps.append(span / max(float(np.ptp(ends)), 1e-12) * size)
     values = _values(parameters, x)
-    return np.r_[values[:2] * deviations[:2], steps]
+    return np.asarray(np.r_[values[:2] * deviations[:2], steps])

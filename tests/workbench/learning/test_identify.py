@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,7 +141,7 @@ def test_a_recording_that_the_model_does_not_meet_is_said_to_be_one() -> None:
     assert any("× the noise: the uncertainties hold for a model that meets the data" in s for s in said)
 
 
-def test_a_model_file_is_narrowed_run_by_run(tmp_path) -> None:
+def test_a_model_file_is_narrowed_run_by_run(tmp_path: Path) -> None:
     library, path = find_effects(), tmp_path / "rig.yaml"
     save_model(path, found(recording(20)).saved(None, "rig", "2026-01-01"))
     sizes = [load_model(path).uncertainties[FRICTION]]
@@ -156,7 +157,7 @@ def test_a_model_file_is_narrowed_run_by_run(tmp_path) -> None:
     assert undo(last).model.values() == pytest.approx(last.history[-1].values_before)
 
 
-def test_an_effect_that_is_off_at_infinity_is_told_and_kept(tmp_path) -> None:
+def test_an_effect_that_is_off_at_infinity_is_told_and_kept(tmp_path: Path) -> None:
     library, path = find_effects(), tmp_path / "rig.yaml"
     data = recording(8)
     start = dataclasses.replace(null_model(data), effects=(library["tissue_elasticity"](),))
@@ -167,7 +168,7 @@ def test_an_effect_that_is_off_at_infinity_is_told_and_kept(tmp_path) -> None:
     assert of(again)[FRICTION] is not None
 
 
-def test_runs_without_torque_never_make_friction_certain(tmp_path) -> None:
+def test_runs_without_torque_never_make_friction_certain(tmp_path: Path) -> None:
     library, path = find_effects(), tmp_path / "rig.yaml"
     save_model(path, found(without(recording(30), torque=True)).saved(None, "rig"))
     for seed in range(31, 37):
@@ -198,6 +199,6 @@ def test_one_of_a_hundred_updates_or_fewer_is_refused_where_nothing_changed() ->
     assert refused <= 1
 
 
-def test_a_clamped_tip_is_written_and_read(tmp_path) -> None:
+def test_a_clamped_tip_is_written_and_read(tmp_path: Path) -> None:
     again = read_dataset(write_dataset(clamped(1), tmp_path / "wire"))
     assert again.layout.tip_clamped
