@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2, norm, t
+from scipy.special import chdtri, ndtr, ndtri, stdtrit
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.records import UNKNOWN_SIGMA
@@ -274,8 +274,8 @@ def _estimates(baseline: Baseline, posterior: Gaussian, narrowed: Array) -> tupl
     parameters = current.parameters
     dof = current.scatter_dof - 1.0
     # a trial's friction differs by a scatter that is itself estimated
-    reach = np.full(posterior.mean.size, float(norm.ppf(0.5 + CONFIDENCE / 2)))
-    reach[0] = float(t.ppf(0.5 + CONFIDENCE / 2, dof))
+    reach = np.full(posterior.mean.size, float(ndtri(0.5 + CONFIDENCE / 2)))
+    reach[0] = float(stdtrit(dof, 0.5 + CONFIDENCE / 2))
     at = _within(parameters, posterior.mean)
     values = _values(parameters, at)
     sizes = _in_file_units(parameters, at, posterior.deviations)
@@ -315,7 +315,8 @@ def _scatter(baseline: Baseline, dof: float) -> Estimate:
         )
     value = current.scatter * float(np.sqrt(current.scatter_dof / dof))
     low, high = (
-        float(value * np.sqrt(dof / chi2.ppf(q, dof))) for q in (0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2)
+        float(value * np.sqrt(dof / chdtri(dof, 1.0 - q)))
+        for q in (0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2)
     )
     return Estimate(SCATTER, "%", 100 * value, 100 * value / float(np.sqrt(2 * dof)), (100 * low, 100 * high))
 
@@ -358,8 +359,8 @@ def _truncated(parameters: Sequence[FreeParameter], posterior: Gaussian, reach: 
         for bound, side in ((low, 1.0), (high, -1.0)):
             if reach[i] * side > 0.0 and side * bound > 0.0:
                 # the mean lies outside: the tail beyond the bound is all that is possible
-                tail = norm.sf(side * bound) * norm.sf(abs(reach[i]))
-                ends[i] = posterior.mean[i] + side * posterior.deviations[i] * norm.isf(tail)
+                tail = float(ndtr(-side * bound) * ndtr(-abs(reach[i])))
+                ends[i] = posterior.mean[i] + side * posterior.deviations[i] * -float(ndtri(tail))
     return np.asarray(ends)
 
 
