@@ -314,10 +314,8 @@ def _scatter(baseline: Baseline, dof: float) -> Estimate:
             f"repeat a command until there are {prior_dof + 1:g} trials or more in tissue, here are {trials}",
         )
     value = current.scatter * float(np.sqrt(current.scatter_dof / dof))
-    low, high = (
-        float(value * np.sqrt(dof / chdtri(dof, 1.0 - q)))
-        for q in (0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2)
-    )
+    ends = (0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2)
+    low, high = (float(value * np.sqrt(dof / chdtri(dof, 1.0 - q))) for q in ends)
     return Estimate(SCATTER, "%", 100 * value, 100 * value / float(np.sqrt(2 * dof)), (100 * low, 100 * high))
 
 
