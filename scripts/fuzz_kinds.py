@@ -224,7 +224,7 @@ def _run_tables(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tu
 
 
 def _read_run(path: Path, number: int) -> list[Action]:
-    """The list of the folder, the whole file in Python, and in turn an export or a comparison."""
+    """The list of the folder, the whole file in Python, and in turn an export, a comparison or the watch."""
     out = path.parent / "out"
     in_turn = (
         _cli("export", path, "--csv", "--out", out),
@@ -232,7 +232,8 @@ def _read_run(path: Path, number: int) -> list[Action]:
         _cli("export", path, "--png", "--out", out),
         _cli("export", path, "--dataset", "--out", out),
         _cli("compare", path),
-    )[number % 5]
+        _cli("watch", "--dir", path.parent),
+    )[number % 6]
     return [_cli("runs", "--dir", path.parent), ("RunFile", _judged(lambda: _whole(path))), in_turn]
 
 

@@ -40,6 +40,8 @@ def command(file: Path, png: Path | None) -> None:
         click.echo(f"friction along: {mm(start):g} to {mm(end):g} mm")
     for name, place in zip(names, layout.sensor_positions_m, strict=True):
         click.echo(f"{name}: at {mm(place):g} mm")
+    if layout.tip_clamped:
+        click.echo("the tip is clamped")
     if png is not None:
         from needle_rig.figures.layout import draw_layout
 

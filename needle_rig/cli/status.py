@@ -29,6 +29,7 @@ def command(socket: Path | None, as_json: bool) -> None:
 def _text(state: State, path: str) -> str:
     from needle_rig.cli._live import phase_line
     from needle_rig.cli._output import number
+    from needle_rig.recording.watch_summary import read_summary
 
     rig, ticks, sensors = state["rig"], state["ticks"], state["sensors"]
     simulated = f", simulated {rig['parameters'] or ''}".rstrip() if rig["simulated"] else ""
@@ -69,6 +70,7 @@ def _text(state: State, path: str) -> str:
     lines += [
         f"cut off: {run['text'] or run['run']} (found {run['found_utc']})" for run in state["unfinished"]
     ]
+    lines += [f"watch:   {sentence}" for sentence in read_summary(Path(state["runs"]))]
     lines += [f"warning: {warning}" for warning in state["warnings"]]
     return "\n".join(lines)
 

@@ -250,6 +250,15 @@ class SimulationSection(Section):
     """The needle is out of the tissue: no friction, no other effect; for calibration."""
 
 
+class WatchSection(Section):
+    """What the runs of the rig are watched with."""
+
+    model: str | None = None
+    """Parameter set, or a model file; not given: rigid tissue with uniform friction."""
+    reference_runs: Annotated[int, Field(ge=10, le=500)] = 20
+    """The first runs, whose range the later ones are held against."""
+
+
 class RecordingSection(Section):
     """Where runs go, and how long they stay; one that nobody exported or diagnosed is never removed."""
 
@@ -258,6 +267,8 @@ class RecordingSection(Section):
     """Runs that are older are removed once they were read; not given: they stay."""
     keep_gb: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
     """When all runs take more, the oldest that were read are removed; not given: they stay."""
+    watch: WatchSection | None = None
+    """Every run that ends is held against those before it; not given: none is."""
 
 
 class RigConfig(Section):

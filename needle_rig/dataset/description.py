@@ -63,6 +63,7 @@ class RigPart(_Part):
     needle_length_mm: Annotated[float, Field(gt=0)]
     segments: tuple[SegmentPart, ...] = ()
     hall_sensors: tuple[SensorPart, ...]
+    tip: Literal["free", "clamped"] = "free"
 
 
 class TrialPart(_Part):
@@ -144,6 +145,7 @@ def layout_of(rig: RigPart, places: Places) -> Layout:
             tissue_sections_m=tuple((a / 1e3, b / 1e3) for a, b in rig.tissue_sections_mm),
             sensor_positions_m=tuple(s.position_mm / 1e3 for s in rig.hall_sensors),
             segments=tuple(_segment(rig, k, places) for k in range(len(rig.segments))),
+            tip_clamped=rig.tip == "clamped",
         )
     except BadInput as error:
         raise places.error(("rig",), str(error)) from None

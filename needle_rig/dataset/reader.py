@@ -70,7 +70,7 @@ def joined(datasets: Sequence[Dataset]) -> Dataset:
 
 def _same_layout(one: Dataset, other: Dataset) -> bool:
     """Whether two datasets are of one layout, to a nanometre."""
-    if one.sensor_names != other.sensor_names:
+    if one.sensor_names != other.sensor_names or one.layout.tip_clamped != other.layout.tip_clamped:
         return False
     places = [
         np.array(

@@ -52,6 +52,7 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
             "tissue_sections_mm": [[_tidy(a * 1e3), _tidy(b * 1e3)] for a, b in layout.tissue_sections_m],
             "needle_length_mm": _tidy(layout.needle_length_m * 1e3),
             **({"segments": segments} if segments else {}),
+            **({"tip": "clamped"} if layout.tip_clamped else {}),
             "hall_sensors": [
                 {"name": name, "position_mm": _tidy(at * 1e3)}
                 for name, at in zip(dataset.sensor_names, layout.sensor_positions_m, strict=True)

@@ -29,13 +29,15 @@ from needle_rig.units import m, mm, per_length_n
 class SavedModel:
     """A model with what a model file knows beside it.
 
-    `uncertainties` are standard deviations by parameter name (names and units of `NeedleModel.values`).
+    `uncertainties` are standard deviations by parameter name (names and units of `NeedleModel.values`),
+    `correlations` those of pairs of parameters; a pair that is not there has none.
     """
 
     model: NeedleModel
     starts_from: str
     uncertainties: Mapping[str, float] = field(default_factory=dict)
     history: tuple[HistoryEntry, ...] = ()
+    correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @property
     def error_over_floor(self) -> float | None:
@@ -111,9 +113,15 @@ def model_mapping(saved: SavedModel) -> JsonObject:
                 if layout.segments
                 else {}
             ),
+            **({"tip_clamped": True} if layout.tip_clamped else {}),
         },
         "base": {name: fitted(name) for name in BASE_PARAMETERS},
         "effects": effects,
+        **(
+            {"correlations": [{"of": list(of), "value": float(r)} for of, r in saved.correlations.items()]}
+            if saved.correlations
+            else {}
+        ),
         "history": [entry.model_dump(mode="json", exclude_none=True) for entry in saved.history],
     }
 
@@ -156,10 +164,19 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
                 tuple((m(a), m(b)) for a, b in place.tissue_sections_mm),
                 tuple(m(x) for x in place.sensor_positions_mm),
                 tuple((m(a), m(b), of) for a, b, of in place.segments),
+                place.tip_clamped,
             ),
             found.base[TORSIONAL_RIGIDITY].value / NMM2_PER_NM2,
             per_length_n(found.base[FRICTION].value),
             tuple(made),
         ),
     )
-    return SavedModel(model, found.starts_from, uncertainties, found.history)
+    for number, correlation in enumerate(found.correlations):
+        for name in correlation.of:
+            if name not in uncertainties:
+                raise places.error(
+                    ("correlations", number, "of"),
+                    f"{name} has no uncertainty here; take the entry out",
+                )
+    correlations = {entry.of: entry.value for entry in found.correlations}
+    return SavedModel(model, found.starts_from, uncertainties, found.history, correlations)

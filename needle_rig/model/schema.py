@@ -71,6 +71,7 @@ class LayoutOfModel(Section):
     sensor_positions_mm: tuple[float, ...]
     segments: tuple[tuple[float, float, float], ...] = ()
     """Start and end in mm, torsional rigidity over the needle's."""
+    tip_clamped: bool = False
 
 
 class ChannelErrors(Section):
@@ -96,6 +97,13 @@ class HistoryEntry(Section):
     note: str = ""
 
 
+class Correlation(Section):
+    """What the uncertainties of two parameters have in common."""
+
+    of: tuple[str, str]
+    value: Annotated[float, Field(ge=-1, le=1)]
+
+
 class ModelFile(Section):
     """A model file as it stands on disk."""
 
@@ -105,4 +113,5 @@ class ModelFile(Section):
     layout: LayoutOfModel
     base: dict[str, FittedValue]
     effects: dict[str, dict[str, Fitted]] = Field(default_factory=dict)
+    correlations: tuple[Correlation, ...] = ()
     history: tuple[HistoryEntry, ...] = ()

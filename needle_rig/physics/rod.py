@@ -39,6 +39,8 @@ class Layout:
     sensor_positions_m: tuple[float, ...]
     segments: tuple[tuple[float, float, float], ...] = ()
     """(start in m, end in m, torsional rigidity over the needle's) of each stretch that differs from it."""
+    tip_clamped: bool = False
+    """Whether the tip is held, as in a torsion test; otherwise it is free."""
 
     def __post_init__(self) -> None:
         length = self.needle_length_m
@@ -255,6 +257,9 @@ def build_rod(
 
     nodes = len(position)
     entry = _node_at(position, layout.tissue_sections_m[0][0]) if layout.tissue_sections_m else nodes - 1
+    slip = friction_n * length
+    if layout.tip_clamped:
+        slip[-1] = np.inf
     return Rod(
         layout=layout,
         position_m=position,
@@ -263,8 +268,8 @@ def build_rod(
         stiffness_nm_per_rad=torsional_rigidity_nm2
         * _relative_rigidity(layout, position)
         / np.diff(position),
-        slip_plus_nm=friction_n * length,
-        slip_minus_nm=friction_n * length,
+        slip_plus_nm=slip,
+        slip_minus_nm=slip,
         compliance_rad_per_nm=np.zeros(nodes),
         creep_stiffness_nm_per_rad=np.full(nodes, np.inf),
         creep_viscosity_nms_per_rad=np.full(nodes, np.inf),

@@ -265,6 +265,7 @@ class Daemon:
         """All that is to be said now."""
         return {
             "rig": self._rig_document,
+            "runs": str(self._runs.absolute()),
             "run": None if self._run is None else str(self._run),
             "last": self._last,
             "warnings": [*self._warnings, *filter(None, [self._recorder.crowded])],

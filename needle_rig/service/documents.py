@@ -187,6 +187,8 @@ class Whole(Standing):
     """All that the daemon says of itself."""
 
     rig: Rig
+    runs: str
+    """Folder of the runs."""
     run: str | None
     last: Told | None
     """How the last run of this daemon ended."""

@@ -30,6 +30,7 @@ from needle_rig.recording import (
     sample_row,
     unfinished_runs,
 )
+from needle_rig.service.watch_process import WatchProcess
 
 if TYPE_CHECKING:
     from needle_rig.records import JsonObject
@@ -45,6 +46,7 @@ class Keeper:
         self._replies = replies
         self._writer: RunWriter | None = None
         self._section = RecordingSection()
+        self._watch = WatchProcess()
         self._broken: str | None = None
         """Why rows of the open run are missing."""
 
@@ -98,6 +100,8 @@ class Keeper:
         else:
             writer.close_unfinished(self._broken, result)
         kept = retain(writer.path.parent, self._section.keep_days, self._section.keep_gb)
+        if self._section.watch is not None:
+            self._watch.start(writer.path.parent)
         return {
             "closed": str(writer.path),
             "removed": [run.name for run in kept.removed],

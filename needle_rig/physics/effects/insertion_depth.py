@@ -16,7 +16,7 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect, Trial, parameter
-from needle_rig.physics.rod import Layout, Rod
+from needle_rig.physics.rod import Rod
 from needle_rig.units import m, mm
 
 
@@ -63,11 +63,10 @@ class InsertionDepth(Effect):
         position_m = moved(rod.position_m)
         last = (rod.tissue_length_m > 0) & (rod.section == len(sections) - 1)
         scale = np.where(last, stretch, 1.0)
-        layout = Layout(
-            rod.layout.needle_length_m,
-            tuple((float(a), float(b)) for a, b in moved(np.array(sections))),
-            tuple(float(x) for x in moved(np.array(rod.layout.sensor_positions_m))),
-            rod.layout.segments,
+        layout = replace(
+            rod.layout,
+            tissue_sections_m=tuple((float(a), float(b)) for a, b in moved(np.array(sections))),
+            sensor_positions_m=tuple(float(x) for x in moved(np.array(rod.layout.sensor_positions_m))),
         )
         return replace(
             rod,

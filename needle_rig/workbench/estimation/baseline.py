@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,8 +64,13 @@ def judged(dataset: Dataset) -> Dataset:
 
     Raises BadInput, SolverError.
     """
+    return in_blocks(in_whole_trials(dataset))
+
+
+def in_whole_trials(dataset: Dataset) -> Dataset:
+    """Trials with an unknown start after a run-in. Raises BadInput, SolverError."""
     null = null_model(dataset)
-    return in_blocks(after_run_in(dataset, dataclasses.replace(null, element_length_m=element_length(null))))
+    return after_run_in(dataset, dataclasses.replace(null, element_length_m=element_length(null)))
 
 
 def element_length(model: NeedleModel) -> float:
@@ -77,16 +82,21 @@ def element_length(model: NeedleModel) -> float:
 
 
 def fit_baseline(
-    dataset: Dataset, model: NeedleModel | None, library: Mapping[str, type[Effect]]
+    dataset: Dataset,
+    model: NeedleModel | None,
+    library: Mapping[str, type[Effect]],
+    prepared: Callable[[Dataset], Dataset] = judged,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
+    `prepared` is what is done to the trials before: with blocks something can be left out of one command
+    alone, whole trials have one friction each.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
         raise BadInput(f"{dataset.name}: no trial is left to compare with; see its notes")
-    dataset = judged(dataset)
+    dataset = prepared(dataset)
     current = model or null_model(dataset)
     if len(current.layout.sensor_positions_m) != len(dataset.layout.sensor_positions_m):
         raise BadInput(

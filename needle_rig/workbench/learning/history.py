@@ -61,7 +61,8 @@ def ladder(saved: SavedModel) -> list[Step]:
                     },
                 )
             )
-        label = " ".join([*(f"+ {a}" for a in entry.added), *(f"− {r}" for r in entry.removed)])
+        changes = [*(f"+ {a}" for a in entry.added), *(f"− {r}" for r in entry.removed)]
+        label = " ".join(changes) or "parameters updated"
         steps.append(
             Step(
                 label,

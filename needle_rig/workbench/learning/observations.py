@@ -17,6 +17,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.rod import Layout
 from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
 from needle_rig.workbench.learning.compare import TraceComparison, compare
 from needle_rig.workbench.observations.sources import read_observed
@@ -116,7 +117,7 @@ class Traces:
     def sha256(self) -> str:
         """SHA-256 of layout, needle, commands and readings."""
         data = self.data
-        stated = [asdict(data.layout), asdict(data.needle), data.sensor_names]
+        stated = [_layout(data.layout), asdict(data.needle), data.sensor_names]
         told = [
             [t.trial.start_s, asdict(t.command), *([] if t.start == "relaxed" else [t.start])]
             for t in data.trials
@@ -181,7 +182,7 @@ class SettledValues:
     def sha256(self) -> str:
         """SHA-256 of layout, needle, sequences and values, without their places in the file."""
         data = self.data
-        stated = [asdict(data.layout), asdict(data.needle), data.sensor_names, data.zeroed_at_rest]
+        stated = [_layout(data.layout), asdict(data.needle), data.sensor_names, data.zeroed_at_rest]
         sequences = [{k: v for k, v in asdict(s).items() if k != "place"} for s in data.sequences]
         return _sha256([stated, sequences, [asdict(v) for v in data.values]], [])
 
@@ -227,6 +228,11 @@ def observations(data: Dataset | SettledData) -> Observations:
 def read_observations(paths: Sequence[str | os.PathLike[str]]) -> Observations:
     """What a person names as DATA; see `read_observed`. Raises BadInput."""
     return observations(read_observed(paths))
+
+
+def _layout(layout: Layout) -> dict[str, Any]:
+    """What a layout states; a free tip is stated by nothing."""
+    return {key: value for key, value in asdict(layout).items() if key != "tip_clamped" or value}
 
 
 def _sha256(stated: Any, read: Sequence[npt.NDArray[np.float64]]) -> str:

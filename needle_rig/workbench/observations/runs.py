@@ -10,6 +10,7 @@ import numpy as np
 
 from needle_rig.control.in_si import layout_of, torsional_rigidity_nm2
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, in_series
+from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.recording import RunFile
@@ -18,11 +19,11 @@ from needle_rig.units import m
 _ACTIVE = (b"rest", b"moving", b"settling", b"measuring")
 
 
-def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
+def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start = "relaxed") -> Dataset:
     """`runs` of one rig as a dataset, in the order in which they were made.
 
-    Raises BadInput for a run without a sequence, one that began with the base away from 0°, and for runs of
-    rigs that differ in layout or needle, or of which some are simulated.
+    Raises BadInput for a run without a sequence, one that began with the base away from 0° though its start
+    is relaxed, and for runs of rigs that differ in layout or needle, or of which some are simulated.
     """
     if not runs:
         raise BadInput("no run was named; list them with: needle-rig runs")
@@ -37,7 +38,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
         shown = next(run.path for run in runs if run.simulated)
         raise BadInput(f"{shown}: was made on a simulated rig, others were not; keep them apart")
     diameter_m = m(config.needle.diameter_mm)
-    trials = in_series(tuple(_trial(run, _started(run) - first) for run in runs))
+    trials = in_series(tuple(_trial(run, _started(run) - first, start) for run in runs))
     return Dataset(
         name=name or runs[0].name,
         layout=layout_of(config),
@@ -53,7 +54,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
     )
 
 
-def _trial(run: RunFile, start_s: float) -> DatasetTrial:
+def _trial(run: RunFile, start_s: float, start: Start) -> DatasetTrial:
     shown, notes = str(run.path), []
     if not run.complete:
         notes.append(f"{shown}: the run was cut off; what was recorded is used")
@@ -77,7 +78,7 @@ def _trial(run: RunFile, start_s: float) -> DatasetTrial:
     sensors = tuple(sensor.name for sensor in run.config.layout.hall_sensors)
     phase = np.char.decode(ticks["motion"], "utf-8")
     try:
-        return checked_trial(values, phase, rows, sensors, shown, command, start_s, notes)
+        return checked_trial(values, phase, rows, sensors, shown, command, start_s, notes, start=start)
     except LeftOut as left_out:
         raise BadInput(f"{left_out.place}: {left_out.reason}") from None
 

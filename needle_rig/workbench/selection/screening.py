@@ -249,10 +249,11 @@ def beside(
 
 
 def _slip_limits(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Array:
-    """Sum of both slip limits of all nodes in each trial (T,), N·m."""
+    """Sum of both slip limits of all nodes that can slip in each trial (T,), N·m."""
     trials = enumerate(problem.trials)
     rods = [problem.model(parameters, vector, t).rod(binned.trial) for t, binned in trials]
-    return np.array([float(rod.slip_plus_nm.sum() + rod.slip_minus_nm.sum()) for rod in rods])
+    limits_nm = [rod.slip_plus_nm + rod.slip_minus_nm for rod in rods]
+    return np.array([float(limit_nm[np.isfinite(limit_nm)].sum()) for limit_nm in limits_nm])
 
 
 def signature(

@@ -41,6 +41,12 @@ def test_ten_lines_by_hand_are_told_and_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "shaft.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_clamped_tip_is_said(tmp_path: Path) -> None:
+    assert "the tip is clamped" in run(tmp_path, STEPPED + "tip: clamped\n").stdout
+    assert "clamped" not in run(tmp_path, STEPPED + "tip: free\n").stdout
+    assert isinstance(run(tmp_path, STEPPED + "tip: held\n").exception, BadInput)
+
+
 def test_an_unknown_rigidity_is_said(tmp_path: Path) -> None:
     text = "needle: {torsional_rigidity_nmm2: unknown}\n" + "".join(
         line for line in STEPPED.splitlines(True) if line[0] in "th" or "name" in line or "length" in line

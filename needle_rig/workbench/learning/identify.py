@@ -1,0 +1,379 @@
+"""Constants of a rig from its own recordings: each with its uncertainty, or what would have to be recorded.
+
+The fit is that of `compare`, over whole trials. What its data say apart from every prior (`Information`) is
+put together with what is known before: the stated torsional rigidity, or a model file, whose uncertainties
+are then the prior (sequential Bayesian estimation).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import chdtri, ndtr, ndtri, stdtrit
+
+from needle_rig.dataset import Dataset
+from needle_rig.dataset.records import UNKNOWN_SIGMA
+from needle_rig.errors import NeedleRigError
+from needle_rig.model import HistoryEntry, SavedModel
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import (
+    BASE_PARAMETERS,
+    FRICTION,
+    NMM2_PER_NM2,
+    TORSIONAL_RIGIDITY,
+    NeedleModel,
+)
+from needle_rig.records import JsonObject
+from needle_rig.units import per_100mm, per_length_n
+from needle_rig.workbench.estimation.baseline import (
+    FRICTIONS_N,
+    Baseline,
+    fit_baseline,
+    in_whole_trials,
+    null_model,
+)
+from needle_rig.workbench.estimation.information import Gaussian, Information
+from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.policy import POLICY
+
+SCATTER = "friction_scatter"
+DAMPING = "viscous_slip"
+CONFIDENCE = 0.95
+NARROWED = 0.5
+"""Standard deviation after over before a recording from which on it gives nothing: it holds less than three
+times the information that was there without it."""
+CONTRADICTS = 1e-3
+"""p value below which a recording contradicts a model file: one in a thousand that agree is refused."""
+
+
+class Contradiction(NeedleRigError):
+    """A recording and a model file do not agree."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One constant, in the unit of files, or what would have to be recorded for it."""
+
+    name: str
+    unit: str
+    value: float | None
+    """None where the recording does not give it."""
+    uncertainty: float | None
+    """One standard deviation."""
+    interval: tuple[float, float] | None
+    """95 %."""
+    experiment: str = ""
+    """What would give the constant that the recording does not."""
+
+    def as_json(self) -> JsonObject:
+        """As it stands in the JSON answer; JSON has no infinity, which is written as text."""
+        numbers = (self.value, self.uncertainty, *(self.interval or (None, None)))
+        value, uncertainty, low, high = (n if n is None or np.isfinite(n) else str(n) for n in numbers)
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": value,
+            "uncertainty": uncertainty,
+            "interval": None if self.interval is None else [low, high],
+            "experiment": self.experiment,
+        }
+
+    def sentence(self) -> str:
+        """In words."""
+        if self.value is None or self.interval is None:
+            return f"{self.name}: not identifiable from this recording; {self.experiment}"
+        low, high = self.interval
+        return (
+            f"{self.name} = {self.value:.5g} ± {self.uncertainty:.2g} {self.unit}"
+            f" (95 %: {low:.5g} to {high:.5g})"
+        )
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a recording says of a model's parameters, with what was known before."""
+
+    baseline: Baseline = field(repr=False)
+    information: Information = field(repr=False)
+    posterior: Gaussian = field(repr=False)
+    estimates: tuple[Estimate, ...]
+    """Friction, torsional rigidity, damping, further parameters of the model, scatter of friction."""
+    misfit: float
+    """Root mean square of what the model leaves, in units of the noise: 1 is the floor."""
+
+    @property
+    def parameters(self) -> tuple[FreeParameter, ...]:
+        """The effects' parameters, in the order of the vectors from the third entry on."""
+        return self.baseline.current.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters in the order of the vectors, as files call them."""
+        return FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in self.parameters)
+
+    def sentences(self) -> list[str]:
+        """Every estimate, what the model leaves, and notes."""
+        said = [e.sentence() for e in self.estimates]
+        current, problem = self.baseline.current, self.baseline.problem
+        if excess(problem, current.chi2) > 0.0:
+            said.append(
+                f"the model leaves {self.misfit:.2f} × the noise: the uncertainties hold for a model that"
+                f" meets the data; find what it lacks: needle-rig diagnose {problem.name}"
+            )
+        return [*said, *(f"note: {n}" for n in self.baseline.dataset.notes)]
+
+    def as_json(self) -> JsonObject:
+        """As it stands in the JSON answer."""
+        return {
+            "dataset": self.baseline.problem.name,
+            "tip": "clamped" if self.baseline.dataset.layout.tip_clamped else "free",
+            "estimates": [e.as_json() for e in self.estimates],
+            "misfit": round(self.misfit, 4),
+            "notes": list(self.baseline.dataset.notes),
+        }
+
+    def saved(self, before: SavedModel | None, name: str, today: str | None = None) -> SavedModel:
+        """The model file with these values. Those not identified stay as they were known before."""
+        problem, fitted = self.baseline.problem, self.baseline.current
+        at = _within(self.parameters, self.posterior.mean)
+        vector = dataclasses.replace(
+            fitted.vector, log_friction=at[0], log_rigidity=at[1], scaled_values=at[2:]
+        )
+        model = problem.model(self.parameters, vector)
+        sizes = _in_file_units(self.parameters, at, self.posterior.deviations)
+        known = {n: s for n, s in zip(self.names, sizes.tolist(), strict=True) if 0.0 < s < np.inf}
+        deviations = self.posterior.deviations
+        of = self.posterior.covariance / np.outer(deviations, deviations)
+        correlations = {
+            (one, other): round(float(np.clip(of[i, k], -1.0, 1.0)), 6)
+            for i, one in enumerate(self.names)
+            for k, other in enumerate(self.names)
+            if i < k and {one, other} <= known.keys()
+        }
+        entry = HistoryEntry(
+            dataset=problem.name,
+            date=today or datetime.date.today().isoformat(),
+            values_before={} if before is None else before.model.values(),
+            note=f"identified from {len(problem.trials)} trials",
+        )
+        return SavedModel(
+            model=dataclasses.replace(model, name=name, element_length_m=self.baseline.fine_m),
+            starts_from=before.starts_from if before else "null",
+            uncertainties=known,
+            history=(*(before.history if before else ()), entry),
+            correlations=correlations,
+        )
+
+
+def identify(
+    dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
+) -> Identification:
+    """Friction, its scatter, torsional rigidity, damping and the parameters of `model` from a recording.
+
+    `model` (default: the null model) gets damping where it has none. Raises BadInput, SolverError.
+    """
+    return _identified(dataset, library, model, None)
+
+
+def update(dataset: Dataset, library: Mapping[str, type[Effect]], saved: SavedModel) -> Identification:
+    """The same with a model file's values and uncertainties as prior.
+
+    Raises Contradiction where the recording is not what they foretell, BadInput, SolverError.
+    """
+    return _identified(dataset, library, saved.model, saved)
+
+
+def _identified(
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    model: NeedleModel | None,
+    saved: SavedModel | None,
+) -> Identification:
+    start = model or null_model(dataset)
+    if dataset.layout.tissue_sections_m and DAMPING not in {e.name() for e in start.effects}:
+        start = start.with_effects(library[DAMPING]())
+    baseline = fit_baseline(dataset, start, library, in_whole_trials)
+    information = Information.of(baseline.problem, baseline.current)
+    stated = _stated(baseline)
+    alone = information.posterior(stated)
+    prior = stated if saved is None else _known(baseline, saved, stated)
+    if saved is not None and (p := information.conflict(prior)) < CONTRADICTS:
+        raise Contradiction(_contradiction(baseline, saved, prior, alone, p))
+    posterior = information.posterior(prior)
+    narrowed = alone.deviations < NARROWED * stated.deviations
+    estimates = _estimates(baseline, posterior, narrowed)
+    size = baseline.problem.size
+    return Identification(
+        baseline, information, posterior, estimates, float(np.sqrt(baseline.current.chi2 / max(size, 1)))
+    )
+
+
+def _stated(baseline: Baseline) -> Gaussian:
+    """What is known without any recording: the stated rigidity, and sizes that effects have."""
+    problem, parameters = baseline.problem, baseline.current.parameters
+    centre = np.r_[
+        np.log(FRICTIONS_N[2]), np.log(problem.base.torsional_rigidity_nm2), np.zeros(len(parameters))
+    ]
+    widths = np.r_[UNKNOWN_SIGMA, problem.rigidity_prior, [p.prior_sd for p in parameters]]
+    return Gaussian(centre, np.diag(widths**2))
+
+
+def _known(baseline: Baseline, saved: SavedModel, stated: Gaussian) -> Gaussian:
+    """What a model file knows; a parameter without an uncertainty there is as it is stated."""
+    parameters = baseline.current.parameters
+    names = [FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in parameters)]
+    values, mean, widths = saved.model.values(), stated.mean.copy(), stated.deviations
+    for i, name in enumerate(names):
+        size = saved.uncertainties.get(name)
+        if not size or not np.isfinite(size):
+            continue
+        if name in BASE_PARAMETERS:
+            scale = per_length_n(1.0) if i == 0 else 1.0 / NMM2_PER_NM2
+            mean[i], widths[i] = np.log(values[name] * scale), size / values[name]
+        else:
+            parameter, value = parameters[i - 2], values[name]
+            ends = [
+                parameter.scaled_value(float(np.clip(v, parameter.info.lower, parameter.info.upper)))
+                for v in (value - size, value + size)
+            ]
+            reach = np.clip([value - size, value + size], parameter.info.lower, parameter.info.upper)
+            mean[i] = parameter.scaled_value(value)
+            widths[i] = abs(ends[1] - ends[0]) / float(np.ptp(reach)) * size
+    correlation = np.eye(len(names))
+    for (one, other), value in saved.correlations.items():
+        if one in names and other in names:
+            i, k = names.index(one), names.index(other)
+            correlation[i, k] = correlation[k, i] = value
+    return Gaussian(mean, correlation * np.outer(widths, widths))
+
+
+def _contradiction(baseline: Baseline, saved: SavedModel, prior: Gaussian, alone: Gaussian, p: float) -> str:
+    """What differs most, as a sentence."""
+    parameters = baseline.current.parameters
+    names = [FRICTION, TORSIONAL_RIGIDITY, *(f"{q.effect}.{q.name}" for q in parameters)]
+    away = (alone.mean - prior.mean) / np.hypot(alone.deviations, prior.deviations)
+    worst = int(np.argmax(np.abs(away)))
+    here, there = (_values(parameters, _within(parameters, g.mean))[worst] for g in (alone, prior))
+    return (
+        f"{baseline.problem.name}: contradicts {saved.model.name} (p = {p:.1g}, limit {CONTRADICTS:g}):"
+        f" {names[worst]} is {here:.4g} here and {there:.4g} there, {abs(away[worst]):.1f} standard"
+        " deviations apart; the model file is unchanged: write these values to another one with --out"
+    )
+
+
+def _estimates(baseline: Baseline, posterior: Gaussian, narrowed: Array) -> tuple[Estimate, ...]:
+    current, layout = baseline.current, baseline.dataset.layout
+    parameters = current.parameters
+    dof = current.scatter_dof - 1.0
+    # a trial's friction differs by a scatter that is itself estimated
+    reach = np.full(posterior.mean.size, float(ndtri(0.5 + CONFIDENCE / 2)))
+    reach[0] = float(stdtrit(dof, 0.5 + CONFIDENCE / 2))
+    at = _within(parameters, posterior.mean)
+    values = _values(parameters, at)
+    sizes = _in_file_units(parameters, at, posterior.deviations)
+    ends = [
+        _values(parameters, _within(parameters, _truncated(parameters, posterior, s * reach)))
+        for s in (-1, 1)
+    ]
+    names = [FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in parameters)]
+    units = ["N·mm per 100 mm", "N·mm²", *(p.info.unit for p in parameters)]
+    found = []
+    for i, (name, unit) in enumerate(zip(names, units, strict=True)):
+        if i == 0 and not layout.tissue_sections_m:
+            experiment = (
+                "the needle is in no tissue: insert it and turn the base until the torque no longer rises"
+            )
+            found.append(Estimate(name, unit, None, None, None, experiment))
+        elif narrowed[i]:
+            low, high = sorted((float(ends[0][i]), float(ends[1][i])))
+            found.append(Estimate(name, unit, float(values[i]), float(sizes[i]), (low, high)))
+        else:
+            found.append(Estimate(name, unit, None, None, None, _experiment(name, baseline)))
+    return (*found, _scatter(baseline, dof))
+
+
+def _scatter(baseline: Baseline, dof: float) -> Estimate:
+    """Relative scatter of friction from trial to trial; its posterior is a scaled inverse χ²."""
+    current, trials = baseline.current, len(baseline.problem.trials)
+    prior_dof = POLICY.noise.scatter_dof
+    if trials - 1 < prior_dof or not baseline.dataset.layout.tissue_sections_m:
+        return Estimate(
+            SCATTER,
+            "%",
+            None,
+            None,
+            None,
+            f"repeat a command until there are {prior_dof + 1:g} trials or more in tissue, here are {trials}",
+        )
+    value = current.scatter * float(np.sqrt(current.scatter_dof / dof))
+    ends = (0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2)
+    low, high = (float(value * np.sqrt(dof / chdtri(dof, 1.0 - q))) for q in ends)
+    return Estimate(SCATTER, "%", 100 * value, 100 * value / float(np.sqrt(2 * dof)), (100 * low, 100 * high))
+
+
+def _experiment(name: str, baseline: Baseline) -> str:
+    """What would give a parameter that the recording does not narrow."""
+    torque = any(t.torque_ok.any() for t in baseline.dataset.trials)
+    angle = any(t.hall_ok.any() for t in baseline.dataset.trials)
+    if name in (FRICTION, TORSIONAL_RIGIDITY) and not torque:
+        return "angles alone give its ratio to the other of the two: record the base torque beside them"
+    if name == TORSIONAL_RIGIDITY and not angle:
+        return (
+            "record an angle beyond the first tissue beside the torque, or clamp the tip and turn the base by"
+            " 90° (rig: tip: clamped)"
+        )
+    if name == TORSIONAL_RIGIDITY:
+        return "it is stated more precisely than this recording tells: clamp the tip and turn the base by 90°"
+    if name == FRICTION:
+        return "turn the base until the torque no longer rises, one way and back"
+    if name.startswith(DAMPING):
+        return "turn at two rates or more, a factor of five apart, until the torque no longer rises"
+    return "turn to and fro with several targets, rates and dwells"
+
+
+def _within(parameters: Sequence[FreeParameter], x: Array) -> Array:
+    """x (p,) with scaled values in their bounds."""
+    inside = x.copy()
+    inside[2:] = [np.clip(v, *p.bounds) for p, v in zip(parameters, x[2:], strict=True)]
+    return inside
+
+
+def _truncated(parameters: Sequence[FreeParameter], posterior: Gaussian, reach: Array) -> Array:
+    """Ends (p,) at `reach` standard deviations; with the mean beyond a bound, a quantile of what is inside.
+
+    So an effect that is off has an upper end, whatever side of nothing the data lie on.
+    """
+    ends = posterior.mean + reach * posterior.deviations
+    for i, parameter in enumerate(parameters, start=2):
+        low, high = ((b - posterior.mean[i]) / posterior.deviations[i] for b in parameter.bounds)
+        for bound, side in ((low, 1.0), (high, -1.0)):
+            if reach[i] * side > 0.0 and side * bound > 0.0:
+                # the mean lies outside: the tail beyond the bound is all that is possible
+                tail = float(ndtr(-side * bound) * ndtr(-abs(reach[i])))
+                ends[i] = posterior.mean[i] + side * posterior.deviations[i] * -float(ndtri(tail))
+    return np.asarray(ends)
+
+
+def _values(parameters: Sequence[FreeParameter], x: Array) -> Array:
+    """The vector x (p,) in the units of files."""
+    effects = [p.value(float(v)) for p, v in zip(parameters, x[2:], strict=True)]
+    return np.asarray(np.r_[per_100mm(np.exp(x[0])), np.exp(x[1]) * NMM2_PER_NM2, effects])
+
+
+def _in_file_units(parameters: Sequence[FreeParameter], x: Array, deviations: Array) -> Array:
+    """Standard deviations (p,) in the units of files; of a parameter at its bound, from the side inside."""
+    steps = []
+    for parameter, at, size in zip(parameters, x[2:], deviations[2:], strict=True):
+        ends = np.clip([at - size, at + size], *parameter.bounds)
+        span = abs(parameter.value(float(ends[1])) - parameter.value(float(ends[0])))
+        steps.append(span / max(float(np.ptp(ends)), 1e-12) * size)
+    values = _values(parameters, x)
+    return np.asarray(np.r_[values[:2] * deviations[:2], steps])
