@@ -28,9 +28,7 @@ def bus_on(hub: SlcanHub) -> Iterator[Callable[[SlcanPort], slcanBus]]:
     with contextlib.ExitStack() as buses:
 
         def opened(port: SlcanPort) -> slcanBus:
-            bus = buses.enter_context(
-                slcanBus(port.name, bitrate=1_000_000, sleep_after_open=0, timeout=1.0)
-            )
+            bus = buses.enter_context(slcanBus(port.name, bitrate=1_000_000, sleep_after_open=0, timeout=1.0))
             serve_until(hub, port, lambda: port.is_open)
             return bus
 

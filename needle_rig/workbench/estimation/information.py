@@ -70,7 +70,7 @@ class Information:
         precision = np.linalg.inv(prior.covariance)
         covariance = np.linalg.inv(self.matrix + precision + self.constraint)
         step = covariance @ (self.score - precision @ (self.at - prior.mean) - self.constraint @ self.at)
-        return Gaussian(self.at + step, covariance)
+        return Gaussian(self.at + step, np.asarray(covariance, dtype=np.float64))
 
     def conflict(self, prior: Gaussian) -> float:
         """p value of what the data say, foretold by the prior (Box 1980): small where the two contradict.

@@ -25,6 +25,7 @@ from needle_rig.physics.rod import build_rod
 from needle_rig.units import deg, rad
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, sample_weights
+from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
 from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise, whitener
 from needle_rig.workbench.policy import POLICY
 
@@ -46,9 +47,6 @@ harder. An elastic tissue of 0.35 N·mm/rad per 100 mm lets the tip lag 1.6 time
 REVERSALS, SHRINK = 20, 0.8
 """Turns to and fro that relax a shaft, the last a hundredth of the first; the slower they shrink, the less is
 left."""
-TURN_SAMPLES, TURN_S = 6, 2.0
-REST_S = 1.0
-PHASE = "run-in"
 WORDS = {
     "wound": "begins with an unknown twist",
     "zeroed": "begins with an unknown twist, from which torque and angles are counted",
@@ -83,26 +81,7 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     base_rad = float(trial.trial.base_angle_rad[0])
     relaxed_rad = base_rad - turn_rad
     ends = [relaxed_rad + 2.0 * lag_rad * (-SHRINK) ** k for k in range(REVERSALS)]
-    corners = np.array([0.0, *ends, relaxed_rad, base_rad])
-    place = np.arange(TURN_SAMPLES * (len(corners) - 1)) / TURN_SAMPLES
-    path = np.r_[np.interp(place, np.arange(len(corners)), corners), base_rad, base_rad]
-    begin_s = float(trial.trial.time_s[0])
-    time_s = begin_s - REST_S - TURN_S * (len(corners) - 1 - np.r_[place, len(corners) - 1.0])
-    time_s = np.r_[time_s, begin_s - 0.5 * REST_S]
-    count = len(path)
-    unseen = np.full((count, trial.hall_rad.shape[1]), np.nan)
-    drive, change = trial.trial, trial.start_change
-    return dataclasses.replace(
-        trial,
-        trial=dataclasses.replace(
-            drive, time_s=np.r_[time_s, drive.time_s], base_angle_rad=np.r_[path, drive.base_angle_rad]
-        ),
-        base_measured_rad=np.r_[path, trial.base_measured_rad],
-        torque_nm=np.r_[np.full(count, np.nan), trial.torque_nm],
-        hall_rad=np.vstack([unseen, trial.hall_rad]),
-        phase=np.concatenate([np.full(count, PHASE), trial.phase]),
-        start_change=None if change is None else np.pad(change, ((0, 0), (0, 0), (count, 0))),
-    )
+    return with_path_before(trial, [*ends, relaxed_rad])
 
 
 def _guessed(dataset: Dataset, noise: Noise, null: NeedleModel) -> _Shaft:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri, ndtr, ndtri, stdtrit
 
 from needle_rig.dataset import Dataset
@@ -269,7 +270,9 @@ def _contradiction(baseline: Baseline, saved: SavedModel, prior: Gaussian, alone
     )
 
 
-def _estimates(baseline: Baseline, posterior: Gaussian, narrowed: Array) -> tuple[Estimate, ...]:
+def _estimates(
+    baseline: Baseline, posterior: Gaussian, narrowed: npt.NDArray[np.bool_]
+) -> tuple[Estimate, ...]:
     current, layout = baseline.current, baseline.dataset.layout
     parameters = current.parameters
     dof = current.scatter_dof - 1.0

@@ -14,6 +14,7 @@ import hashlib
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -39,14 +40,14 @@ from needle_rig.units import nm, rad
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.control_chart import shift
 from needle_rig.workbench.learning.identify import Identification, identify
-from needle_rig.workbench.observations.runs import runs_as_dataset
+from needle_rig.workbench.observations.earlier_path import after_earlier_runs
+from needle_rig.workbench.observations.runs import BEGIN_S, runs_as_dataset
 
 LOCK = "lock"
 ADDED = ("chuck_backlash", "torque_bias")
 """What wears or drifts on any rig: free in every run beside the model's own parameters."""
 JUDGED = ("aligned", "not_aligned")
 """How a run ends that went through."""
-BEGIN_S = 0.2
 AT_REST_NMM = 0.01
 """Torque at the beginning of a run above which the shaft may be wound: a tenth of what friction holds."""
 LEAST_RELATIVE = 0.02
@@ -181,9 +182,10 @@ def judge(runs: Sequence[WatchedRun], reference: int) -> Watch:
         said = f"reference period: {len(told)} of {reference} runs, nothing can be said yet{aside}"
         return Watch("reference", (), len(told), silent, reference, (said,))
     first = told[:reference]
-    names = [name for name in first[0].parameters if all(name in run.parameters for run in first)]
+    given = Counter(name for run in first for name in run.parameters)
+    names = [name for name, times in given.items() if 2 * times >= reference]
     charts = len(names) + 1
-    changes = [change for name in names if (change := _change(told, name, reference, charts)) is not None]
+    changes = [change for name in names if (change := _change(told, name, given[name], charts)) is not None]
     misfit = np.log([max(run.misfit, LEAST_MISFIT) for run in told])
     worse = shift(misfit, reference, LEAST_MISFIT, charts, both_ways=False)
     counts = len(told), silent, reference
@@ -214,6 +216,7 @@ def _unknown(first: WatchedRun, why: str) -> str:
 
 
 def _change(told: Sequence[WatchedRun], name: str, reference: int, charts: int) -> Change | None:
+    # a run in which the shaft slips little does not give its friction
     with_it = [run for run in told if name in run.parameters]
     seen = [run.parameters[name] for run in with_it]
     at = np.array([one.at for one in seen])
@@ -295,7 +298,7 @@ def _look_at_file(
         status = (run.result or {}).get("status", "cut off")
         if status not in JUDGED:
             raise BadInput(f"ended as {status}")
-        dataset = as_it_began(runs_as_dataset([run], start="wound"))
+        dataset = after_earlier_runs(as_it_began(runs_as_dataset([run], start="wound")), [run])
         stated = (section or run.config.recording.watch or WatchSection()).model
         model = load_parameters(stated, layout=dataset.layout) if stated else None
         return look_at(dataset, library, model, path.stem, started_utc)

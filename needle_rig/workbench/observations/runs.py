@@ -11,23 +11,25 @@ import numpy as np
 from needle_rig.control.in_si import layout_of, torsional_rigidity_nm2
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, in_series
 from needle_rig.dataset.records import Start
-from needle_rig.dataset.samples import LeftOut, checked_trial
+from needle_rig.dataset.samples import AT_REST_DEG, LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.recording import RunFile
-from needle_rig.units import m
+from needle_rig.units import m, rad
 
+BEGIN_S = 0.2
 _ACTIVE = (b"rest", b"moving", b"settling", b"measuring")
 
 
-def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start = "relaxed") -> Dataset:
+def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start | None = None) -> Dataset:
     """`runs` of one rig as a dataset, in the order in which they were made.
 
-    Raises BadInput for a run without a sequence, one that began with the base away from 0° though its start
-    is relaxed, and for runs of rigs that differ in layout or needle, or of which some are simulated.
+    Without `start` a run that began with the base at 0° began relaxed, another one wound. Raises BadInput for
+    a run without a sequence, and for runs of rigs that differ in layout or needle, or of which some are
+    simulated.
     """
     if not runs:
         raise BadInput("no run was named; list them with: needle-rig runs")
-    first = min(_started(run) for run in runs)
+    first = min(started_s(run) for run in runs)
     config = runs[0].config
     for run in runs[1:]:
         if (run.config.layout, run.config.needle) != (config.layout, config.needle):
@@ -38,7 +40,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start = "rel
         shown = next(run.path for run in runs if run.simulated)
         raise BadInput(f"{shown}: was made on a simulated rig, others were not; keep them apart")
     diameter_m = m(config.needle.diameter_mm)
-    trials = in_series(tuple(_trial(run, _started(run) - first, start) for run in runs))
+    trials = in_series(tuple(run_as_trial(run, started_s(run) - first, start) for run in runs))
     return Dataset(
         name=name or runs[0].name,
         layout=layout_of(config),
@@ -54,7 +56,8 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start = "rel
     )
 
 
-def _trial(run: RunFile, start_s: float, start: Start) -> DatasetTrial:
+def run_as_trial(run: RunFile, start_s: float = 0.0, start: Start | None = None) -> DatasetTrial:
+    """A run as a trial that began `start_s` after the first of its series. Raises BadInput."""
     shown, notes = str(run.path), []
     if not run.complete:
         notes.append(f"{shown}: the run was cut off; what was recorded is used")
@@ -66,6 +69,11 @@ def _trial(run: RunFile, start_s: float, start: Start) -> DatasetTrial:
     rows = np.arange(active[0], active[-1] + 1) + 1
     time_s = np.maximum.accumulate(ticks["time_s"] - ticks["time_s"][0])
     values = np.column_stack([time_s, ticks["base_angle_rad"], ticks["torque_nm"], ticks["hall_rad"]])
+    if start is None:
+        first = time_s < BEGIN_S
+        begin_rad = ticks["base_angle_rad"][first]
+        away_rad = abs(float(begin_rad[np.isfinite(begin_rad)].mean())) if np.isfinite(begin_rad).any() else 0.0
+        start = "relaxed" if away_rad <= rad(AT_REST_DEG) else "wound"
     known = run.attributes
     strategy = str(known.get("strategy", "unknown"))
     command = TrialCommand(
@@ -83,7 +91,8 @@ def _trial(run: RunFile, start_s: float, start: Start) -> DatasetTrial:
         raise BadInput(f"{left_out.place}: {left_out.reason}") from None
 
 
-def _started(run: RunFile) -> float:
+def started_s(run: RunFile) -> float:
+    """When it began, in seconds since 1970; 0 where it does not say."""
     try:
         return datetime.datetime.fromisoformat(str(run.attributes["started_utc"])).timestamp()
     except (KeyError, ValueError, OverflowError):

@@ -11,6 +11,7 @@ from needle_rig.dataset.reader import joined
 from needle_rig.dataset.settled import SettledData, is_settled, read_settled, shipped_datasets
 from needle_rig.errors import BadInput
 from needle_rig.recording import RunFile
+from needle_rig.workbench.observations.earlier_path import after_earlier_runs
 from needle_rig.workbench.observations.runs import runs_as_dataset
 
 RUN_SUFFIXES = (".h5", ".hdf5")
@@ -36,7 +37,8 @@ def read_measurements(paths: Paths) -> Dataset:
     folders = [path for path in found if path.suffix.lower() not in RUN_SUFFIXES]
     parts = [read_dataset(folder) for folder in folders]
     if runs:
-        parts.append(runs_as_dataset([RunFile(path) for path in runs]))
+        files = [RunFile(path) for path in runs]
+        parts.append(after_earlier_runs(runs_as_dataset(files), files))
     return parts[0] if len(parts) == 1 else joined(parts)
 
 

@@ -11,8 +11,9 @@ from needle_rig.model import load_parameters
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
 from needle_rig.workbench.estimation.baseline import fit_baseline, judged
-from needle_rig.workbench.estimation.run_in import PHASE, wound
+from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
+from needle_rig.workbench.observations.earlier_path import PHASE
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few

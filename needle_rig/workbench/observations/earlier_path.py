@@ -1,0 +1,146 @@
+"""The path of the base before a recording: put before a trial, so that the model's shaft starts as it did.
+
+Of a path from a relaxed shaft dry friction remembers its dominant turning points alone: one that is passed
+again is forgotten (wiping-out property of Prandtl-Ishlinskii operators: Mayergoyz, Mathematical models of
+hysteresis, 1991, ch. 1). So the path before a run can be told by a few turns, whatever came before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.dataset.samples import AT_REST_DEG
+from needle_rig.errors import NeedleRigError
+from needle_rig.numerics import Array
+from needle_rig.recording import RunFile
+from needle_rig.units import deg, rad
+from needle_rig.workbench.observations.runs import run_as_trial
+
+PHASE = "run-in"
+TURN_SAMPLES, TURN_S = 6, 2.0
+REST_S = 1.0
+SEEN_S = 0.2
+"""At the end of one run and the beginning of the next, that the needle stayed where it was."""
+SMALLEST_TURN_DEG = 0.1
+"""Turns that the encoder's noise makes are none."""
+MOST_RUNS = 20
+"""That are looked back through: friction has forgotten what the shaft was before them."""
+
+
+def with_path_before(trial: DatasetTrial, corners_rad: Sequence[float]) -> DatasetTrial:
+    """The trial after a path of the base from 0 along `corners_rad` to its start; nothing is seen there.
+
+    Each turn takes `TURN_S`; the base then rests for `REST_S`.
+    """
+    base_rad = float(trial.trial.base_angle_rad[0])
+    corners = np.array([0.0, *corners_rad, base_rad])
+    place = np.arange(TURN_SAMPLES * (len(corners) - 1)) / TURN_SAMPLES
+    path = np.r_[np.interp(place, np.arange(len(corners)), corners), base_rad, base_rad]
+    begin_s = float(trial.trial.time_s[0])
+    time_s = begin_s - REST_S - TURN_S * (len(corners) - 1 - np.r_[place, len(corners) - 1.0])
+    time_s = np.r_[time_s, begin_s - 0.5 * REST_S]
+    count = len(path)
+    unseen = np.full((count, trial.hall_rad.shape[1]), np.nan)
+    drive, change = trial.trial, trial.start_change
+    return dataclasses.replace(
+        trial,
+        trial=dataclasses.replace(
+            drive, time_s=np.r_[time_s, drive.time_s], base_angle_rad=np.r_[path, drive.base_angle_rad]
+        ),
+        base_measured_rad=np.r_[path, trial.base_measured_rad],
+        torque_nm=np.r_[np.full(count, np.nan), trial.torque_nm],
+        hall_rad=np.vstack([unseen, trial.hall_rad]),
+        phase=np.concatenate([np.full(count, PHASE), trial.phase]),
+        start_change=None if change is None else np.pad(change, ((0, 0), (0, 0), (count, 0))),
+    )
+
+
+def dominant_turns(path_rad: Array) -> list[float]:
+    """Turning points of a path from 0 that are not passed again, in their order; the last is its end."""
+    if not path_rad.size:
+        return []
+    at = _last_of_largest(np.abs(path_rad))
+    turns, side = [float(path_rad[at])], float(np.sign(path_rad[at]))
+    rest = path_rad[at + 1 :]
+    while rest.size:
+        at = _last_of_largest(-side * rest)
+        if abs(rest[at] - turns[-1]) < rad(SMALLEST_TURN_DEG):
+            break
+        turns.append(float(rest[at]))
+        rest, side = rest[at + 1 :], -side
+    return turns
+
+
+def after_earlier_runs(dataset: Dataset, runs: Sequence[RunFile]) -> Dataset:
+    """The dataset of `runs`; a shaft that earlier runs wound starts as they left it, with a sentence.
+
+    They are looked for in the folders of `runs`, back to one that began relaxed or `MOST_RUNS`; each must
+    have ended where the next begins. A trial of which they do not tell stays as it is.
+    """
+    by_shown = {str(run.path): run for run in runs}
+    known: dict[Path, DatasetTrial | None] = {}
+    trials, notes = [], []
+    for trial in dataset.trials:
+        earlier = _earlier(by_shown[trial.file], trial, known) if trial.file in by_shown else []
+        if not earlier:
+            trials.append(trial)
+            continue
+        turns = dominant_turns(np.concatenate([before.trial.base_angle_rad for before in earlier]))
+        trials.append(dataclasses.replace(with_path_before(trial, turns), start="relaxed"))
+        told = ", ".join(f"{deg(turn):.0f}" for turn in turns)
+        before = f"the {len(earlier)} runs before it" if len(earlier) > 1 else "the run before it"
+        notes.append(f"{trial.file}: begins as {before} left the shaft, after turns of the base to {told}°")
+    return dataclasses.replace(dataset, trials=tuple(trials), notes=(*dataset.notes, *notes))
+
+
+def _last_of_largest(values: Array) -> int:
+    return len(values) - 1 - int(np.argmax(values[::-1]))
+
+
+def _earlier(run: RunFile, trial: DatasetTrial, known: dict[Path, DatasetTrial | None]) -> list[DatasetTrial]:
+    """The runs that wound the shaft, oldest first; none where it was relaxed, or one of them is missing."""
+    found: list[DatasetTrial] = []
+    first = trial
+    for path in sorted(run.path.parent.glob(f"*{run.path.suffix}"), reverse=True):
+        if path.name >= run.path.name:
+            continue
+        if path not in known:
+            known[path] = _of_the_same_rig(path, run)
+        before = known[path]
+        if before is None or not _goes_on(before, first):
+            break
+        found.insert(0, before)
+        first = before
+        if len(found) == MOST_RUNS:
+            return found
+    return found if first.start == "relaxed" else []
+
+
+def _of_the_same_rig(path: Path, run: RunFile) -> DatasetTrial | None:
+    """The run at `path` as a trial; None where it holds none, or was made on another rig than `run`."""
+    try:
+        other = RunFile(path)
+        same = (other.config.layout, other.config.needle) == (run.config.layout, run.config.needle)
+        return run_as_trial(other) if same and other.simulated == run.simulated else None
+    except NeedleRigError:
+        return None
+
+
+def _goes_on(before: DatasetTrial, after: DatasetTrial) -> bool:
+    """Whether base and sensors began where they had ended."""
+    end, begin = before.trial.time_s[-1] - SEEN_S, after.trial.time_s[0] + SEEN_S
+    last = np.column_stack([before.trial.base_angle_rad, before.hall_rad])[before.trial.time_s >= end]
+    first = np.column_stack([after.trial.base_angle_rad, after.hall_rad])[after.trial.time_s <= begin]
+    moved = np.abs(_means(first) - _means(last))
+    return bool(np.all(moved[np.isfinite(moved)] < rad(AT_REST_DEG)))
+
+
+def _means(values: Array) -> Array:
+    """Mean of the numbers in each column; NaN where there are none."""
+    known = [column[np.isfinite(column)] for column in values.T]
+    return np.array([column.mean() if column.size else np.nan for column in known])
