@@ -72,8 +72,8 @@ def run_as_trial(run: RunFile, start_s: float = 0.0, start: Start | None = None)
     if start is None:
         first = time_s < BEGIN_S
         begin_rad = ticks["base_angle_rad"][first]
-        away_rad = abs(float(begin_rad[np.isfinite(begin_rad)].mean())) if np.isfinite(begin_rad).any() else 0.0
-        start = "relaxed" if away_rad <= rad(AT_REST_DEG) else "wound"
+        known_rad = begin_rad[np.isfinite(begin_rad)]
+        start = "wound" if known_rad.size and abs(known_rad.mean()) > rad(AT_REST_DEG) else "relaxed"
     known = run.attributes
     strategy = str(known.get("strategy", "unknown"))
     command = TrialCommand(
