@@ -8,8 +8,8 @@ Source: a rigid body on a torsion spring, loaded with the torque that the needle
 is an estimate: a gel cube of 50 mm (shear modulus 5 kPa) glued at one end gives 90 N·mm/rad, a loose one
 less.
 
-Shows best: a reversal: every sensor turns with the base and the torque at once, by the same angle, before
-any part of the needle slips. Elastic tissue lets the sensors turn by different angles.
+Shows best: a small reversal: deep sensors, which slip has not reached yet, turn at once and all alike by τ/K.
+In elastic tissue they turn by different angles, in rigid tissue not at all.
 """
 
 from dataclasses import dataclass, replace
