@@ -11,8 +11,10 @@ import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import settings
 
-from tests.recorded_run import write_run
+from needle_rig.workbench.parallel import one_thread_each
 from tests.stillness import Stillness
+
+one_thread_each()  # before any test imports NumPy: threads on small matrices take a third more time
 
 # The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search`
 # looks for new ones.
@@ -101,4 +103,6 @@ def no_task_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recorded run of reed2008."""
+    from tests.recorded_run import write_run
+
     return write_run(tmp_path_factory.mktemp("runs") / "2026-01-01_12-00-00Z_reed2008.h5")

@@ -226,6 +226,19 @@ def _commands() -> str:
     return "\n\n".join(told(group, "needle-rig", 2))
 
 
+def _thresholds() -> str:
+    from needle_rig.workbench.policy import POLICY, thresholds
+
+    rows = []
+    for row in thresholds(POLICY):
+        guard = (Path("tests/workbench") / row.guard).as_posix().replace("workbench/../", "")
+        named = _code(f"{row.group}.{row.name}")
+        rows.append(
+            [named, html.escape(str(row.value)), *map(html.escape, (row.reason, row.source)), _code(guard)]
+        )
+    return _table(["threshold", "value", "meaning", "source", "guarded by"], rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "commands": _commands,
     "config": _config,
@@ -233,4 +246,5 @@ TABLES: dict[str, Callable[[], str]] = {
     "orders": _orders,
     "parameter-sets": _parameter_sets,
     "effects": _effects,
+    "thresholds": _thresholds,
 }

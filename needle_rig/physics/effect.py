@@ -35,7 +35,7 @@ class ParameterInfo:
     smallest: float
     """Smallest size that matters: below it an effect is called negligible.
 
-    Built-in ones move an angle by 0.5° or the torque by 0.002 N·mm (0.5° of lag) in the 45° sequence on the
+    Built-in ones move an angle by 0.5° or the torque by 0.002 N·mm (`SizePolicy`) in the 45° sequence on the
     experiment's layout with a friction of 0.1 N·mm per 100 mm: in its settled states, or, for effects that
     leave no trace there, on the way.
     """

@@ -42,6 +42,10 @@ def process_of(shell: Shell, name: str) -> int:
     return found
 
 
+def threads(process: subprocess.Popen[str]) -> int:
+    return len(list(Path(f"/proc/{process.pid}/task").iterdir()))
+
+
 def left_behind(shell: Shell) -> list[Path]:
     return [*Path(shell.temporary).iterdir(), *the_socket(shell).parent.iterdir()]
 
@@ -130,13 +134,16 @@ def test_a_signal_to_the_client_while_its_run_starts_stops_it(
     try:
         with shell.start("compensate", "--target", "60", "--no-picture") as client:
             deadline_s = time.monotonic() + 30
-            while DaemonClient(the_socket(shell)).state()["lease"] is None:
+            # with the lease it is about to ask; the thread of its stream starts once it catches signals
+            while DaemonClient(the_socket(shell)).state()["lease"] is None or threads(client) == 1:
                 assert time.monotonic() < deadline_s
+                time.sleep(0.01)
             time.sleep(0.3)
             client.send_signal(number)
             _, err = client.communicate(timeout=30)
     finally:
-        os.kill(recorder, signal.SIGCONT)
+        with contextlib.suppress(ProcessLookupError):  # the daemon kills one that was silent for 10 s
+            os.kill(recorder, signal.SIGCONT)
     assert (client.returncode, err) == (4, "Stopped: the drive is stopped, and nothing begins.\n")
     time.sleep(0.5)
     state = DaemonClient(the_socket(shell)).state()

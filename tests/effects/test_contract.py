@@ -17,6 +17,8 @@ from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.library import built_in_effects
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
+from needle_rig.units import nm
+from needle_rig.workbench.policy import POLICY
 from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, driven, path
 
 NAMES = [
@@ -71,9 +73,9 @@ def same(one: Reading, other: Reading) -> bool:
 
 
 def distance(one: Reading, other: Reading) -> float:
-    """Largest difference in units of 0.5° and 0.002 N·mm."""
-    angle = np.abs(one.hall_rad - other.hall_rad).max() / np.radians(0.5)
-    return float(max(angle, np.abs(one.torque_nm - other.torque_nm).max() / 2e-6))
+    """Largest difference in units of what matters."""
+    angle = np.abs(one.hall_rad - other.hall_rad).max() / np.radians(POLICY.size.largest_deg)
+    return float(max(angle, np.abs(one.torque_nm - other.torque_nm).max() / nm(POLICY.size.largest_nmm)))
 
 
 def test_the_library_has_the_promised_effects():

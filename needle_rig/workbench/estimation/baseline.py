@@ -21,6 +21,7 @@ from needle_rig.workbench.estimation.posterior import start_point
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.noise import measure_noise, with_replicate_scatter
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 
@@ -145,7 +146,8 @@ def _notes(problem: Problem) -> list[str]:
     notes = []
     if not problem.noise.replicates:
         notes.append(
-            "No command was repeated, so that the scatter from trial to trial is assumed (2.5 % of friction),"
+            f"No command was repeated, so that the scatter from trial to trial is assumed"
+            f" ({100 * POLICY.noise.scatter:g} % of friction),"
             " not measured: take the verdict as a ranking, and repeat one command three times."
         )
     if len(problem.groups) < 2:

@@ -16,12 +16,11 @@ from needle_rig.workbench.estimation.multistart import FINE_SHAPE_STEPS, SHAPE_S
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import driven_by_samples, sample_weights
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 
 FINER = 8.0
-MOST_OURS = 5.0
-"""The solver's error, in σ over all values, that a straight nuisance may stand for."""
 DRAWS = 16
 """Paths that the encoder might as well have shown, of which the scatter of what the model makes is taken;"""
 REFITS = 8
@@ -40,7 +39,7 @@ def at_own_error(
     """
     error = solver_error(problem, found, trials, fine_m)
     near = excess(problem, found.objective) < problem.size
-    if not near or np.linalg.norm(np.vstack(error)) <= MOST_OURS:
+    if not near or np.linalg.norm(np.vstack(error)) <= POLICY.noise.straight_error_sigmas:
         return _with_suspect(problem, found, error)
     problem, found = by_every_sample(problem, found, trials)
     problem, found = _with_suspect(problem, found, solver_error(problem, found, trials, fine_m))

@@ -27,6 +27,7 @@ from scipy.linalg import null_space
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.posterior import LEVEL
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.policy import POLICY
 
 if TYPE_CHECKING:
     from needle_rig.workbench.estimation.map_fit import Fit
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]
 
-SEEN = 1.0
-"""Information on a position, scaled to its typical size, above which the data see a direction: its standard
-deviation is below one typical size."""
 UNSEEN = 1e-3
 """Directions of less curvature than this, of parameters scaled alike, are not followed."""
 
@@ -225,7 +223,9 @@ class LinearisedFit:
         rest = self.curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
         left = self.curvature[np.ix_(inside, inside)] - cross @ np.linalg.solve(rest, cross.T)
         free = _free([places - 2 for places in self.held], np.ones(inside.size))
-        return max(1, int((np.linalg.eigvalsh(free.T @ left @ free) > SEEN).sum()))
+        return max(
+            1, int((np.linalg.eigvalsh(free.T @ left @ free) > POLICY.evidence.seen_information).sum())
+        )
 
     def loosest(self) -> Array | None:
         """One standard deviation (P,) along the positions' least certain direction, all others following.

@@ -16,6 +16,7 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 
@@ -132,7 +133,7 @@ class Objective:
 def excess(problem: Problem, value: float) -> float:
     """How far an objective lies above what noise alone explains."""
     size = problem.size
-    return max(0.0, value - size - 5.0 * float(np.sqrt(2.0 * size)))
+    return max(0.0, value - size - POLICY.search.above_noise_sigmas * float(np.sqrt(2.0 * size)))
 
 
 def sum_of_squares(rows: Sequence[Array]) -> float:

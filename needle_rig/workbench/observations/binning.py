@@ -17,14 +17,13 @@ from scipy.sparse import csr_array
 from needle_rig.dataset import DatasetTrial
 from needle_rig.physics.effect import Trial
 from needle_rig.units import rad
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 
 MOVING_BINS = 14
 MOVING_BLOCKS = 42
 HOLD_EDGES_S = (0.0, 0.12, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 600.0)
-STILL_RAD = rad(0.12)
-OUTLIER_SIGMAS = 6.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def motions_of(base_rad: Array, phase: npt.NDArray[np.str_]) -> list[tuple[int, 
     for first, end in zip(np.r_[0, change], np.r_[change, phase.size], strict=True):
         path = base_rad[first:end]
         goal = np.median(path[-max(1, min(path.size // 4, 50)) :])
-        away = np.flatnonzero(np.abs(path - goal) > STILL_RAD)
+        away = np.flatnonzero(np.abs(path - goal) > rad(POLICY.noise.still_deg))
         found.append((int(first), int(first + (away[-1] + 1 if away.size else 0)), int(end)))
     return found
 
@@ -79,7 +78,8 @@ def motions_of(base_rad: Array, phase: npt.NDArray[np.str_]) -> list[tuple[int, 
 def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """(values with holes and outliers filled in from their neighbours, valid, outlier) of one channel (M,).
 
-    An outlier lies more than 6 robust standard deviations from the median of its neighbours.
+    An outlier lies more than `noise.outlier_sigmas` robust standard deviations from the median of its
+    neighbours.
     """
     valid = np.isfinite(values)
     outlier = np.zeros(values.size, bool)
@@ -93,7 +93,7 @@ def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[
     away = np.abs(filled - middle)
     spread = 1.4826 * np.median(away[away > 0]) if np.any(away > 0) else 0.0
     if spread > 0:
-        outlier = valid & (away > OUTLIER_SIGMAS * 1.3 * spread)
+        outlier = valid & (away > POLICY.noise.outlier_sigmas * 1.3 * spread)
         filled = np.where(outlier, middle, filled)
     return filled, valid & ~outlier, outlier
 

@@ -19,18 +19,12 @@ from scipy.optimize import nnls
 from needle_rig.dataset import DatasetTrial
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, channels, motions_of, set_aside
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]
 
 CORRELATION_TIMES_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-FLOOR_ANGLE_RAD = rad(0.03)
-FLOOR_TORQUE_NM = nm(1.5e-4)
-CORRELATION_GAIN = 25.0
-"""Fall of the misfit of the autocovariance, in its own variances, that shows correlated noise."""
-CLOCK_JITTER_S = 1e-3
-SCATTER_PRIOR = 0.025
-SCATTER_PRIOR_DOF = 4.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +103,7 @@ def _split(pieces: list[Array], spacing_s: float) -> tuple[float, float, float]:
             best = (misfit, parts[0] * scale, parts[1] * scale, tau)
     misfit, white_var, slow_var, tau = best
     gain = (misfit_alone**2 - misfit**2) * cut.size
-    if gain < CORRELATION_GAIN:
+    if gain < POLICY.noise.correlation_gain:
         white_var, slow_var = alone[0] * scale, 0.0
     return float(np.sqrt(max(white_var, 1e-6 * scale))), float(np.sqrt(slow_var)), tau
 
@@ -124,7 +118,8 @@ def replicate_groups(commands: Sequence[object]) -> list[list[int]]:
 
 def floors(count: int) -> Array:
     """The solver's accuracy a channel, shape (count,)."""
-    return np.concatenate([[FLOOR_TORQUE_NM], np.full(count - 1, FLOOR_ANGLE_RAD)])
+    policy = POLICY.noise
+    return np.concatenate([[nm(policy.floor_nmm)], np.full(count - 1, rad(policy.floor_deg))])
 
 
 def measure_noise(trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial]) -> Noise:
@@ -141,9 +136,9 @@ def measure_noise(trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial])
         correlation_s=parts[:, 2],
         offset=_rest_offsets(binned, parts, floor),
         motion=floor,
-        jitter_s=CLOCK_JITTER_S,
-        scatter=SCATTER_PRIOR,
-        scatter_dof=SCATTER_PRIOR_DOF,
+        jitter_s=POLICY.noise.clock_jitter_s,
+        scatter=POLICY.noise.scatter,
+        scatter_dof=POLICY.noise.scatter_dof,
         replicates=sum(len(g) - 1 for g in groups),
     )
 
@@ -170,7 +165,7 @@ def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> 
     left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     dof = t.size - columns.shape[1]
     excess = (left**2).sum(0) / dof - np.mean(variances, 0)
-    significant = excess > 2.0 * np.mean(variances, 0) * np.sqrt(2.0 / dof)
+    significant = excess > POLICY.noise.offset_sigmas * np.mean(variances, 0) * np.sqrt(2.0 / dof)
     return np.maximum(0.7 * floor, np.where(significant, np.sqrt(np.maximum(excess, 0)), 0.0))
 
 
@@ -276,6 +271,6 @@ def with_replicate_scatter(
     if not dof.any():
         return noise
     floor = floors(channel_count)
-    prior_dof = 10.0
+    prior_dof = POLICY.noise.motion_dof
     variance = (prior_dof * floor**2 + np.maximum(total, 0.0)) / (prior_dof + dof)
     return dataclasses.replace(noise, motion=np.maximum(floor, np.sqrt(variance)))

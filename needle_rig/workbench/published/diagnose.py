@@ -14,6 +14,7 @@ import numpy as np
 from needle_rig.dataset.settled import SettledData
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.design import next_experiment
 from needle_rig.workbench.published.fit import (
     SIGMAS_95,
@@ -32,8 +33,8 @@ from needle_rig.workbench.published.search import (
 )
 from needle_rig.workbench.selection.answer import Answer, Decision, Ranked, Say, Value
 from needle_rig.workbench.selection.decisions import decision_at
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE
 from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern
+from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 UNUSUAL = 1.0
 """Pull (σ) from which a parameter is said to lie near the edge of what is plausible."""
@@ -64,9 +65,10 @@ def diagnose_settled(
     names = tuple(sorted(set(library) - set(root.effects)))
     tried = [try_effect(problem, root, name, len(names)) for name in names]
     tied = tied_effects(problem, tried)
-    missing = bool(tied) or root.p_value <= SIGNIFICANCE
+    missing = bool(tied) or root.p_value <= POLICY.evidence.significance
     say("looking for what would tell them apart")
-    verdict = "none" if not missing else "effect" if tied else "unknown"
+    verdict: Verdict = "none" if not missing else "effect" if tied else "unknown"
+    why = (Reason("no_effect_meets_the_values", _no_effect(problem, root)),) if verdict == "unknown" else ()
     best = tied[0].fit if tied and tied[0].fit else root
     room = max(root.chi2 - root.freedom, 1e-9)
     patterns = _left(problem, best)
@@ -79,6 +81,7 @@ def diagnose_settled(
         decisions={c.effect: _decision(problem, c, tied, missing) for c in tried},
         left_over=Leftover(tuple(patterns), best.chi2),
         explained=verdict != "unknown",
+        reasons=why,
         lack_before=None,
         lack_after=None,
         explained_fraction=float(np.clip((root.chi2 - best.chi2) / room, 0.0, 1.0)) if missing else 1.0,
@@ -89,6 +92,13 @@ def diagnose_settled(
         if len(tied) > 1
         else None,
         notes=tuple(_notes(problem, best, tried, tied)),
+    )
+
+
+def _no_effect(problem: SettledProblem, root: SettledFit) -> str:
+    return (
+        f"{problem.base.name} misses the values (p = {root.p_value:.1g}), and no single effect with plausible"
+        " values meets them"
     )
 
 
@@ -181,10 +191,12 @@ def _decision(
         unlimited = decision_at(candidate.effect, axes[0], np.inf, "cannot_tell", 0.0)
         return dataclasses.replace(unlimited, limit=None)
     sizes = [s for s in own_parameters(candidate.fit, candidate.effect)[0] if not s[0].info.shapes]
-    axis, at, error = max(sizes, key=lambda s: (abs(s[1]) + 1.645 * s[2]) / max(s[0].smallest, 1e-9))
-    below = all(abs(x) + 1.645 * e < a.smallest for a, x, e in sizes)
+    axis, at, error = max(
+        sizes, key=lambda s: (abs(s[1]) + POLICY.evidence.limit_sigmas * s[2]) / max(s[0].smallest, 1e-9)
+    )
+    below = all(abs(x) + POLICY.evidence.limit_sigmas * e < a.smallest for a, x, e in sizes)
     word = "present" if tied == [candidate] else "absent" if below and not missing else "cannot_tell"
-    return decision_at(candidate.effect, axis, abs(at) + 1.645 * error, word, at)
+    return decision_at(candidate.effect, axis, abs(at) + POLICY.evidence.limit_sigmas * error, word, at)
 
 
 def _left(problem: SettledProblem, found: SettledFit) -> list[Pattern]:

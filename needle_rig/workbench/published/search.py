@@ -20,14 +20,11 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
 from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 
 Array = npt.NDArray[np.float64]
-
-TESTABLE = 0.5
-"""Degrees of freedom that must be left for a fit to say something."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +39,12 @@ class Candidate:
     @property
     def meets(self) -> bool:
         """Whether the values are met within their scatter."""
-        return self.fit is not None and self.fit.p_value > SIGNIFICANCE
+        return self.fit is not None and self.fit.p_value > POLICY.evidence.significance
 
     @property
     def testable(self) -> bool:
         """Whether fewer parameters than values are used up."""
-        return self.fit is not None and self.fit.freedom >= TESTABLE
+        return self.fit is not None and self.fit.freedom >= POLICY.verdict.degrees_left
 
     @property
     def plausible(self) -> bool:
@@ -59,7 +56,9 @@ class Candidate:
     @property
     def explains(self) -> bool:
         """Whether it can be the answer."""
-        return self.meets and self.testable and self.plausible and self.adjusted_p < SIGNIFICANCE
+        return (
+            self.meets and self.testable and self.plausible and self.adjusted_p < POLICY.evidence.significance
+        )
 
 
 def settled_problem(

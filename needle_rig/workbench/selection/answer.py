@@ -8,8 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import Leftover
+from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 Say = Callable[[str], None]
 
@@ -104,12 +106,14 @@ class Answer:
 
     dataset: str
     model: str
-    verdict: str
+    verdict: Verdict
     effects: tuple[str, ...]
     ranking: tuple[Ranked, ...]
     decisions: dict[str, Decision]
     left_over: Leftover
     explained: bool
+    reasons: tuple[Reason, ...]
+    """Why it is unknown; empty for the other verdicts."""
     lack_before: LackOfFit | None
     """Whether replicates show anything to explain in the present model; None without replicates."""
     lack_after: LackOfFit | None
@@ -133,6 +137,7 @@ class Answer:
             "dataset": self.dataset,
             "model": self.model,
             "verdict": self.verdict,
+            "reasons": [r.as_json() for r in self.reasons],
             "effects": list(self.effects),
             "ranking": [r.as_json() for r in self.ranking],
             "noise_floor": _plain(self.noise_floor),
@@ -147,6 +152,7 @@ class Answer:
             },
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
+            "policy": POLICY.as_json(),
         }
 
 

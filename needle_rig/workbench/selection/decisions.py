@@ -7,8 +7,9 @@ import numpy as np
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate
 from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, is_negligible
+from needle_rig.workbench.selection.evidence import chance, is_negligible
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
 
 
@@ -39,9 +40,11 @@ def _sizes(found: Fit, name: str) -> list[tuple[Coordinate, float, float]]:
 
 def _decision(name: str, found: Fit, fixed: str | None) -> Decision:
     sizes = _sizes(found, name)
-    axis, at, error = max(sizes, key=lambda s: (abs(s[1]) + 1.645 * s[2]) / max(s[0].smallest, 1e-9))
-    limit = abs(at) + 1.645 * error
-    below = all(abs(x) + 1.645 * e < a.smallest for a, x, e in sizes)
+    axis, at, error = max(
+        sizes, key=lambda s: (abs(s[1]) + POLICY.evidence.limit_sigmas * s[2]) / max(s[0].smallest, 1e-9)
+    )
+    limit = abs(at) + POLICY.evidence.limit_sigmas * error
+    below = all(abs(x) + POLICY.evidence.limit_sigmas * e < a.smallest for a, x, e in sizes)
     return decision_at(name, axis, limit, fixed or ("absent" if below else "cannot_tell"), at)
 
 
@@ -69,12 +72,12 @@ def _undetected(
         return decision_at(name, strength, np.inf, "cannot_tell", 0.0)
     found = candidate.fit
     if found is None or not np.all(np.isfinite(found.position_error)):
-        limit = candidate.preview.estimate + 1.645 * candidate.preview.error
+        limit = candidate.preview.estimate + POLICY.evidence.limit_sigmas * candidate.preview.error
         return decision_at(
             name, strength, limit, "absent" if limit < strength.smallest else "cannot_tell", 0.0
         )
     decided = _decision(name, found, None)
-    if chance(best, found, len(search.names)) < SIGNIFICANCE:
+    if chance(best, found, len(search.names)) < POLICY.evidence.significance:
         fixed = "negligible" if is_negligible(found, name) else "cannot_tell"
         return _decision(name, found, fixed)
     return decided

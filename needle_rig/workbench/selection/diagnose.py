@@ -15,6 +15,7 @@ from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prep
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
@@ -23,17 +24,8 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_leftover
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import SearchTrace, search
-
-EXPLAINED = 0.8
-"""Share of the explainable error below which a library model is never called an explanation."""
-REACHED = 1.1
-"""Error on commands left out, in units of the noise, above which an answer leaves something to explain."""
-MOST_AT_ANY_VALUE = 2
-"""Effects that may be named together whatever their values: more of them can stand for anything, and are
-believed only with values that are plausible."""
-SIZE_THAT_MATTERS_DEG = 0.12
-SIZE_THAT_MATTERS_NMM = 0.0008
-SIZE_THAT_MATTERS_PERCENT = 2.0
+from needle_rig.workbench.selection.verdict import Findings, reasons
+from needle_rig.workbench.selection.verdict import verdict as judge
 
 
 @dataclass(frozen=True)
@@ -42,11 +34,6 @@ class Diagnosis(Answer):
 
     prepared: Prepared = field(repr=False)
     search: SearchTrace = field(repr=False)
-
-
-def _too_small(size: float, unit: str) -> bool:
-    matters = {"°": SIZE_THAT_MATTERS_DEG, "N·mm": SIZE_THAT_MATTERS_NMM, "%": SIZE_THAT_MATTERS_PERCENT}
-    return size <= matters[unit]
 
 
 def diagnose(
@@ -94,14 +81,8 @@ def _conclude(
     if not named:
         explained_fraction = 1.0 if not left.significant else 0.0
     lack = lack_of_fit(problem, best, sensors)
-    unexplained = left.significant and any(not _too_small(p.size, p.unit) for p in left.patterns)
-    if explained_fraction < EXPLAINED and left.significant and named:
-        unexplained = True
-    if named and left.significant and held.error > REACHED:
-        unexplained = True
-    if not named and lack is not None and lack.significant and not _too_small(lack.size, lack.unit):
-        unexplained = True
-    verdict = "unknown" if unexplained else "effect" if named else "none"
+    why = reasons(Findings(tuple(named), left, lack, explained_fraction, held.error))
+    verdict = judge(named, why)
     ordered = order(search, named)
     ranking = rank(search, ordered, rivals, verdict, best, held)
     ties = [(e, r) for e in ordered for r in rivals.get(e, []) if r.tied]
@@ -118,7 +99,8 @@ def _conclude(
         ranking=tuple(ranking),
         decisions=decide(search, named if verdict == "effect" else []),
         left_over=left,
-        explained=not unexplained,
+        explained=not why,
+        reasons=why,
         lack_before=lack_of_fit(prepared.problem, prepared.present, sensors),
         lack_after=lack,
         explained_fraction=explained_fraction,
@@ -144,7 +126,7 @@ def _contrived(search: SearchTrace, named: list[str]) -> list[str]:
     """What to say of a set that meets the data but is too many effects at values that none should have."""
     found = search.fits[search.best][0]
     odd = [(e, v) for e in named for v in values_of(found, e) if not v.plausible]
-    if len(named) <= MOST_AT_ANY_VALUE or not odd:
+    if len(named) <= POLICY.verdict.at_any_value or not odd:
         return []
     said = ", ".join(f"{effect} {v.name} = {v.value:.3g} {v.unit}" for effect, v in odd)
     return [

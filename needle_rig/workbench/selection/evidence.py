@@ -8,15 +8,7 @@ from scipy.special import chdtrc, chdtri, fdtrc
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
-
-SIGNIFICANCE = 0.01
-"""Largest p, adjusted over the library, at which an effect counts as seen."""
-PULL_STANDS_IN = 9.0
-"""Gain from prior pulls (3σ) that stands in for a held-out gain,"""
-MOST_LOST = 1.02
-"""as long as the error left out rises by no more than this factor."""
-TIMES_OURS = 3.0
-"""Claims smaller than this many times our own numerical error are refused."""
+from needle_rig.workbench.policy import POLICY
 
 
 def chance(parent: Fit, child: Fit, library: int) -> float:
@@ -52,7 +44,9 @@ def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
     ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
     pull = parent.pull_rigidity - child.pull_rigidity
     own = (parent.point.trial_friction - child.point.trial_friction) / child.scatter
-    return bool(change @ change + pull**2 + own @ own < TIMES_OURS * abs(change @ ours))
+    return bool(
+        change @ change + pull**2 + own @ own < POLICY.evidence.discretisation_margin * abs(change @ ours)
+    )
 
 
 def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
@@ -69,9 +63,9 @@ def foretells(parent: Fit, parent_held: HeldOut | None, child: Fit, child_held: 
     if held_gain(parent_held, child_held) > 0:
         return True
     relieved = parent.pull_rigidity**2 - child.pull_rigidity**2
-    if parent_held is None or child_held is None or relieved <= PULL_STANDS_IN:
+    if parent_held is None or child_held is None or relieved <= POLICY.evidence.relieved_pull:
         return False
-    return bool(child_held.error <= MOST_LOST * parent_held.error)
+    return bool(child_held.error <= POLICY.evidence.held_out_rise * parent_held.error)
 
 
 def is_negligible(found: Fit, effect: str) -> bool:

@@ -25,12 +25,11 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Whitener
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 Key = tuple[int, int, bool]
 """(channel, motion, moving) of one fact."""
-
-SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class LackOfFit:
     @property
     def significant(self) -> bool:
         """Whether the model lacks something that replicates share."""
-        return self.p < SIGNIFICANCE
+        return self.p < POLICY.verdict.lack_of_fit
 
     def sentence(self) -> str:
         """In words."""

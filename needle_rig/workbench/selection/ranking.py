@@ -8,8 +8,9 @@ import numpy as np
 
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Ranked, Value
-from needle_rig.workbench.selection.evidence import SIGNIFICANCE, chance, held_gain
+from needle_rig.workbench.selection.evidence import chance, held_gain
 from needle_rig.workbench.selection.rivals import Rival
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
 
@@ -104,7 +105,7 @@ def rank(
 def _single(search: SearchTrace, candidate: Candidate) -> Ranked:
     found = candidate.fit
     assert found is not None
-    seen = chance(search.root, found, len(search.names)) < SIGNIFICANCE
+    seen = chance(search.root, found, len(search.names)) < POLICY.evidence.significance
     foretells = held_gain(search.root_held, candidate.held) > 0 or not np.isfinite(search.root_held.error)
     removed = _removed(search.problem, search.root, found)
     favour = (

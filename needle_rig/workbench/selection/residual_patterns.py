@@ -20,15 +20,11 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 
-SIGNIFICANCE = 1e-3
-MOST = 5
 NEEDLE = "the needle"
-TREND_SIGNIFICANCE = 1e-4
-"""Largest p of a trend in the trials' friction: below that of a named effect before the search's
-look-elsewhere correction, so that an effect in the library that tells of it is named first."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +119,11 @@ def functions(
     }
 
 
+def limit_sigmas(significance: float, tried: int) -> float:
+    """Largest of so many standard normal values that chance exceeds with this probability."""
+    return float(-ndtri(significance / 2 / max(1, tried)))
+
+
 def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Leftover:
     """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
     project = LinearisedFit.of(problem, found).projection
@@ -136,10 +137,10 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
     usable = seen_lengths > 0.02 * lengths + 1e-9
     projected, lengths = projected[:, usable] / seen_lengths[usable], seen_lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
-    limit = float(-ndtri(SIGNIFICANCE / 2 / max(1, len(names))))
+    limit = limit_sigmas(POLICY.verdict.pattern_significance, len(names))
     picked: list[tuple[int, float]] = []
     left, basis = project.missed, projected.copy()
-    for _ in range(MOST):
+    for _ in range(POLICY.verdict.patterns):
         seen = basis.T @ left
         best = int(np.argmax(np.abs(seen)))
         if abs(seen[best]) < limit:
@@ -196,7 +197,7 @@ def _trend(problem: Problem, found: Fit) -> list[Pattern]:
         z = float(np.sign(t) * -ndtri(max(stdtr(freedom, -abs(t)), 1e-300)))
         size = 100 * abs(slope) * float(np.sqrt(np.mean(course**2)))
         trends.append(Pattern("the trials' friction", law, z, size, "%", 0.0))
-    limit = -ndtri(TREND_SIGNIFICANCE / 2 / len(along))
+    limit = limit_sigmas(POLICY.verdict.trend_significance, len(along))
     return sorted((p for p in trends if abs(p.sigmas) > limit), key=lambda p: -abs(p.sigmas))[:1]
 
 

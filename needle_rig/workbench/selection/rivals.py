@@ -11,16 +11,9 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, score
 
-CLOSE = 10.0
-"""Difference of −2 log posterior (3.2σ, odds of 150 to 1) within which two explanations are a tie."""
-SURE_SHARE = 0.8
-"""Share of reweightings of the trials in which the better of two stays ahead if it surely is."""
-ALL_UP_TO = 100.0
-"""Gain of what was found up to which every effect is refitted in its place: a preview says little there."""
-OUT_OF_REACH = 0.25
-"""Above it, share of that gain which a preview must promise: what fits as well promised 0.7 and more."""
 DRAWS = 400
 
 
@@ -40,18 +33,27 @@ class Rival:
 
 
 def cannot_be_told_apart(
-    behind: float, *, missed: float = 0.0, sure: bool = True, gain_over_special: float | None = None
+    behind: float, *, missed: float = 0.0, share: float = 1.0, gain_over_special: float | None = None
 ) -> bool:
     """Whether an explanation ties with the best one, whose −2 log posterior is lower by `behind`.
 
     What the best one misses above the noise (`missed`) hides differences as large, and three times as much
-    lies between two of which it is not `sure` that the better one is. An explanation that becomes another
-    close one at an extreme of its parameters is no rival of it unless it gains as much as tells two apart.
+    lies between two of which the better one is ahead in too small a `share` of reweightings of the trials. An
+    explanation that becomes another close one at an extreme of its parameters is no rival of it unless it
+    gains as much as tells two apart.
     """
-    if gain_over_special is not None and gain_over_special < CLOSE:
+    if gain_over_special is not None and gain_over_special < POLICY.ties.close:
         return False
-    near = CLOSE + missed
-    return behind < near or (not sure and behind < 3.0 * near)
+    near = POLICY.ties.close + missed
+    return behind < near or (share < POLICY.ties.sure_share and behind < POLICY.ties.unsure * near)
+
+
+def promise_asked(gain: float) -> float:
+    """What screening must promise of an effect in the place of one that gains so much; −1: nothing.
+
+    A promise says little where little is gained: there every effect is fitted.
+    """
+    return POLICY.search.in_place_share * gain if gain > POLICY.search.in_place_all_up_to else -1.0
 
 
 def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> float:
@@ -82,7 +84,7 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
         rest = best - {effect}
         if rest in search.fits and rest not in search.children:
             gain = search.fits[rest][0].objective - here.objective
-            search = expand(search, work, rest, OUT_OF_REACH * gain if gain > ALL_UP_TO else -1.0)
+            search = expand(search, work, rest, promise_asked(gain))
         rivals = []
         for candidate in search.children.get(rest, ()):
             key = rest | {candidate.effect}
@@ -97,7 +99,7 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
             tied = cannot_be_told_apart(
                 behind,
                 missed=excess(problem, here.chi2),
-                sure=share >= SURE_SHARE,
+                share=share,
                 gain_over_special=here.objective - other.objective if general else None,
             )
             rivals.append(Rival(candidate.effect, key, behind, share, tied))

@@ -20,16 +20,9 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate, against_mean
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
-
-STRENGTHS = (0.1, 0.5, 1.5)
-MOST_FORMS = 6
-BEST_FORMS = 2
-ALWAYS_IN_FULL = 10.0
-"""Where no more than this is asked every form is tried: chance alone may decide there."""
-OUT_OF_REACH = 0.05
-"""Share of what is asked below which the typical form's gain rules out that another form reaches it."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +67,18 @@ def forms(axes: Sequence[Coordinate]) -> list[Array]:
         choices.append([o for o in options if low <= o <= high])
     every = [np.array(c) for c in itertools.islice(itertools.product(*choices), 200)]
     every.sort(key=lambda c: float(np.abs(c).sum()))
-    if len(every) <= MOST_FORMS:
+    if len(every) <= POLICY.screening.forms:
         return every
-    return [every[round(i * (len(every) - 1) / (MOST_FORMS - 1))] for i in range(MOST_FORMS)]
+    return [
+        every[round(i * (len(every) - 1) / (POLICY.screening.forms - 1))]
+        for i in range(POLICY.screening.forms)
+    ]
+
+
+def out_of_reach(gain: float, asked: float) -> bool:
+    """Whether the typical form's gain rules out that another form reaches what is asked."""
+    policy = POLICY.screening
+    return asked > policy.in_full_up_to and gain < policy.form_share * asked
 
 
 def _patterns(axes: Sequence[Coordinate]) -> list[list[int]]:
@@ -128,8 +130,8 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
                     scaled[i] = np.clip(scale * positions[i], low, high)
                 if abs(scale) > 0.02 and (scale > 0 or not all(own[i].one_sided for i in pattern)):
                     starts.append(Start(scaled, 0.9 * along**2 / size if size > 0 else 0.0))
-                if strength == STRENGTHS[0] and size > 0:
-                    here = STRENGTHS[0] / np.sqrt(size)
+                if strength == POLICY.screening.strengths[0] and size > 0:
+                    here = POLICY.screening.strengths[0] / np.sqrt(size)
                     if here < error:
                         error = here
                         estimate = (
@@ -140,14 +142,16 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     seen: list[tuple[float, int, Array, list[tuple[Array, Array]]]] = []
     for place, form in enumerate(forms(own)):
         begun = len(starts)
-        signatures = tried(form, STRENGTHS if place == 0 else STRENGTHS[1:2])
+        signatures = tried(
+            form, POLICY.screening.strengths if place == 0 else POLICY.screening.strengths[1:2]
+        )
         seen.append((max((s.gain for s in starts[begun:]), default=0.0), place, form, signatures))
-        if asked > ALWAYS_IN_FULL and seen[0][0] < OUT_OF_REACH * asked:
+        if out_of_reach(seen[0][0], asked):
             break
     seen.sort(key=lambda s: (-s[0], s[1]))
     for rank, (_, place, form, signatures) in enumerate(seen):
-        if rank < BEST_FORMS and place > 0:
-            signatures += tried(form, (STRENGTHS[0], *STRENGTHS[2:]))
+        if rank < POLICY.screening.forms_in_full and place > 0:
+            signatures += tried(form, (POLICY.screening.strengths[0], *POLICY.screening.strengths[2:]))
         if len(patterns) > 1 and signatures:
             starts += _joint(own, patterns, signatures, residual, form)
     starts.sort(key=lambda s: -s.gain)
@@ -170,7 +174,7 @@ def _joint(
 ) -> list[Start]:
     """Starts with all items at once: their signatures fitted together, at each strength."""
     found = []
-    for strength in STRENGTHS[:2]:
+    for strength in POLICY.screening.strengths[:2]:
         columns, places = [], []
         for pattern in patterns:
             near = [

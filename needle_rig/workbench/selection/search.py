@@ -22,8 +22,8 @@ from needle_rig.workbench.estimation.multistart import fit_without_derivatives, 
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Point, Problem
 from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import (
-    SIGNIFICANCE,
     chance,
     foretells,
     is_negligible,
@@ -34,19 +34,6 @@ from needle_rig.workbench.selection.screening import Preview, Start, beside, pre
 
 Array = npt.NDArray[np.float64]
 
-FRONTIER = 3
-FEWER_NAMED = 8.0
-"""Score that is given for a set in which fewer effects are large enough to be named."""
-ROUGH = 0.5
-"""First fits end when the next step would gain less than this."""
-PROMISING = 4.0
-"""First fits that gain more than this are refined."""
-MOST_SET_ASIDE = 2
-"""Negligible effects that are made nuisances."""
-IDLE = 1e-3
-"""Share of the smallest size that matters below which an effect has no size."""
-FAINT = 0.1
-"""Share of a large error that an effect must promise to earn a fit."""
 
 EffectSet = frozenset[str]
 
@@ -62,8 +49,8 @@ class Candidate:
 
 
 def penalty(problem: Problem) -> float:
-    """Price of one parameter in the objective: ln(5 · trials)."""
-    return float(np.log(5 * len(problem.trials)))
+    """Price of one parameter in the objective."""
+    return float(np.log(POLICY.search.price_times_trials * len(problem.trials)))
 
 
 def score(problem: Problem, found: Fit) -> float:
@@ -73,7 +60,13 @@ def score(problem: Problem, found: Fit) -> float:
 
 def refinable(problem: Problem, found: Fit) -> bool:
     """Whether a first fit ended early: one that misses by far ends where a refined one would."""
-    return LOOSE * excess(problem, found.objective) < 10 * ROUGH
+    return LOOSE * excess(problem, found.objective) < 10 * POLICY.search.rough
+
+
+def _worth_fitting(ahead: Preview) -> list[Start]:
+    """The best start, and those of the next two that promise half as much and more than chance."""
+    least = max(0.5 * ahead.gain, POLICY.search.promising)
+    return [*ahead.starts[:1], *(s for s in ahead.starts[1:3] if s.gain > least)]
 
 
 def try_effect(
@@ -85,8 +78,7 @@ def try_effect(
         return Candidate(effect, None, None, ahead)
     names = (*parent.effects, effect)
     axes = problem.axes(names)
-    starts = [*more, *ahead.starts[:1]]
-    starts += [s for s in ahead.starts[1:3] if s.gain > max(0.5 * ahead.gain, PROMISING)]
+    starts = [*more, *_worth_fitting(ahead)]
     best: Fit | None = None
     for start in starts:
         found = fit(
@@ -94,12 +86,12 @@ def try_effect(
             names,
             beside(problem, parent, axes, start.positions),
             nuisance=parent.nuisance,
-            enough=ROUGH,
+            enough=POLICY.search.rough,
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
     if best is not None and refinable(problem, best):
-        if parent.objective - best.objective > PROMISING:
+        if parent.objective - best.objective > POLICY.search.promising:
             best = fit(problem, names, best.point, nuisance=best.nuisance) or best
         best = through_valleys(problem, best)
     room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
@@ -109,7 +101,7 @@ def try_effect(
         idle = np.zeros(len(starts[0].positions))
         retry = fit(problem, names, beside(problem, parent, axes, idle), nuisance=parent.nuisance)
         hoped = parent.objective - 0.5 * ahead.gain
-        if ahead.gain > PROMISING and (retry is None or retry.objective > hoped):
+        if ahead.gain > POLICY.search.promising and (retry is None or retry.objective > hoped):
             retry = (
                 fit_without_derivatives(problem, names, beside(problem, parent, axes, starts[0].positions))
                 or retry
@@ -196,7 +188,9 @@ class SearchTrace:
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
         """Whether the child's extra effects are seen, and foretell what they have not seen."""
         (old, old_held), (new, new_held) = self.fits[parent], self.fits[child]
-        if chance(old, new, len(self.names)) >= SIGNIFICANCE or may_be_ours(self.problem, old, new):
+        if chance(old, new, len(self.names)) >= POLICY.evidence.significance or may_be_ours(
+            self.problem, old, new
+        ):
             return False
         if old_held is not None and not np.isfinite(old_held.error):
             return True  # a single command: nothing can be left out, and the report says so
@@ -245,27 +239,45 @@ def search(
         trace, options = _forward(trace, work, frontier)
         if not options:
             break
-        chosen, lowest = _chosen(trace, options), trace.score(options[0])
-        found = trace.fits[chosen][0]
-        small = [e for e in chosen - trace.best if is_negligible(found, e)]
-        if small and size_of(found, small[0]) < IDLE:
-            trace = take_out(trace, chosen, small[0])
+        chosen = _chosen(trace, options)
+        move, small = next_move(trace, chosen, max_effects)
+        if move == "take out":
+            trace = take_out(trace, chosen, small)
             frontier = [trace.best]
-            continue
-        if small and trace.best <= chosen and len(trace.negligible) < MOST_SET_ASIDE:
-            trace = set_aside(trace, work, chosen, small[0])
+        elif move == "set aside":
+            trace = set_aside(trace, work, chosen, small)
             frontier = [trace.best]
-            continue
-        if len(trace.named(chosen)) > max_effects or small:
+        elif move == "end":
             break
-        trace, best = _sideways(trace, work, chosen)
-        trace = dataclasses.replace(trace, best=best).stepped("forward")
-        spread = trace.score(trace.start) - lowest
-        near = [k for k in options if trace.score(k) < lowest + 0.6 * spread and k != best]
-        others = near if len(trace.named(best)) < max_effects else []
-        frontier = [best, *others[: FRONTIER - 1]]
+        else:
+            trace, best = _sideways(trace, work, chosen)
+            trace = dataclasses.replace(trace, best=best).stepped("forward")
+            frontier = _frontier(trace, options, max_effects)
     trace = _back(trace, work)
     return expand(trace, work, trace.best, _least(trace, trace.best))
+
+
+def next_move(
+    trace: SearchTrace, chosen: EffectSet, max_effects: int
+) -> tuple[Literal["take out", "set aside", "end", "forward"], str]:
+    """What to do with the best of the next sets, and its effect that is too small to matter ("": none)."""
+    found = trace.fits[chosen][0]
+    small = next((e for e in sorted(chosen - trace.best) if is_negligible(found, e)), "")
+    if small and size_of(found, small) < POLICY.search.no_size:
+        return "take out", small
+    if small and trace.best <= chosen and len(trace.negligible) < POLICY.search.set_aside:
+        return "set aside", small
+    return "end" if small or len(trace.named(chosen)) > max_effects else "forward", small
+
+
+def _frontier(trace: SearchTrace, options: Sequence[EffectSet], max_effects: int) -> list[EffectSet]:
+    """Where the search stands, and other sets that come near the best of the `options`."""
+    lowest = trace.score(options[0])
+    near = lowest + POLICY.search.frontier_share * (trace.score(trace.start) - lowest)
+    others = [k for k in options if trace.score(k) < near and k != trace.best]
+    if len(trace.named(trace.best)) >= max_effects:
+        others = []
+    return [trace.best, *others[: POLICY.search.frontier - 1]]
 
 
 def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) -> SearchTrace:
@@ -408,7 +420,12 @@ def _least(trace: SearchTrace, key: EffectSet) -> float:
     As long as most of the error is not explained, what promises next to nothing of it cannot be the next.
     """
     left = excess(trace.problem, trace.fits[key][0].objective)
-    return FAINT * left if key != trace.start and left > trace.problem.size else -1.0
+    return POLICY.search.faint_share * left if key != trace.start and left > trace.problem.size else -1.0
+
+
+def asked_beside(gain: float) -> float:
+    """What screening must promise on a set beside the best, where an effect gains `gain`."""
+    return max(POLICY.search.beside_gain, POLICY.search.frontier_share * gain)
 
 
 def _forward(
@@ -419,7 +436,7 @@ def _forward(
     fitted = [c.fit.objective for c in trace.children[frontier[0]] if c.fit is not None]
     for key in frontier[1:]:
         needed = trace.fits[key][0].objective - min(fitted, default=np.inf)
-        trace = expand(trace, work, key, max(12.0, 0.6 * needed))
+        trace = expand(trace, work, key, asked_beside(needed))
     size = len(trace.best) + 1
     options = [k for k in trace.fits if len(k) == size and trace.start <= k and trace.passes(trace.best, k)]
     return trace, sorted(options, key=trace.by_score)
@@ -428,8 +445,13 @@ def _forward(
 def _chosen(trace: SearchTrace, options: Sequence[EffectSet]) -> EffectSet:
     """The best set, or one that comes close with fewer effects to name."""
     best, *others = options
-    close = (k for k in others if trace.score(k) < trace.score(best) + FEWER_NAMED)
+    close = (k for k in others if trace.score(k) < trace.score(best) + POLICY.search.fewer_named)
     return next((k for k in close if len(trace.named(k)) < len(trace.named(best))), best)
+
+
+def clearly_lower(after: float, before: float) -> bool:
+    """Whether a score is lower by enough to take a relative in an effect's place."""
+    return after <= before - POLICY.search.relatives_gain
 
 
 def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTrace, EffectSet]:
@@ -453,7 +475,7 @@ def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTra
             k for k in trace.fits if len(k) == len(key) and len(k & key) == len(key) - 1 and trace.start <= k
         ]
         best = min([*near, key], key=trace.by_score)
-        if trace.score(best) > score(trace.problem, found) - 2.0:
+        if not clearly_lower(trace.score(best), score(trace.problem, found)):
             return trace, key
         key = best
     return trace, key

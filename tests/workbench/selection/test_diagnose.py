@@ -9,6 +9,7 @@ from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
 from needle_rig.workbench.estimation.baseline import prepare
 from needle_rig.workbench.parallel import workers
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.diagnose import diagnose
@@ -115,7 +116,8 @@ def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden, law
 
 
 def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
-    monkeypatch.setattr(diagnose_module, "MOST_AT_ANY_VALUE", 0)
+    none_at_any_value = dataclasses.replace(POLICY.verdict, at_any_value=0)
+    monkeypatch.setattr(diagnose_module, "POLICY", dataclasses.replace(POLICY, verdict=none_at_any_value))
     found = diagnose(dataset(effect("chuck_backlash", play_deg=14.0)), few("chuck_backlash", "torque_bias"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert "chuck_backlash play_deg = 14 °" in found.notes[-1]

@@ -1,0 +1,347 @@
+"""Every threshold that can change what a diagnosis says: value, reason, source, and the test that guards it.
+
+Tolerances of iterations and steps of derivatives are not here: they stand where they are used, and change an
+answer by less than its stated uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+TABLE = "judged by scripts/diagnosis_table: 920 datasets with known answers"
+CHOSEN = "chosen, not derived; " + TABLE
+
+
+def _threshold(value: Any, reason: str, source: str, guard: str) -> Any:
+    """A field with its value; `guard` names a test of tests/workbench that notices when it moves."""
+    return field(default=value, metadata={"reason": reason, "source": source, "guard": guard})
+
+
+_RULES = "selection/test_policy.py"
+_NOISE = "observations/test_policy.py"
+
+
+@dataclass(frozen=True)
+class NoisePolicy:
+    """What counts as noise."""
+
+    still_deg: float = _threshold(
+        0.12,
+        "a base that stays within this of where it ends holds still",
+        CHOSEN,
+        _NOISE,
+    )
+    outlier_sigmas: float = _threshold(
+        6.0,
+        "further from the median of its neighbours is an outlier: one Gaussian sample in 500 million",
+        "normal distribution",
+        _NOISE,
+    )
+    floor_deg: float = _threshold(
+        0.03,
+        "angles are compared no finer than the solver promises",
+        "solver.DEFAULT_TOLERANCE_RAD: 0.034°",
+        _NOISE,
+    )
+    floor_nmm: float = _threshold(
+        1.5e-4, "the same of the base torque", "0.03° over 220 mm of the shipped needle", _NOISE
+    )
+    correlation_gain: float = _threshold(
+        25.0,
+        "fall of the misfit of the autocovariance, in its own variances, that shows correlated noise (5σ)",
+        "white noise that is taken for correlated hides effects: only high odds count",
+        _NOISE,
+    )
+    clock_jitter_s: float = _threshold(
+        1e-3, "time between base and sensors varies from trial to trial by a tick of 1 kHz", CHOSEN, _NOISE
+    )
+    offset_sigmas: float = _threshold(
+        2.0,
+        "scatter of the rests beyond this many of its standard errors is an offset",
+        "95 %, two-sided",
+        _NOISE,
+    )
+    scatter: float = _threshold(0.025, "prior scatter of friction from trial to trial", CHOSEN, _NOISE)
+    scatter_dof: float = _threshold(
+        4.0,
+        "trials that the prior scatter is worth",
+        "weak: the replicates of one series outweigh it",
+        _NOISE,
+    )
+    motion_dof: float = _threshold(10.0, "differences of replicates that the floor is worth", CHOSEN, _NOISE)
+    straight_error_sigmas: float = _threshold(
+        5.0,
+        "discretisation error, in σ over all values, up to which one straight nuisance stands for it",
+        CHOSEN,
+        "estimation/test_policy.py",
+    )
+
+
+@dataclass(frozen=True)
+class ScreeningPolicy:
+    """Which starts are tried before an effect is fitted."""
+
+    strengths: tuple[float, float, float] = _threshold(
+        (0.1, 0.5, 1.5),
+        "sizes, in typical ones, at which an effect is simulated: dry friction answers differently to each",
+        "derivatives at 0 miss slip",
+        _RULES,
+    )
+    forms: int = _threshold(6, "values of form parameters that are tried at most", CHOSEN, _RULES)
+    forms_in_full: int = _threshold(2, "forms that are tried at every strength", CHOSEN, _RULES)
+    in_full_up_to: float = _threshold(
+        10.0,
+        "gain asked (−2 log posterior) up to which every form is tried: chance alone may decide there",
+        "the difference that ties two explanations",
+        _RULES,
+    )
+    form_share: float = _threshold(
+        0.05,
+        "share of the gain asked below which the typical form rules out that another form reaches it",
+        CHOSEN,
+        _RULES,
+    )
+
+
+@dataclass(frozen=True)
+class SearchPolicy:
+    """Which sets of effects are fitted, and which is chosen."""
+
+    price_times_trials: float = _threshold(
+        5.0,
+        "one parameter costs ln(5 T) with T trials of five motions",
+        "the Bayesian information criterion with motions for observations",
+        _RULES,
+    )
+    frontier: int = _threshold(
+        3, "sets that are followed side by side", "the first effect may be half of a pair", _RULES
+    )
+    frontier_share: float = _threshold(
+        0.6, "share of the best set's gain within which another set is followed, too", TABLE, _RULES
+    )
+    fewer_named: float = _threshold(
+        8.0, "score that is given for a set with fewer effects to name", "odds of e⁴ = 55 to 1", _RULES
+    )
+    rough: float = _threshold(
+        0.5,
+        "gain of the next step at which a first fit ends",
+        "below the price of a parameter, ln 5 at least",
+        _RULES,
+    )
+    promising: float = _threshold(4.0, "gain of a first fit that is refined (2σ)", "95 %", _RULES)
+    set_aside: int = _threshold(2, "effects too small to matter that are made nuisances", CHOSEN, _RULES)
+    no_size: float = _threshold(
+        1e-3,
+        "share of the smallest size that matters below which an effect has no size",
+        "below the derivatives' step, posterior.STEP",
+        _RULES,
+    )
+    above_noise_sigmas: float = _threshold(
+        5.0,
+        "an objective this many of its standard deviations above the noise misses something",
+        CHOSEN,
+        _RULES,
+    )
+    faint_share: float = _threshold(
+        0.1, "share of an error far above the noise that screening must promise for a fit", TABLE, _RULES
+    )
+    beside_gain: float = _threshold(
+        12.0,
+        "gain that screening must promise for a fit on a set that is not the best",
+        "above `ties.close`",
+        _RULES,
+    )
+    relatives_gain: float = _threshold(
+        2.0,
+        "gain in score from which a set with a relative in an effect's place is taken",
+        "odds of e to 1",
+        _RULES,
+    )
+    in_place_all_up_to: float = _threshold(
+        100.0, "gain of an effect up to which every other is fitted in its place", "10σ", _RULES
+    )
+    in_place_share: float = _threshold(
+        0.25,
+        "above it, share of that gain which screening must promise",
+        "what fitted as well promised 0.7 and more; " + TABLE,
+        _RULES,
+    )
+
+
+@dataclass(frozen=True)
+class EvidencePolicy:
+    """What the gain of one more effect is worth."""
+
+    significance: float = _threshold(
+        0.01,
+        "largest p, adjusted over the library, at which an effect counts as seen",
+        "the usual level; Šidák's adjustment keeps it over the library",
+        _RULES,
+    )
+    relieved_pull: float = _threshold(
+        9.0,
+        "fall of the squared prior pull that stands in for a gain on commands left out",
+        "3σ",
+        "selection/test_evidence.py",
+    )
+    held_out_rise: float = _threshold(
+        1.02,
+        "as long as the error left out rises by no more than this factor",
+        CHOSEN,
+        "selection/test_evidence.py",
+    )
+    discretisation_margin: float = _threshold(
+        3.0, "a change of less than this many times our own error along it may be that error", CHOSEN, _RULES
+    )
+    seen_information: float = _threshold(
+        1.0,
+        "information on a parameter, scaled to its typical size, above which it is a degree of freedom",
+        "a standard deviation of one typical size",
+        _RULES,
+    )
+    limit_sigmas: float = _threshold(
+        1.645, "upper end of a size's one-sided 95 % range", "normal quantile", _RULES
+    )
+
+
+@dataclass(frozen=True)
+class TiePolicy:
+    """When two explanations cannot be told apart."""
+
+    close: float = _threshold(
+        10.0,
+        "difference of −2 log posterior within which two explanations tie",
+        "odds of e⁵ = 148 to 1",
+        _RULES,
+    )
+    unsure: float = _threshold(
+        3.0, "times that, where reweighting the trials changes which is ahead", CHOSEN, _RULES
+    )
+    sure_share: float = _threshold(
+        0.8, "share of reweightings in which the better of two stays ahead if it surely is", CHOSEN, _RULES
+    )
+
+
+@dataclass(frozen=True)
+class SizePolicy:
+    """A change of the readings that matters: the largest, and the root mean square of the same change.
+
+    Effects' smallest sizes (`ParameterInfo.smallest`) are such largest changes in Reed's sequence. The root
+    mean square of the same changes over a trial is smaller, as most act on a part of it only.
+    """
+
+    largest_deg: float = _threshold(
+        0.5,
+        "an angle off by this counts",
+        "a tenth of sequence.aligned_deg of a rig file",
+        "../effects/test_contract.py",
+    )
+    largest_nmm: float = _threshold(0.002, "torque of 0.5° of lag", "the same", "../effects/test_contract.py")
+    rms_deg: float = _threshold(
+        0.12,
+        "root mean square of the same over a trial",
+        "below the median of the library's effects: 0.19°",
+        _RULES,
+    )
+    rms_nmm: float = _threshold(
+        0.0008,
+        "root mean square of the same over a trial",
+        "below the median of the library's effects: 0.0009",
+        _RULES,
+    )
+    percent: float = _threshold(
+        2.0, "friction or rigidity off by this", "moves a windup torque of 0.1 N·mm by `largest_nmm`", _RULES
+    )
+
+    def small(self, rms: float, unit: str) -> bool:
+        """Whether a change of this root mean square, in °, N·mm or %, does not matter."""
+        return rms <= {"°": self.rms_deg, "N·mm": self.rms_nmm, "%": self.percent}[unit]
+
+
+@dataclass(frozen=True)
+class VerdictPolicy:
+    """When an answer explains the data."""
+
+    pattern_significance: float = _threshold(
+        1e-3,
+        "p, over all signatures, of a pattern in what is left",
+        "one false unknown in a thousand",
+        _RULES,
+    )
+    trend_significance: float = _threshold(
+        1e-4,
+        "p of a trend in the trials' friction: an effect that tells of it is to be named first",
+        "a hundredth of `evidence.significance`, for a library of about 20",
+        _RULES,
+    )
+    patterns: int = _threshold(5, "patterns that are told", CHOSEN, _RULES)
+    lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)
+    explained_share: float = _threshold(
+        0.8, "share of the explainable error below which effects do not explain it", TABLE, _RULES
+    )
+    reached: float = _threshold(
+        1.1,
+        "error on commands left out, in units of the noise, above which something is left: 20 % in variance",
+        TABLE,
+        _RULES,
+    )
+    at_any_value: int = _threshold(
+        2,
+        "effects that may be named together whatever their values: more can stand for anything",
+        TABLE,
+        _RULES,
+    )
+    degrees_left: float = _threshold(
+        0.5,
+        "degrees of freedom that settled values must leave for a fit to say something",
+        "whole numbers but for priors",
+        _RULES,
+    )
+
+
+@dataclass(frozen=True)
+class Policy:
+    """All of them."""
+
+    noise: NoisePolicy = NoisePolicy()
+    screening: ScreeningPolicy = ScreeningPolicy()
+    search: SearchPolicy = SearchPolicy()
+    evidence: EvidencePolicy = EvidencePolicy()
+    ties: TiePolicy = TiePolicy()
+    size: SizePolicy = SizePolicy()
+    verdict: VerdictPolicy = VerdictPolicy()
+
+    def as_json(self) -> dict[str, dict[str, Any]]:
+        """Values by group and name."""
+        return {
+            group.name: {
+                f.name: getattr(getattr(self, group.name), f.name) for f in fields(getattr(self, group.name))
+            }
+            for group in fields(self)
+        }
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """One of them as a row of a table."""
+
+    group: str
+    name: str
+    value: Any
+    reason: str
+    source: str
+    guard: str
+
+
+def thresholds(policy: Policy) -> Iterator[Threshold]:
+    """Every threshold of a policy."""
+    for group in fields(policy):
+        part = getattr(policy, group.name)
+        assert is_dataclass(part)
+        for each in fields(part):
+            yield Threshold(group.name, each.name, getattr(part, each.name), **each.metadata)
+
+
+POLICY = Policy()

@@ -1,0 +1,95 @@
+"""The verdict: a list of named rules, each of which says why an answer does not explain the data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.lack_of_fit import LackOfFit
+from needle_rig.workbench.selection.residual_patterns import Leftover
+
+Verdict = Literal["none", "effect", "unknown"]
+"""Nothing is missing, the named effects are, or something that they are not."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the rules judge: the effects that a search names, and what they leave."""
+
+    named: tuple[str, ...]
+    left: Leftover
+    lack: LackOfFit | None
+    explained_share: float
+    held_out_error: float
+    """In units of the noise."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A rule that found something unexplained, in words."""
+
+    rule: str
+    sentence: str
+
+    def as_json(self) -> dict[str, str]:
+        """As it stands in the JSON answer."""
+        return {"rule": self.rule, "sentence": self.sentence}
+
+
+def pattern_matters(found: Findings) -> str | None:
+    """A significant pattern in what is left is large enough to matter."""
+    matters = [p for p in found.left.patterns if not POLICY.size.small(p.size, p.unit)]
+    return f"what is left is large enough to matter: {matters[0].sentence()}" if matters else None
+
+
+def little_explained(found: Findings) -> str | None:
+    """The named effects take too little of what can be explained."""
+    if not found.named or not found.left.significant:
+        return None
+    least = POLICY.verdict.explained_share
+    if found.explained_share >= least:
+        return None
+    return (
+        f"{' with '.join(found.named)} takes {100 * found.explained_share:.0f} % of what can be explained,"
+        f" less than {100 * least:.0f} %"
+    )
+
+
+def noise_not_reached(found: Findings) -> str | None:
+    """With the named effects commands left out are not foretold to within the noise."""
+    if not found.named or not found.left.significant or found.held_out_error <= POLICY.verdict.reached:
+        return None
+    return (
+        f"with {' and '.join(found.named)} the error on commands left out is {found.held_out_error:.2f} × the"
+        f" noise, more than {POLICY.verdict.reached:g}"
+    )
+
+
+def replicates_agree_on_more(found: Findings) -> str | None:
+    """Replicates share a misfit that matters, and no effect is named for it."""
+    lack = found.lack
+    if found.named or lack is None or not lack.significant or POLICY.size.small(lack.size, lack.unit):
+        return None
+    return f"replicates share what the model lacks: {lack.sentence()}"
+
+
+RULES: tuple[Callable[[Findings], str | None], ...] = (
+    pattern_matters,
+    little_explained,
+    noise_not_reached,
+    replicates_agree_on_more,
+)
+"""Each gives a sentence, or None where it finds nothing unexplained. Their names stand in the JSON answer."""
+
+
+def reasons(found: Findings) -> tuple[Reason, ...]:
+    """What the rules say."""
+    said = ((rule.__name__, rule(found)) for rule in RULES)
+    return tuple(Reason(name, sentence) for name, sentence in said if sentence is not None)
+
+
+def verdict(named: Sequence[str], why: Sequence[Reason]) -> Verdict:
+    """Unknown when a rule found something unexplained."""
+    return "unknown" if why else "effect" if named else "none"

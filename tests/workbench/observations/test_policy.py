@@ -1,0 +1,98 @@
+"""A row on either side of every threshold of the noise. Numbers are typed here on purpose."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from needle_rig.units import deg, nmm, rad
+from needle_rig.workbench.observations.binning import bin_trial, motions_of, set_aside
+from needle_rig.workbench.observations.noise import (
+    _rest_offsets,
+    _split,
+    floors,
+    measure_noise,
+    replicate_groups,
+    with_replicate_scatter,
+)
+from tests.workbench.hidden import dataset
+
+
+@pytest.fixture(scope="module")
+def binned():
+    return tuple(bin_trial(t) for t in dataset().trials)
+
+
+@pytest.mark.parametrize(("drift_deg", "stop"), [(0.08, 1), (0.17, 50)])
+def test_a_base_within_an_eighth_of_a_degree_holds_still(drift_deg, stop):
+    base_rad = rad(np.r_[5.0, np.full(49, drift_deg), np.zeros(150)])
+    ((_, found, _),) = motions_of(base_rad, np.full(200, "hold"))
+    assert found == stop
+
+
+@pytest.mark.parametrize(("sigmas", "outlier"), [(7.0, False), (11.0, True)])
+def test_an_outlier_lies_far_from_its_neighbours(sigmas, outlier):
+    values = np.random.default_rng(1).standard_normal(400)
+    values[200] = sigmas
+    assert bool(set_aside(values)[2][200]) is outlier
+
+
+def test_floors_are_what_the_solver_promises():
+    assert nmm(floors(3)[0]) == pytest.approx(1.5e-4)
+    assert deg(floors(3)[1]) == pytest.approx(0.03)
+
+
+def test_what_is_assumed_before_any_replicate(binned):
+    noise = measure_noise(dataset().trials, binned)
+    assert (noise.jitter_s, noise.scatter, noise.scatter_dof) == (1e-3, 0.025, 4.0)
+
+
+def _slow_noise(size: float) -> list[np.ndarray]:
+    random = np.random.default_rng(5)
+    pieces = []
+    for _ in range(6):
+        slow = np.zeros(160)
+        for i in range(1, 160):
+            slow[i] = 0.9 * slow[i - 1] + np.sqrt(0.19) * random.standard_normal()
+        pieces.append(random.standard_normal(160) + size * slow)
+    return pieces
+
+
+@pytest.mark.parametrize(("size", "seen"), [(0.22, False), (0.33, True)])
+def test_noise_is_correlated_only_at_high_odds(size, seen):
+    assert (_split(_slow_noise(size), 0.01)[1] > 0.0) is seen
+
+
+@pytest.mark.parametrize(("times", "seen"), [(1.4, False), (2.8, True)])
+def test_offsets_must_stand_out_of_the_scatter_of_the_rests(binned, times, seen):
+    rests = [b for b in binned if b.motion[0] == 0]
+    parts = np.tile([1.0, 0.0, 0.1], (5, 1))
+    each = []
+    shifts = np.array([1.0, -1.0, -1.0, 1.0, 0.0])
+    for k, b in enumerate(rests):
+        rest = (b.motion == 0) & ~b.moving
+        count = b.count[:, rest].sum(1)[:, None]
+        variance = 1.0 / count
+        excess = variance * (1.0 + times * np.sqrt(2.0 / 3.0))
+        scale = np.sqrt(excess * 3.0 / (shifts**2).sum())
+        each.append(dataclasses.replace(b, mean=np.broadcast_to(scale * shifts[k], b.mean.shape)))
+    floor = np.full(5, 1e-9)
+    found = _rest_offsets(each, parts, floor)
+    assert bool(np.all(found > 1e-6)) is seen
+
+
+def test_the_floor_of_motions_is_worth_ten_differences(binned):
+    noise = dataclasses.replace(
+        measure_noise(dataset().trials, binned), white=np.full(5, 1e-12), offset=np.zeros(5)
+    )
+    noise = dataclasses.replace(noise, correlated=np.zeros(5))
+    groups = replicate_groups([b.command for b in binned])
+    residuals = [np.full(b.mean.shape, float(k)) for k, b in enumerate(binned)]
+    found = with_replicate_scatter(noise, binned, residuals, groups)
+    group = next(g for g in groups if len(g) > 1)
+    motions = min(len(binned[i].motions) for i in group) - 1
+    total = motions * (len(group) - 1) * np.var(group, ddof=1)
+    dof = motions * (len(group) - 1)
+    assert found.motion[0] ** 2 == pytest.approx(total / (10.0 + dof), rel=1e-3)

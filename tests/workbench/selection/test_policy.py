@@ -1,0 +1,341 @@
+"""A row on either side of every threshold that carries a verdict. Numbers are typed here on purpose."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import chdtri
+
+from needle_rig.physics.library import built_in_effects
+from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.linear import LinearisedFit
+from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.policy import POLICY, Policy, thresholds
+from needle_rig.workbench.published.search import Candidate as SettledCandidate
+from needle_rig.workbench.selection import screening, search
+from needle_rig.workbench.selection.decisions import _decision
+from needle_rig.workbench.selection.diagnose import _contrived
+from needle_rig.workbench.selection.evidence import chance, may_be_ours
+from needle_rig.workbench.selection.lack_of_fit import LackOfFit
+from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern, find_leftover, limit_sigmas
+from needle_rig.workbench.selection.rivals import cannot_be_told_apart, promise_asked
+from needle_rig.workbench.selection.screening import Preview, Start, forms, out_of_reach, preview
+from needle_rig.workbench.selection.search import (
+    SearchTrace,
+    asked_beside,
+    clearly_lower,
+    next_move,
+    penalty,
+    refinable,
+)
+from needle_rig.workbench.selection.verdict import Findings, reasons, verdict
+from tests.workbench.hidden import dataset, effect, few
+
+WORKBENCH_TESTS = Path(__file__).resolve().parents[1]
+
+
+def fit(**known: Any) -> Any:
+    """A stand-in for a fit, with what a rule looks at."""
+    point = SimpleNamespace(trial_friction=np.zeros(1))
+    common: dict[str, Any] = {"objective": 0.0, "rank": 0, "scatter": 0.025, "scatter_dof": 9.0, "axes": ()}
+    return SimpleNamespace(**{**common, "effects": (), "pull_rigidity": 0.0, "point": point, **known})
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    return prepare(dataset(seed=21), None, few())
+
+
+def test_every_threshold_says_why_and_names_a_test_that_is_there():
+    rows = list(thresholds(POLICY))
+    assert len(rows) > 45
+    for row in rows:
+        assert row.reason
+        assert row.source
+        assert (WORKBENCH_TESTS / row.guard).exists(), row
+
+
+def test_the_policy_is_printed_as_plain_values():
+    shown = Policy().as_json()
+    assert shown["evidence"]["significance"] == 0.01
+    assert sum(len(group) for group in shown.values()) == len(list(thresholds(Policy())))
+
+
+@pytest.mark.parametrize(("p", "passes"), [(0.006, True), (0.017, False)])
+def test_an_effect_is_seen_at_one_percent_over_the_library(p, passes):
+    names = tuple("abcdefghij")
+    single = 1.0 - (1.0 - p) ** (1.0 / len(names))
+    parent, child = fit(objective=float(chdtri(1, 2.0 * single))), fit()
+    assert chance(parent, child, len(names)) == pytest.approx(p, rel=1e-6)
+    problem = SimpleNamespace(nuisance=(np.zeros((1, 0)),))
+    held = HeldOut(1.0, 10.0, ()), HeldOut(1.0, 0.0, ())
+    fits = {frozenset(): (parent, held[0]), frozenset("a"): (child, held[1])}
+    trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem)
+    assert SearchTrace.passes(trace, frozenset(), frozenset("a")) is passes
+
+
+@pytest.mark.parametrize(("change", "ours"), [(2.4, True), (3.6, False)])
+def test_a_change_of_three_times_our_own_error_is_not_ours(change, ours):
+    problem: Any = SimpleNamespace(nuisance=(np.array([[1.0], [0.0]]),))
+    parent, child = fit(residuals=(np.array([change, 0.0]),)), fit(residuals=(np.zeros(2),))
+    assert may_be_ours(problem, parent, child) is ours
+
+
+@pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
+def test_a_size_is_limited_at_its_one_sided_95_percent(prepared, error_share, decision):
+    (axis,) = prepared.problem.axes(["torque_bias"])
+    error = axis.smallest / 1.645 * error_share
+    point = SimpleNamespace(positions=np.zeros(1))
+    found = fit(axes=(axis,), point=point, position_error=np.array([error]))
+    assert _decision("torque_bias", found, None).decision == decision
+
+
+@pytest.mark.parametrize(("information", "seen"), [(0.7, 1), (1.4, 2)])
+def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(prepared, information, seen):
+    problem = prepared.problem
+    axes = problem.axes(["torque_bias", "tip_friction"])
+    rows = [np.zeros(w.channel.size) for w in problem.whiteners]
+    jacobians = [np.zeros((r.size, 5)) for r in rows]
+    for jacobian in jacobians:
+        jacobian[0, 0] = jacobian[1, 1] = jacobian[2, 4] = jacobian[3, 2] = 1e3
+    jacobians[0][4, 3] = np.sqrt(information)
+    x = np.r_[np.log(1e-3), np.log(problem.base.torsional_rigidity_nm2), 0.0, 0.0, np.zeros(len(rows))]
+    x = np.r_[x, np.zeros(problem.nuisance[0].shape[1])]
+    assert LinearisedFit.at(problem, axes, x, rows, jacobians, 1600.0).rank == seen
+
+
+@pytest.mark.parametrize(
+    ("behind", "share", "tied"),
+    [(7.0, 1.0, True), (14.0, 1.0, False), (21.0, 0.5, True), (42.0, 0.5, False), (20.0, 0.7, True),
+     (20.0, 0.9, False)],
+)  # fmt: skip
+def test_what_ties(behind, share, tied):
+    assert cannot_be_told_apart(behind, share=share) is tied
+
+
+def test_a_parameter_costs_the_logarithm_of_five_times_the_trials():
+    problem: Any = SimpleNamespace(trials=[None] * 4)
+    assert penalty(problem) == pytest.approx(np.log(20.0))
+
+
+@pytest.mark.parametrize(("gain", "asked"), [(70.0, -1.0), (140.0, 35.0)])
+def test_in_the_place_of_a_large_gain_a_quarter_must_be_promised(gain, asked):
+    assert promise_asked(gain) == asked
+
+
+@pytest.mark.parametrize(("gain", "asked"), [(10.0, 12.0), (40.0, 24.0)])
+def test_beside_the_best_set_more_than_a_tie_must_be_promised(gain, asked):
+    assert asked_beside(gain) == pytest.approx(asked)
+
+
+@pytest.mark.parametrize(("lower_by", "clearly"), [(1.4, False), (2.8, True)])
+def test_a_relative_takes_a_place_for_odds_of_e(lower_by, clearly):
+    assert clearly_lower(10.0 - lower_by, 10.0) is clearly
+
+
+@pytest.mark.parametrize(("above", "refined"), [(1700.0, True), (3400.0, False)])
+def test_first_fits_that_ended_early_are_refined(above, refined):
+    problem: Any = SimpleNamespace(size=200)
+    value = 200 + 5.0 * np.sqrt(400.0) + above
+    assert bool(refinable(problem, fit(objective=value))) is refined
+
+
+@pytest.mark.parametrize(("sigmas", "above"), [(4.0, 0.0), (7.0, 2.0 * np.sqrt(400.0))])
+def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas, above):
+    problem: Any = SimpleNamespace(size=200)
+    assert excess(problem, 200 + sigmas * np.sqrt(400.0)) == pytest.approx(above)
+
+
+@pytest.mark.parametrize(("second", "fitted"), [(3.5, 1), (5.0, 2)])
+def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second, fitted):
+    starts = Start(np.zeros(1), 6.0), Start(np.ones(1), second)
+    assert len(search._worth_fitting(Preview("x", 6.0, starts, 1.0, 0.0))) == fitted
+
+
+class Trace(SimpleNamespace):
+    """A stand-in for a search's trace: scores by set, and the effects that are named."""
+
+    def score(self, key):
+        return self.scores[key]
+
+    def by_score(self, key):
+        return self.scores[key], sorted(key)
+
+    def named(self, key):
+        return sorted(key & self.large)
+
+
+def sets(*words):
+    return [frozenset(word) for word in words]
+
+
+def test_three_sets_within_six_tenths_of_the_gain_are_followed():
+    a, b, c, d, e = options = sets("a", "b", "c", "d", "e")
+    scores = {frozenset(): 100.0, a: 0.0, b: 50.0, c: 55.0, d: 57.0, e: 65.0}
+    trace: Any = Trace(scores=scores, start=frozenset(), best=a, large=frozenset("abcde"))
+    assert search._frontier(trace, options, 3) == [a, b, c]
+    assert search._frontier(trace, [a, b, e], 3) == [a, b]
+    assert search._frontier(trace, options, 1) == [a]
+
+
+@pytest.mark.parametrize(("behind", "taken"), [(5.0, "b"), (11.0, "a")])
+def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind, taken):
+    a, b = options = sets("a", "b")
+    trace: Any = Trace(scores={a: 0.0, b: behind}, large=a)
+    assert search._chosen(trace, options) == frozenset(taken)
+
+
+@pytest.mark.parametrize(
+    ("size", "set_aside_before", "move"),
+    [(0.7e-3, 0, "take out"), (1.4e-3, 0, "set aside"), (0.5, 1, "set aside"), (0.5, 2, "end"),
+     (1.5, 0, "forward")],
+)  # fmt: skip
+def test_what_becomes_of_an_effect_that_is_too_small(prepared, size, set_aside_before, move):
+    (axis,) = prepared.problem.axes(["torque_bias"])
+    found = fit(axes=(axis,), point=SimpleNamespace(positions=np.array([size * axis.smallest])))
+    key = frozenset(["torque_bias"])
+    negligible = dict.fromkeys(range(set_aside_before))
+    large = key if size >= 1.0 else frozenset()
+    trace: Any = Trace(fits={key: (found, None)}, best=frozenset(), negligible=negligible, large=large)
+    assert next_move(trace, key, 3)[0] == move
+
+
+@pytest.mark.parametrize(("above", "share"), [(0.0, None), (300.0, 0.1)])
+def test_where_much_is_missed_a_tenth_of_it_must_be_promised(above, share):
+    problem = SimpleNamespace(size=200)
+    key = frozenset("a")
+    found = fit(objective=200 + 5.0 * np.sqrt(400.0) + above)
+    trace: Any = SimpleNamespace(problem=problem, fits={key: (found, None)}, start=frozenset())
+    assert search._least(trace, key) == pytest.approx(-1.0 if share is None else share * above)
+
+
+@pytest.mark.parametrize(
+    ("gain", "asked", "given_up"),
+    [(0.1, 7.0, False), (0.1, 14.0, True), (3.0, 100.0, True), (7.0, 100.0, False)],
+)
+def test_forms_are_given_up_when_the_typical_one_promises_a_twentieth(gain, asked, given_up):
+    assert out_of_reach(gain, asked) is given_up
+
+
+def test_an_effect_is_simulated_at_three_sizes_and_few_forms(prepared, monkeypatch):
+    tried: list[np.ndarray] = []
+    monkeypatch.setattr(screening, "signature", lambda *given: tried.append(given[-1]))
+    problem = dataclasses.replace(prepared.problem, library=built_in_effects())
+    preview(problem, prepared.present, "tissue_elasticity")
+    assert np.ravel(tried) == pytest.approx([0.1, 0.5, 1.5])
+    tried.clear()
+    preview(problem, prepared.present, "tissue_viscoelasticity")
+    every = len(forms(problem.axes(["tissue_viscoelasticity"])))
+    assert every == 6
+    # the typical form and the best other one at three sizes, the rest at one
+    assert len({tuple(t) for t in tried}) == every + 2 * 2
+
+
+def left(size=1.0, unit="°"):
+    return Leftover((Pattern("torque", "is off by a constant", 9.0, size, unit, 1.0),), 81.0)
+
+
+NOTHING_LEFT = Leftover((), 0.0)
+
+
+def lack(p=1e-6, size=1.0):
+    return LackOfFit(9.0, 10, 20, p, "torque once settled", size, "°")
+
+
+@pytest.mark.parametrize(
+    ("found", "fired"),
+    [
+        (Findings((), NOTHING_LEFT, None, 1.0, 1.0), []),
+        (Findings(("a",), NOTHING_LEFT, None, 0.1, 9.0), []),
+        (Findings((), left(0.09), None, 0.0, 1.0), []),
+        (Findings((), left(0.16), None, 0.0, 1.0), ["pattern_matters"]),
+        (Findings((), left(0.0006, "N·mm"), None, 0.0, 1.0), []),
+        (Findings((), left(0.0011, "N·mm"), None, 0.0, 1.0), ["pattern_matters"]),
+        (Findings((), left(1.5, "%"), None, 0.0, 1.0), []),
+        (Findings((), left(2.8, "%"), None, 0.0, 1.0), ["pattern_matters"]),
+        (Findings(("a",), left(0.01), None, 0.85, 1.0), []),
+        (Findings(("a",), left(0.01), None, 0.75, 1.0), ["little_explained"]),
+        (Findings(("a",), left(0.01), None, 0.99, 1.07), []),
+        (Findings(("a",), left(0.01), None, 0.99, 1.13), ["noise_not_reached"]),
+        (Findings((), NOTHING_LEFT, lack(), 1.0, 1.0), ["replicates_agree_on_more"]),
+        (Findings((), NOTHING_LEFT, lack(size=0.09), 1.0, 1.0), []),
+        (Findings((), NOTHING_LEFT, lack(p=0.017), 1.0, 1.0), []),
+        (Findings((), NOTHING_LEFT, lack(p=0.006), 1.0, 1.0), ["replicates_agree_on_more"]),
+        (Findings(("a",), NOTHING_LEFT, lack(), 1.0, 1.0), []),
+        (
+            Findings(("a",), left(), None, 0.5, 3.0),
+            ["pattern_matters", "little_explained", "noise_not_reached"],
+        ),
+    ],
+)
+def test_which_rules_find_something_unexplained(found, fired):
+    why = reasons(found)
+    assert [r.rule for r in why] == fired
+    assert all(r.sentence for r in why)
+    assert verdict(found.named, why) == ("unknown" if fired else "effect" if found.named else "none")
+
+
+def test_patterns_and_trends_must_be_far_beyond_chance():
+    assert limit_sigmas(POLICY.verdict.pattern_significance, 1) == pytest.approx(3.29, abs=0.01)
+    assert limit_sigmas(POLICY.verdict.pattern_significance, 200) == pytest.approx(4.57, abs=0.02)
+    assert limit_sigmas(POLICY.verdict.trend_significance, 2) == pytest.approx(4.06, abs=0.01)
+
+
+def test_five_patterns_are_told():
+    data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
+    there = prepare(data, None, few("torque_bias"))
+    told = find_leftover(there.problem, there.present, data.sensor_names).patterns
+    assert len([p for p in told if p.channel != "the trials' friction"]) == 5
+
+
+@pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
+def test_more_than_two_effects_are_named_with_plausible_values_only(prepared, count, described_only):
+    names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
+    axes = prepared.problem.axes(names)
+    point = SimpleNamespace(positions=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in axes]))
+    found = fit(axes=axes, point=point, position_error=np.ones(len(axes)))
+    trace: Any = SimpleNamespace(best=frozenset(names), fits={frozenset(names): (found, None)})
+    assert bool(_contrived(trace, names)) is described_only
+
+
+@pytest.mark.parametrize(("freedom", "testable"), [(0.35, False), (0.7, True)])
+def test_settled_values_must_leave_half_a_degree_of_freedom(freedom, testable):
+    found: Any = SimpleNamespace(freedom=freedom)
+    assert SettledCandidate("x", found, 1.0).testable is testable
+
+
+def _smallest(axis):
+    """Position at which an effect begins to matter; of several items the first."""
+    if axis.info.shapes or axis.item not in (None, 0):
+        return 0.0
+    return float(np.clip(axis.position(axis.info.smallest), *axis.bounds))
+
+
+def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(prepared):
+    """The same size, measured over whole trials: between the quartiles of what the library's effects do."""
+    problem, present = prepared.problem, prepared.present
+    here = problem.predict(present.axes, present.point)
+    angles_deg, torques_nmm = [], []
+    for name in few():
+        own = problem.axes([name])
+        at = np.array([_smallest(a) for a in own])
+        there = problem.predict((*present.axes, *own), screening.beside(problem, present, own, at))
+        change = [x - y for x, y in zip(there, here, strict=True)]
+        rms = [float(np.sqrt(np.mean(np.concatenate([c[k] for c in change]) ** 2))) for k in range(5)]
+        torques_nmm.append(rms[0] * 1e3)
+        angles_deg.append(float(np.degrees(max(rms[1:]))))
+    shown_deg = [a for a in angles_deg if a > 0.02]
+    shown_nmm = [t for t in torques_nmm if t > 1e-4]
+    assert min(shown_deg) * 0.7 < POLICY.size.rms_deg < np.median(shown_deg)
+    assert min(shown_nmm) * 0.7 < POLICY.size.rms_nmm < 1.3 * np.median(shown_nmm)
+
+
+def test_a_threshold_cannot_be_changed_in_passing():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        POLICY.ties.close = 1.0  # type: ignore[misc]
