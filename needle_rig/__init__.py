@@ -11,6 +11,7 @@ from needle_rig.version import VERSION
 
 if TYPE_CHECKING:
     from needle_rig.notebook import (
+        add_effect,
         adopt,
         compare,
         diagnose,
@@ -22,7 +23,17 @@ if TYPE_CHECKING:
     )
 
 __version__ = VERSION
-__all__ = ["adopt", "compare", "diagnose", "plan", "read_dataset", "read_model", "read_run", "simulate"]
+__all__ = [
+    "add_effect",
+    "adopt",
+    "compare",
+    "diagnose",
+    "plan",
+    "read_dataset",
+    "read_model",
+    "read_run",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:

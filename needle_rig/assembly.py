@@ -13,6 +13,7 @@ from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import RigFault
 from needle_rig.service.clock import Clock, TimerClock, VirtualClock
 from needle_rig.service.daemon import Daemon, Parts
+from needle_rig.service.logbook import Logbook
 from needle_rig.service.notify import Notify
 from needle_rig.service.realtime import make_steady
 from needle_rig.service.thinker import Thinker
@@ -41,30 +42,38 @@ def build_daemon(
     runs: Path | None = None,
     model: NeedleModel | None = None,
     trust: Trust | None = None,
+    resident: bool = False,
 ) -> Daemon:
     """The daemon of a rig file.
 
     `virtual` puts the plant, behind its nodes' firmware where the rig file asks for it, in the rig's place
     and lets time pass as fast as it can. `runs` stands in for the configured folder. `model` is what planning
-    strategies know of the needle, `trust` how well. Raises BadInput.
+    strategies know of the needle, `trust` how well. A `resident` one outlives its rig, which
+    need not be there at the start.
+    Raises BadInput.
     """
     period_s = 1.0 / config.tick_hz
     folder = Path(config.recording.directory) if runs is None else runs
-    make_parts = _virtual_parts if virtual else _real_parts
-    parts = make_parts(config, model, trust, period_s)
-    return Daemon(parts, folder, Notify())
+    if virtual:
+        parts = _virtual_parts(config, model, trust, period_s)
+    else:
+        parts = _real_parts(config, model, trust, period_s, resident=resident)
+    return Daemon(parts, folder, Notify(), Logbook.of_service())
 
 
-def _real_parts(config: RigConfig, model: NeedleModel | None, trust: Trust | None, period_s: float) -> Parts:
+def _real_parts(
+    config: RigConfig, model: NeedleModel | None, trust: Trust | None, period_s: float, *, resident: bool
+) -> Parts:
     # imported now: looking for strategies within a run would hold up the tick
     find_strategies()
     thinker = Thinker()
     return Parts(
         config,
         Brain(config, model, thinker, trust),
-        make_rig=lambda raw: _real_rig(config, raw),
+        make_rig=lambda raw: _real_rig(config, raw, resident=resident),
         make_clock=lambda _: TimerClock(period_s),
         make_steady=make_steady,
+        simulated=config.kind == "simulated",
         close=thinker.close,
     )
 
@@ -87,15 +96,21 @@ def _virtual_parts(
     def make_clock(_: Rig) -> Clock:
         return VirtualClock(period_s, rigs[-1].advance)
 
-    return Parts(config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list)
+    return Parts(
+        config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list, simulated=True
+    )
 
 
-def _real_rig(config: RigConfig, raw: RawReadings) -> Rig:
+def _real_rig(config: RigConfig, raw: RawReadings, *, resident: bool) -> Rig:
     """The rig behind its ports; the ports called `auto` belong to a simulated rig, which is started."""
     from needle_rig.devices.hardware_rig import HardwareRig
+    from needle_rig.service.late_rig import LateRig
     from needle_rig.simulation.bench import needs_bench
 
-    return RigOnBench(config, raw) if needs_bench(config) else HardwareRig(config, raw)
+    if needs_bench(config):
+        return RigOnBench(config, raw)
+    rig = HardwareRig(config, raw)
+    return LateRig(rig, len(config.layout.hall_sensors)) if resident else rig
 
 
 class RigOnBench:
@@ -110,9 +125,14 @@ class RigOnBench:
     async def open(self) -> None:
         """Start the bench and connect to it; BadInput or RigFault when either fails."""
         from needle_rig.devices.hardware_rig import HardwareRig
-        from needle_rig.simulation.bench import start
+        from needle_rig.simulation.bench import spawn
 
-        self._bench = await asyncio.to_thread(start, self._config, _BENCH_START_S)
+        self._bench = spawn(self._config)
+        try:
+            await asyncio.to_thread(self._bench.wait_until_ready, _BENCH_START_S)
+        except asyncio.CancelledError:
+            self._bench.kill()  # the thread, which cannot be cancelled, sees it end
+            raise
         self._hardware = HardwareRig(self._bench.configured(self._config), self._raw)
         await self._hardware.open()
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ import numpy.typing as npt
 
 from needle_rig.control.strategy import make_strategy
 from needle_rig.dataset import Dataset, write_dataset
-from needle_rig.dataset.settled import shipped_datasets
+from needle_rig.dataset.settled import SettledData
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel, effect_directories, load_model, load_parameters, save_model
 from needle_rig.physics.effect import Effect
@@ -29,14 +30,15 @@ from needle_rig.simulation.protocol import Protocol, load_protocol
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.contest.strategies_table import Bout
 from needle_rig.workbench.learning.adopt import adopt as _adopt
-from needle_rig.workbench.learning.compare import Comparison as _Compared
-from needle_rig.workbench.learning.compare import compare as _compare
+from needle_rig.workbench.learning.adopt import adopt_diagnosis
+from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, save_diagnosis
 from needle_rig.workbench.learning.history import ladder
+from needle_rig.workbench.learning.observations import Comparison as _Compared
+from needle_rig.workbench.learning.observations import Observations, observations
 from needle_rig.workbench.observations.runs import runs_as_dataset
-from needle_rig.workbench.observations.sources import read_measurements
+from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import workers
-from needle_rig.workbench.selection.diagnose import Diagnosis as _Diagnosed
-from needle_rig.workbench.selection.diagnose import diagnose as _diagnose
+from needle_rig.workbench.selection.answer import Answer
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun
@@ -94,38 +96,39 @@ class Comparison(Shown):
     @property
     def worst(self) -> tuple[str, ...]:
         """The places above three times their noise, the worst first, in words."""
-        return tuple(f"{p.sigmas:.0f}σ  {p.words}" for p in self.found.worst)
+        return tuple(f"{p['sigmas']:.0f}σ  {p['words']}" for p in self.found.as_json()["worst"])
 
     def headline(self) -> str:
         """Dataset, model and the error on commands left out."""
-        problem = self.found.prepared.problem
-        return (
-            f"{self.found.prepared.dataset.name} against the model {problem.base.name}: error on commands"
-            f" left out {self.held_out_error:.2f} × the noise, reduced χ² {self.found.reduced_chi2:.2f}"
-        )
+        return " ".join(self.found.headline())
 
     def table(self) -> Table:
-        """A row a channel: error, noise, and error in units of the noise."""
+        """A row a channel: error, noise, and error in units of the noise; NaN where no noise is stated."""
         return _table(
             {
                 "channel": name,
                 "rmse": float(v["rmse"]),
-                "noise": float(v["noise"]),
+                "noise": _or_nan(v["noise"]),
                 "unit": v["unit"],
-                "in_noise_units": float(v["whitened"]),
+                "in_noise_units": _or_nan(v["whitened"]),
             }
             for name, v in self.found.channels.items()
         )
 
     def places(self) -> Table:
         """A row for every channel, motion, state and direction."""
-        names = ("channel", "motion", "state", "direction", "model", "measured", "error", "noise", "unit")
+        words = ("channel", "motion", "state", "direction", "unit")
+        numbers = ("model", "measured", "error", "noise", "sigmas")
         return _table(
-            {name: getattr(p, name) for name in names} | {"sigmas": p.sigmas} for p in self.found.places
+            {name: p[name] for name in words} | {name: _or_nan(p[name]) for name in numbers}
+            for p in self.found.places()
         )
 
     def plot(self, what: str = "residuals") -> Figure:
-        """`residuals`: error over noise by channel, phase and direction; `traces`; or `pulls`."""
+        """`residuals`: error over noise by channel, phase and direction; `traces`; or `pulls`.
+
+        Raises BadInput for settled values, which have no traces to draw.
+        """
         from needle_rig.figures import comparison
 
         drawn = {
@@ -135,14 +138,17 @@ class Comparison(Shown):
         }
         if what not in drawn:
             raise BadInput(f"plot {what!r}: there are {', '.join(drawn)}")
-        return drawn[what](self.found)
+        return drawn[what](self.found.traces())
 
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Shown):
     """Which effect is missing."""
 
-    found: _Diagnosed
+    found: Answer
+    observed: Observations
+    started: SavedModel | None
+    """The model that was diagnosed; None for the null model."""
 
     @property
     def verdict(self) -> str:
@@ -155,21 +161,18 @@ class Diagnosis(Shown):
         return self.found.effects
 
     def headline(self) -> str:
-        """The verdict with the error on commands left out, before and after."""
+        """The verdict with the error left out, before and after."""
         found = self.found
-        said = {
-            "none": "nothing is missing beyond the noise and the scatter of the trials",
-            "unknown": "something is missing that no effect of the library explains",
-        }.get(found.verdict, f"{' and '.join(found.effects)} missing")
-        errors = f"{found.held_out_error_before:.2f} → {found.held_out_error_after:.2f}"
-        return f"{found.dataset} against the model {found.model}: {said}; error on commands left out {errors}"
+        return (
+            f"{found.dataset} against the model {found.model}: {found.sentence()} {found.errors_sentence()}"
+        )
 
     def table(self) -> Table:
         """The ranking: a row a candidate."""
         return _table(
             {
                 "effect": row.effect,
-                "held_out_error": np.nan if row.held_out_error is None else row.held_out_error,
+                "held_out_error": _or_nan(row.held_out_error),
                 "error_removed": row.error_removed,
                 "for": row.in_favour,
                 "against": row.against,
@@ -191,6 +194,15 @@ class Diagnosis(Shown):
         from needle_rig.figures.diagnosis import ranking_figure
 
         return ranking_figure(self.found)
+
+    @cached_property
+    def kept(self) -> KeptDiagnosis:
+        """The diagnosis with its fits, as it is written."""
+        return keep(self.found, self.observed, self.started)
+
+    def save(self, path: PathLike) -> None:
+        """Write the diagnosis file that `needle-rig adopt` takes."""
+        save_diagnosis(path, self.kept)
 
 
 @dataclass(frozen=True, repr=False)
@@ -304,11 +316,9 @@ class Run(Shown):
         return paragraph(self.headline())
 
 
-def read_dataset(*paths: PathLike) -> Dataset:
-    """The trials of dataset folders, run files and datasets shipped by name. Raises BadInput."""
-    known = shipped_datasets()
-    found = [path if os.path.lexists(path) else known.get(str(path), Path(path)) for path in paths]
-    return read_measurements(found)
+def read_dataset(*paths: PathLike) -> Dataset | SettledData:
+    """The trials of dataset folders and run files, or settled values, by path or by name. Raises BadInput."""
+    return read_observed(paths)
 
 
 def read_run(path: PathLike) -> Run:
@@ -352,13 +362,15 @@ def simulate(
     return dataset
 
 
-def compare(data: Dataset, model: Model | None = None, *, effects: Sequence[PathLike] = ()) -> Comparison:
+def compare(
+    data: Dataset | SettledData, model: Model | None = None, *, effects: Sequence[PathLike] = ()
+) -> Comparison:
     """Hold `model` (default: the null model) against `data`. Raises BadInput, SolverError."""
-    return Comparison(_compare(data, _library(effects), model.saved.model if model else None))
+    return Comparison(observations(data).compare(_library(effects), model.saved.model if model else None))
 
 
 def diagnose(
-    data: Dataset,
+    data: Dataset | SettledData,
     model: Model | None = None,
     *,
     effects: Sequence[PathLike] = (),
@@ -370,37 +382,39 @@ def diagnose(
 
     `jobs` processes try the effects; None takes one a core. The answer does not depend on it.
     """
-    found = _diagnose(
-        data,
+    observed, saved = observations(data), model.saved if model else None
+    found = observed.diagnose(
         _library(effects),
-        model.saved.model if model else None,
+        saved.model if saved else None,
         max_effects=max_effects,
         seed=seed,
         work=workers(jobs, None),
     )
-    return Diagnosis(found)
+    return Diagnosis(found, observed, saved)
 
 
-def adopt(
-    data: Dataset,
-    what: Diagnosis | str,
+def adopt(diagnosis: Diagnosis, *effects: str, force: bool = False) -> Model:
+    """The model that was diagnosed with all effects that the diagnosis names, as they were fitted.
+
+    `effects` chooses among ties. Raises Refused when the error on commands left out does not fall, BadInput.
+    """
+    return Model(adopt_diagnosis(diagnosis.kept, effects=effects, force=force))
+
+
+def add_effect(
+    data: Dataset | SettledData,
+    effect: str,
     model: Model | None = None,
     *,
     effects: Sequence[PathLike] = (),
     force: bool = False,
 ) -> Model:
-    """`model` with what a diagnosis names, or an effect by name, added and everything fitted again.
+    """`model` (default: the null model) with the effect of this name, everything fitted again to `data`.
 
     Raises Refused when the error on commands left out does not fall, BadInput.
     """
-    names = what.effects if isinstance(what, Diagnosis) else (what,)
-    if not names:
-        raise BadInput("the diagnosis names no effect, so there is nothing to adopt")
     saved = model.saved if model else None
-    for name in names:
-        saved = _adopt(data, name, _library(effects), saved, force=force)
-    assert saved is not None
-    return Model(saved)
+    return Model(_adopt(observations(data), effect, _library(effects), saved, force=force))
 
 
 def plan(model: Model, target_deg: float, strategy: str = "planned") -> Plan:
@@ -427,6 +441,10 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> Table:
     for name, column in columns.items():
         table[name] = column
     return table
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else float(value)
 
 
 def _cell(value: Any) -> str | float:

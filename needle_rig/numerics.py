@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+"""Numbers of a computation: SI units and radians, of the shape that the docstring beside them gives."""
+
+
+def rounded(value: float | None, decimals: int) -> float | None:
+    """`value` for JSON, to so many `decimals`; None, JSON's null, where there is none or it is not finite."""
+    return None if value is None or not math.isfinite(value) else round(value, decimals)
 
 
 def forward_jacobian(

@@ -5,6 +5,10 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
+from typing import Any
+
+JsonObject = dict[str, Any]
+"""A mapping as JSON and YAML have it, of keys that whoever passes it on does not know."""
 
 
 class DriveState(enum.IntEnum):
@@ -16,6 +20,10 @@ class DriveState(enum.IntEnum):
     FAULT = 3  # left only by a clear
 
 
+COMMAND_AGE_S = 0.05
+"""Without a valid command for longer the drive node stops by itself (`command_age_us` of firmware/core)."""
+
+
 class DriveFault(enum.IntFlag):
     """Reasons for which the drive stopped by itself.
 
@@ -23,7 +31,7 @@ class DriveFault(enum.IntFlag):
     """
 
     NONE = 0
-    COMMAND_AGE = 1  # temporary: no valid command for 50 ms
+    COMMAND_AGE = 1  # temporary: no valid command for COMMAND_AGE_S
     HEARTBEAT = 2  # the host's heartbeat counter stood still
     VELOCITY = 4
     ANGLE = 8

@@ -7,17 +7,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.baseline import Prepared
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import Coordinate
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.screening import forms
-
-Array = npt.NDArray[np.float64]
 
 EXPECTED_GAIN = 16.0
 """Fall of the objective (4σ) at which an effect is found in most datasets."""

@@ -15,10 +15,11 @@ from scipy.stats import f as f_distribution
 
 from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
+from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import Prepared, prepare
 from needle_rig.workbench.estimation.parameters import against_mean, coordinates, make_effects
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -66,7 +67,7 @@ class Setup:
     rate_hz: float = 50.0
 
 
-SETUPS = (
+SETUPS: tuple[Setup, ...] = (
     Setup(Noise(friction_scatter=0.02, rigidity_error=0.02)),
     Setup(Noise(hall_deg=0.12, torque_nmm=0.0004, friction_scatter=0.01, rigidity_error=0.02)),
     Setup(Noise(friction_scatter=0.05, rigidity_error=0.02)),
@@ -157,7 +158,7 @@ def simulated(setup: int, effects, seed: int, finer: float = 1.0):
     return simulate_dataset(model, given.protocol, seed, given.noise, name="x", rate_hz=given.rate_hz)
 
 
-_PREPARED: dict[int, object] = {}
+_PREPARED: dict[int, Prepared] = {}
 
 
 def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float]:
@@ -225,11 +226,13 @@ def made(task: dict, known: dict[str, tuple[float, float, float]]) -> Made | Non
     library = dict(find_effects())
     layout = SETUPS[task["setup"]].layout or load_parameters("rig_rigid").layout
     turn = -1.0 if task["seed"] % 2 else 1.0
-    hidden, truth, limits = [], {}, {}
+    hidden: list[Effect] = []
+    truth: dict[str, dict[str, float]] = {}
+    limits: dict[str, tuple[float, float, float]] = {}
     for name in task.get("effects", ()):
         place = f"{name} {task['setup']} {turn:+.0f}"
-        limits[place] = tuple(known.get(place) or limits_of(task["setup"], name, turn))
-        limit, _, matters = limits[place]
+        limit, smallest, matters = known.get(place) or limits_of(task["setup"], name, turn)
+        limits[place] = (limit, smallest, matters)
         if not np.isfinite(limit):
             return None
         axes = coordinates(library, [name], layout)
@@ -296,14 +299,18 @@ def naive(found) -> dict:
         return samples + sum(float(np.nansum(((b.mean - r) / white) ** 2 * b.count)) for b, r in pairs)
 
     base = squares(search.root)
-    tests, gains = {}, {}
+    tests: dict[str, float] = {}
+    gains: dict[str, float] = {}
     for candidate in search.children.get(search.start, []):
         if candidate.fit is not None:
             k, now = len(candidate.fit.axes), squares(candidate.fit)
             ratio = max(base - now, 0.0) / k / (now / (samples - k - 2))
             tests[candidate.effect] = float(f_distribution.sf(ratio, k, samples - k - 2))
             gains[candidate.effect] = base - now - 2 * k
-    first, best = min(tests, key=tests.get, default=None), max(gains, key=gains.get, default=None)
+    first, best = (
+        min(tests, key=tests.__getitem__, default=None),
+        max(gains, key=gains.__getitem__, default=None),
+    )
     return {
         "f_test": first if first and tests[first] < 0.01 else None,
         "aic": best if best and gains[best] > 0 else None,

@@ -164,7 +164,7 @@ def damaged_json(raw: bytes, rng: random.Random) -> tuple[str, bytes]:
     if rng.random() < 0.3:
         return damaged_bytes(raw, rng)
     body = json.loads(raw)
-    values = (
+    values: tuple[object, ...] = (
         None, True, -1, 0, 1e308, 1e-300, float("nan"), float("inf"), int("9" * 400), "45", "", "a\0b",
         "x" * 100_000, "../../etc/passwd", "__init__", "\ud800", [], [1e308] * 3, [int("9" * 400)],
         [None] * 5000, {}, {"self": 1}, {"__class__": []}, {"steps_deg": ["x"]},

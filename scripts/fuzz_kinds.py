@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -79,7 +79,7 @@ class Seeds:
         run = self.folder / "run.h5"
         dataset = self.folder / "dataset"
         out.mkdir()
-        commands = (
+        commands: tuple[Sequence[str | Path], ...] = (
             ["compare", dataset, "--model", self.folder / "model.yaml"],
             ["compare", self.folder / "settled.yaml"],
             ["compare", run],
@@ -94,7 +94,7 @@ class Seeds:
             ],
             ["effects"],
             *(
-                ["export", run, f"--{kind}", "--out", out / kind]
+                ("export", run, f"--{kind}", "--out", out / kind)
                 for kind in ("csv", "mcap", "png", "dataset")
             ),
         )

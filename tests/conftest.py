@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,10 @@ from needle_rig.workbench.parallel import one_thread_each
 from tests.stillness import Stillness
 
 one_thread_each()  # before any test imports NumPy: threads on small matrices take a third more time
+
+# A shell's job in the background ignores Ctrl-C, and so would every process that a test interrupts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search`
 # looks for new ones.

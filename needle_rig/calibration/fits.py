@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import RigFault
+from needle_rig.numerics import Array
 from needle_rig.units import deg
-
-Array = npt.NDArray[np.float64]
 
 COUNTS_PER_FIELD = 1.0 / 16.0
 """A neutral Hall node sends 16 × the length of the pair of 12-bit counts, measured from 2048."""

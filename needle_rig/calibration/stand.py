@@ -11,10 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from needle_rig.calibration.fits import Array
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import RigFault
+from needle_rig.numerics import Array
 from needle_rig.records import STOP, Command, DriveState
 from needle_rig.units import nmm, rad
 from needle_rig.wire.hall_frames import HallFrame

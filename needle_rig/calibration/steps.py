@@ -6,7 +6,6 @@ import datetime
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from needle_rig.firmware.pages import (
     torque_page,
     write_page,
 )
+from needle_rig.records import JsonObject
 from needle_rig.units import deg
 
 NMM_PER_COUNT = 1e-5
@@ -38,7 +38,7 @@ class Calibration:
     """What a calibration wrote, and what it says in words."""
 
     page: bytes
-    values: dict[str, Any]
+    values: JsonObject
     lines: tuple[str, ...]
     files: tuple[Path, ...]
 
@@ -51,9 +51,7 @@ class Target:
     serial: int
     date: datetime.date
 
-    def write(
-        self, kind: str, page: bytes, values: dict[str, Any], lines: list[str], png: Path
-    ) -> Calibration:
+    def write(self, kind: str, page: bytes, values: JsonObject, lines: list[str], png: Path) -> Calibration:
         """Write page and calibration file beside the picture."""
         hex_file, text_file = self.folder / f"{kind}.hex", self.folder / f"{kind}.yaml"
         write_page(hex_file, page)
@@ -172,7 +170,7 @@ def _page_of(fit: HallFit) -> HallSensorPage:
     )
 
 
-def _values_of(fit: HallFit) -> dict[str, Any]:
+def _values_of(fit: HallFit) -> JsonObject:
     return {
         "sine_offset_counts": round(fit.sine_offset, 2),
         "cosine_offset_counts": round(fit.cosine_offset, 2),

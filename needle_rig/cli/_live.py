@@ -62,7 +62,8 @@ class PhaseLines:
     def show(self, document: Document) -> None:
         """Print a line when the phase is new."""
         if document["type"] == "phase":
-            print(phase_line(document), file=sys.stderr, flush=True)  # noqa: T201 - the display itself
+            simulated = "  simulated" if document["rig"]["simulated"] else ""
+            print(phase_line(document) + simulated, file=sys.stderr, flush=True)  # noqa: T201 - the display itself
 
 
 def phase_line(document: Whole) -> str:
@@ -133,9 +134,9 @@ def _title(state: Whole) -> Text:
     from rich.text import Text
 
     rig = state["rig"]
-    needle = f" ({rig['parameters']})" if rig["parameters"] else ""
+    simulated = f"  simulated {rig['parameters'] or 'rig'}" if rig["simulated"] else ""
     aim = "" if state["target_deg"] is None else f"{state['strategy']} to {state['target_deg']:g}°"
-    return Text.assemble((aim, "bold"), (f"  {rig['name']}{needle}", "dim"))
+    return Text.assemble((aim, "bold"), (f"  {rig['name']}", "dim"), (simulated, "bold yellow"))
 
 
 def _phase(state: Whole) -> Text:

@@ -85,7 +85,7 @@ def move(socket: Path | None, command: str, order: Message) -> Whole:
     end_as_by_ctrl_c()
     client = the_daemon(socket)
     with client.lease(holder(command)):
-        state = follow(client, lambda: client.command(command, order), view(), _moved)
+        state = follow(client, lambda: client.command(command, order), view(), moved)
     if state["phase"] == "fault":
         raise RigFault(state["fault"] or "a fault")
     if state["phase"] == "aborted":
@@ -98,7 +98,8 @@ def told_base(state: Whole) -> str:
     from needle_rig.cli._output import number
 
     sensors = state["sensors"]
-    return "unknown" if sensors is None else f"{number(sensors['base_deg'], 2)}°"
+    simulated = " (simulated)" if state["rig"]["simulated"] else ""
+    return ("unknown" if sensors is None else f"{number(sensors['base_deg'], 2)}°") + simulated
 
 
 socket_option = click.option(
@@ -106,7 +107,8 @@ socket_option = click.option(
 )
 
 
-def _moved(told: Started, document: Document) -> Whole | None:
+def moved(told: Started, document: Document) -> Whole | None:
+    """The end of a motion that is no run, for `follow`."""
     if document["type"] == "ended":
         return None
     if document["type"] == "moved":

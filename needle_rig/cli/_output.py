@@ -43,6 +43,12 @@ def number(value: float | None, digits: int) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
+def verdict(ended: Told) -> str:
+    """How a run ended, in one sentence that says so when no real needle was turned."""
+    text = ended["text"]
+    return f"Simulated: {text}" if ended["result"]["simulated"] else f"{text[:1].upper()}{text[1:]}"
+
+
 def tell_result(console: Console, ended: Told, figure: str | None) -> None:
     """Table, the paper's three conditions, the verdict and the files of a run that ended."""
     from rich.markup import escape
@@ -61,10 +67,7 @@ def tell_result(console: Console, ended: Told, figure: str | None) -> None:
         )
     status = ended["result"]["status"]
     colour = {"aligned": "green", "not_aligned": "yellow"}.get(status, "red")
-    text = ended["text"]
-    console.print(
-        f"[bold {colour}]{escape(text[:1].upper() + text[1:])}.[/]", highlight=False, soft_wrap=True
-    )
+    console.print(f"[bold {colour}]{escape(verdict(ended))}.[/]", highlight=False, soft_wrap=True)
     console.print(f"run:     {ended['result']['run']}", highlight=False, markup=False, soft_wrap=True)
     if figure is not None:
         console.print(f"picture: {figure}", highlight=False, markup=False, soft_wrap=True)

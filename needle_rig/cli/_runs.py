@@ -15,7 +15,7 @@ directory_option = click.option(
     "--dir",
     "directory",
     type=click.Path(path_type=Path),
-    help="Folder of the runs.  [default: recording.directory of the rig file]",
+    help="Folder of the runs.  [default: recording.directory of the rig file, or the service's]",
 )
 config_option = click.option(
     "--config",
@@ -30,7 +30,13 @@ def runs_directory(directory: Path | None, config_path: Path | None) -> Path:
     if directory is not None:
         return directory
     from needle_rig.config.loader import load_rig_config
+    from needle_rig.service.installation import HERE
 
+    nearest = Path("config/rig.yaml")
+    if config_path is None and not nearest.is_file() and (of_service := HERE.runs_directory()) is not None:
+        return of_service
+    if config_path is not None and config_path.resolve() == HERE.rig_file:
+        return HERE.runs_directory() or HERE.runs
     return Path(load_rig_config(config_path).recording.directory)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from collections.abc import Iterable, Mapping
@@ -13,9 +12,10 @@ import click
 
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
-    from needle_rig.dataset.settled import SettledData
+    from needle_rig.model import SavedModel
     from needle_rig.physics.effect import Effect
     from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.workbench.learning.observations import Observations
     from needle_rig.workbench.parallel import Work
 
 data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -42,39 +42,55 @@ def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
 
 
 def read_data(paths: tuple[Path, ...]) -> Dataset:
-    """One dataset from folders, run files and names of datasets in config/datasets."""
+    """One dataset of traces from folders, run files and names of datasets in config/datasets."""
     from needle_rig.workbench.observations.sources import read_measurements
 
-    return read_measurements(_found(paths))
+    found = _found(paths)
+    read = read_measurements(found)
+    _mark_read(found)
+    return read
 
 
-def read_settled_values(paths: tuple[Path, ...]) -> SettledData | None:
-    """The settled values that DATA names; None where it names traces. Raises BadInput for both at once."""
-    from needle_rig.dataset.settled import is_settled, read_settled
-    from needle_rig.errors import BadInput
+def read_observations(paths: tuple[Path, ...]) -> Observations:
+    """Traces, or the settled values that DATA names. Raises BadInput for both at once."""
+    from needle_rig.workbench.learning.observations import read_observations as read
 
     found = _found(paths)
-    settled = [path for path in found if is_settled(path)]
-    if settled and len(found) > 1:
-        raise BadInput(f"{settled[0]} holds settled values; give it alone")
-    return read_settled(settled[0]) if settled else None
+    measured = read(found)
+    _mark_read(found)
+    return measured
 
 
-def _found(paths: tuple[Path, ...]) -> list[Path]:
-    """The paths, those that do not exist looked for by name in config/datasets."""
-    from needle_rig.dataset.settled import shipped_datasets
+def _found(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The paths; `last` is the newest run where no file has that name."""
+    from needle_rig.cli._runs import the_run
 
-    known = {} if all(os.path.lexists(path) for path in paths) else shipped_datasets()
-    return [path if os.path.lexists(path) else known.get(str(path), path) for path in paths]
+    newest = [path for path in paths if str(path) == "last" and not os.path.lexists(path)]
+    run = the_run("last", None, None).path if newest else Path()
+    return tuple(run if path in newest else path for path in paths)
+
+
+def _mark_read(paths: tuple[Path, ...]) -> None:
+    from needle_rig.recording import is_run_file, mark_read
+
+    for path in paths:
+        if is_run_file(str(path)):
+            mark_read(path)
 
 
 def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:
     """The model of a model file; None for the null model."""
+    saved = read_saved(path, directories)
+    return None if saved is None else saved.model
+
+
+def read_saved(path: Path | None, directories: tuple[str, ...]) -> SavedModel | None:
+    """A model file with its history; None for the null model."""
     if path is None:
         return None
     from needle_rig.model import load_model
 
-    return load_model(path, effects=directories).model
+    return load_model(path, effects=directories)
 
 
 def progress(results: Iterable[Any], total: int) -> Iterable[Any]:
@@ -96,11 +112,6 @@ def worker(jobs: int | None, cluster: str | None) -> Work:
 def say(text: str) -> None:
     """One line of progress on stderr."""
     click.echo(f"{text} …", err=True)
-
-
-def left_out_error(error: float | None) -> str:
-    """An error on commands left out, or a dash where there was only one command."""
-    return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
 
 
 def number(value: Any) -> str:

@@ -6,9 +6,12 @@ import contextlib
 import signal
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from needle_rig.simulation.bench_lines import Said
 
 _WORDS = """\
 Words that it takes, a line each:
@@ -31,6 +34,7 @@ Ctrl-C ends it."""
 @click.option(
     "--ports", type=click.Path(path_type=Path, file_okay=False), help="Where to put the port names."
 )
+@click.option("--can", "interface", help="Put the nodes on this CAN interface, such as vcan0, not on slcan.")
 def command(
     config: str | None,
     image: bool,
@@ -40,6 +44,7 @@ def command(
     pages: str | None,
     free: bool,
     ports: Path | None,
+    interface: str | None,
 ) -> None:
     """Run the plant behind the nodes' real firmware, on ports that a daemon opens like a rig's.
 
@@ -69,19 +74,25 @@ def command(
         folder = ports or stack.enter_context(temporary_folder(PREFIX))
         folder.mkdir(parents=True, exist_ok=True)
         click.echo("building plant and firmware …", err=True)
-        loop = BenchLoop(rig, build_plant(rig), folder, _tell)
+        loop = BenchLoop(rig, build_plant(rig), folder, _tell, interface)
         stack.callback(loop.close)
         links = rig.links
         named = links.model_copy(
             update={
-                "can": links.can.model_copy(update={"interface": "slcan", "channel": loop.ports["can"]}),
+                "can": links.can.model_copy(
+                    update={
+                        "interface": "slcan" if interface is None else "socketcan",
+                        "channel": loop.ports["can"],
+                    }
+                ),
                 "hall": links.hall.model_copy(update={"port": loop.ports["hall"]}),
             }
         )
         file = folder / "rig.yaml"
         file.write_text(rig_config_text(rig.model_copy(update={"links": named})), encoding="utf-8")
         stack.callback(file.unlink, missing_ok=True)
-        click.echo(f"CAN (slcan)  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
+        kind = "slcan" if interface is None else "socketcan"
+        click.echo(f"CAN ({kind})  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
         click.echo(f"nodes        {'Cortex-M images under the emulator' if image else 'firmware library'}")
         click.echo(f"drive it     needle-rig compensate --config {file} --target 45\n{_WORDS}")
         be_urgent()
@@ -90,14 +101,14 @@ def command(
         click.echo("bench ended")
 
 
-def _tell(what: dict[str, Any]) -> None:
+def _tell(what: Said) -> None:
     """What happens on the bench, for a person."""
     from needle_rig.records import DriveFault
 
     match what:
         case {"error": text}:
             click.echo(text)
-        case {"event": "drive", "state": state, "faults": faults}:
+        case {"event": "drive", "state": state, "faults": int(faults)}:
             names = (DriveFault(faults).name or "").lower().replace("_", " ").replace("|", ", ")
             click.echo(f"drive node: {state}{f' ({names})' if faults else ''}")
         case {"event": "command", "enable": enable, "clear": clear}:
@@ -112,7 +123,7 @@ def _tell(what: dict[str, Any]) -> None:
             click.echo(f"base: turned by hand by {turn:g}°")
         case {"event": "weigh", "weight_nmm": weight}:
             click.echo(f"load cell: carries {weight:g} N·mm")
-        case {"base_deg": base, "velocity_deg_s": velocity, "drive": drive, "faults": faults}:
+        case {"base_deg": base, "velocity_deg_s": velocity, "drive": drive, "faults": dict(faults)}:
             broken = ", ".join(f"{link} {fault}" for link, fault in faults.items()) or "none"
             click.echo(
                 f"base {base:.3f}°, motor asked for {velocity:.2f}°/s, drive {drive}, link faults: {broken}, "

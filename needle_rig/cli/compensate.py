@@ -16,12 +16,15 @@ import click
 
 from needle_rig.cli._live import moving_bar
 from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, view
-from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
 
 if TYPE_CHECKING:
     from needle_rig.service.client import DaemonClient
     from needle_rig.service.documents import Document, Message, Started, Told
 
+
+_CHOICES = frozenset(("config", "parameters", "seed", "simulated", "rig", "fast"))
+"""Options that choose a rig, and may choose a simulated one where a real one is set up."""
 
 _RELAX: Message = {"target_deg": 0.0, "strategy": "decay"}
 """Brings a needle that is not ours to start anew back to rest between trials."""
@@ -42,6 +45,7 @@ _RELAX: Message = {"target_deg": 0.0, "strategy": "decay"}
 @click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
 @click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
 @click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
+@click.option("--simulated", is_flag=True, help="The simulated rig, also where a real one is set up.")
 @click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
 @click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images instead of the library.")
 @click.option("--fast", is_flag=True, help="The simulated rig in virtual time instead of real time.")
@@ -70,9 +74,11 @@ def command(
     """Turn the base to --target and take the windup out of the needle, or run the trials of --protocol.
 
     A running daemon is used when there is one. Without one, or when an option chooses the rig (--config,
-    --parameters, --model, --seed, --rig, --fast, --out), a private daemon is started and ended. Ctrl-C stops
-    the drive and closes the run. With --protocol every trial starts from a relaxed needle and is a run of its
-    own; --json then prints an object a line.
+    --parameters, --model, --seed, --simulated, --rig, --fast, --out), a private daemon is started and ended.
+    Where a rig is set up (a unit, /etc/needle-rig/rig.yaml, a daemon's socket) a simulated one is used only
+    when it is asked for: --simulated, --fast, --rig, --parameters, --seed or --config. Ctrl-C stops the drive
+    and closes the run. With --protocol every trial starts from a relaxed needle and is a run of its own;
+    --json then prints an object a line.
 
     \b
     Exit codes:
@@ -175,9 +181,11 @@ def _option(text: str) -> tuple[str, Any]:
 @contextmanager
 def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
     """The running daemon, or a private one."""
+    from needle_rig.cli._rig import simulated_rig_file
     from needle_rig.service.client import find_daemon, private_daemon, the_daemon
 
-    given = [f"--{name}" for name, value in rig.items() if value]
+    chosen = {name: value for name, value in rig.items() if value is not None and value is not False}
+    given = [f"--{name}" for name in chosen]
     if path is not None:
         if given:
             raise BadInput(
@@ -190,14 +198,30 @@ def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
     if running is not None:
         yield running
         return
-    options: list[str] = []
-    for name, value in rig.items():
-        if value is True:
-            options.append(f"--{name}")
-        elif value is not None and value is not False:
-            options.append(f"--{name}={value}")
+    if not chosen.keys() & _CHOICES:
+        _refuse_where_a_rig_is_set_up(given)
+    if chosen.pop("simulated", False):
+        chosen.setdefault("config", simulated_rig_file())
+    options = [f"--{name}" if value is True else f"--{name}={value}" for name, value in chosen.items()]
     with private_daemon(options, meanwhile=_get_ready, waiting=moving_bar) as client:
         yield client
+
+
+def _refuse_where_a_rig_is_set_up(given: list[str]) -> None:
+    """Nobody who wants the real needle turned may watch a simulated one."""
+    from needle_rig.service.client import find_daemon
+    from needle_rig.service.endpoint import sockets_for_client
+    from needle_rig.service.installation import HERE, nobody_answers
+
+    signs = HERE.signs()
+    if not signs:
+        return
+    if given and find_daemon() is not None:
+        raise BadInput(
+            f"{given[0]} needs a daemon of its own, but that of the rig set up here runs ({signs[0]}): leave"
+            f" {given[0]} out, or give --simulated"
+        )
+    raise RigFault(f"{nobody_answers(sockets_for_client())}; for the simulated rig give --simulated")
 
 
 def _get_ready() -> None:
@@ -243,11 +267,11 @@ def _draw(run: str) -> str | None:
 
 def _tell(ended: Told, figure: str | None, as_json: bool, require_aligned: bool) -> int:
     """Tell how it ended; the exit code."""
-    from needle_rig.cli._output import EXIT_CODES, tell_result
+    from needle_rig.cli._output import EXIT_CODES, tell_result, verdict
 
     status = ended["result"]["status"]
     if as_json:
-        click.echo(f"{ended['text']}{'' if figure is None else f' (picture: {figure})'}", err=True)
+        click.echo(f"{verdict(ended)}{'' if figure is None else f' (picture: {figure})'}", err=True)
     else:
         from rich.console import Console
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from needle_rig.cli._rig import bench_nodes
-from needle_rig.errors import NeedleRigError
+from needle_rig.cli._rig import bench_nodes, simulated_rig_file
+from needle_rig.errors import BadInput, NeedleRigError
 
 if TYPE_CHECKING:
     from needle_rig.service.daemon import Daemon
@@ -26,6 +26,7 @@ _ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 @click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
 @click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
 @click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
+@click.option("--simulated", is_flag=True, help="The simulated rig, also where a real one is set up.")
 @click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
 @click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images instead of the library.")
 @click.option("--fast", is_flag=True, help="The simulated rig in virtual time.")
@@ -38,6 +39,7 @@ def command(
     parameters: str | None,
     model: str | None,
     seed: int | None,
+    simulated: bool,
     rig: str | None,
     image: bool,
     fast: bool,
@@ -50,19 +52,35 @@ def command(
 
     Only the socket's owner and --group may use it (mode 0660). The rig's drive is told to stop at the end,
     whatever ended it. Under systemd it says when it is ready and feeds the watchdog from ticks that met their
-    deadline: see scripts/needle-rig.service.
+    deadline: see config/service/needle-rig.service.
     """
+    if simulated and config is None:
+        config = str(simulated_rig_file())
+    elif private is None and (config, parameters, seed, rig, fast) == (None, None, None, None, False):
+        _refuse_where_a_rig_is_set_up()
     try:
         with _place(socket, private) as path:
             options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
             options["simulation.nodes"] = bench_nodes(rig, image)
-            daemon = _build(config, options, model, fast, out, absolute=private is None)
+            daemon = _build(config, options, model, fast, out, private=private is not None)
             _serve(daemon, path, group, private=private is not None)
     except NeedleRigError as error:
         if private is None:
             raise
         _tell(error=str(error), exit_code=error.exit_code)
         sys.exit(error.exit_code)
+
+
+def _refuse_where_a_rig_is_set_up() -> None:
+    """Who starts a daemon at the rig's computer without a word does not mean the simulated rig."""
+    from needle_rig.service.installation import HERE
+
+    for sign in (HERE.unit, HERE.rig_file):
+        if sign.exists():
+            raise BadInput(
+                f"a rig is set up here ({sign}); name its file: needle-rig daemon --config {HERE.rig_file};"
+                " for the simulated rig give --simulated"
+            )
 
 
 @contextmanager
@@ -88,9 +106,9 @@ def _build(
     fast: bool,
     out: Path | None,
     *,
-    absolute: bool,
+    private: bool,
 ) -> Daemon:
-    """The daemon; clients in other folders need the `absolute` place of its runs."""
+    """The daemon. One that is not `private` outlives its rig, and its clients are in other folders."""
     from needle_rig.assembly import build_daemon
     from needle_rig.config.loader import load_rig_config
 
@@ -104,7 +122,12 @@ def _build(
         needle, trust = saved.model, Trust(saved.uncertainties, saved.error_over_floor)
     runs = out or Path(rig.recording.directory)
     return build_daemon(
-        rig, virtual=fast, runs=runs.absolute() if absolute else runs, model=needle, trust=trust
+        rig,
+        virtual=fast,
+        runs=runs if private else runs.absolute(),
+        model=needle,
+        trust=trust,
+        resident=not private,
     )
 
 
@@ -161,6 +184,8 @@ def _log(private: bool) -> None:
 
     import structlog
 
+    # a bus that cannot be opened is told by our own sentence, not by a line of python-can's for each attempt
+    logging.getLogger("can").setLevel(logging.CRITICAL)
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL if private else logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),

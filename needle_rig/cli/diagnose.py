@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,16 +16,15 @@ from needle_rig.cli._workbench import (
     effects_option,
     jobs_option,
     json_option,
-    left_out_error,
     library,
     model_option,
-    read_data,
-    read_model,
-    read_settled_values,
+    read_observations,
+    read_saved,
     say,
     seed_option,
     worker,
 )
+from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
     from needle_rig.workbench.selection.answer import Answer
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 @model_option
 @effects_option
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), help="Diagnosis file to write, for adopt.")
 @seed_option
 @jobs_option
 @cluster_option
@@ -43,6 +45,7 @@ def command(
     model_path: Path | None,
     directories: tuple[str, ...],
     max_effects: int,
+    out: Path | None,
     seed: int,
     jobs: int | None,
     cluster: str | None,
@@ -51,7 +54,7 @@ def command(
     """Say which effect is missing from the model: its size, its rivals, and what the data cannot tell.
 
     \b
-    needle-rig diagnose data/mine
+    needle-rig diagnose data/mine --out diagnosis.yaml
     needle-rig diagnose data/mine --model fitted.yaml --effects my_effects --json
 
     DATA is a dataset folder or a run file, or several; or a folder of settled values as published
@@ -61,26 +64,46 @@ def command(
     from needle_rig.workbench.parallel import one_thread_each
 
     one_thread_each()
-    from needle_rig.workbench.published.diagnose import diagnose_settled
-    from needle_rig.workbench.selection.diagnose import diagnose
+    if out is not None and not out.absolute().parent.is_dir():
+        raise BadInput(f"--out {out}: there is no folder {out.parent}; make it, or name another place")
+    saved = read_saved(model_path, directories)
+    observed = read_observations(data)
+    found = observed.diagnose(
+        library(directories),
+        saved.model if saved else None,
+        max_effects=max_effects,
+        seed=seed,
+        work=worker(jobs, cluster),
+        say=say,
+    )
+    if out is not None:
+        from needle_rig.workbench.learning.diagnosis_file import keep, save_diagnosis
 
-    effects, model = library(directories), read_model(model_path, directories)
-    found: Answer
-    if (settled := read_settled_values(data)) is not None:
-        found = diagnose_settled(settled, effects, model, say=say)
-    else:
-        found = diagnose(
-            read_data(data),
-            effects,
-            model,
-            max_effects=max_effects,
-            seed=seed,
-            work=worker(jobs, cluster),
-            say=say,
-        )
-    click.echo(json.dumps(found.as_json(), ensure_ascii=False) if as_json else "", nl=as_json)
-    if not as_json:
-        _show(found)
+        say("keeping the fits")
+        save_diagnosis(out, keep(found, observed, saved))
+        click.echo(f"wrote {out}", err=True)
+    if as_json:
+        click.echo(json.dumps(found.as_json(), ensure_ascii=False))
+        return
+    _show(found)
+    if found.verdict == "effect":
+        started = () if model_path is None else ("--model", str(model_path))
+        folders = [word for folder in directories for word in ("--effects", folder)]
+        click.echo(_next_step(found, data, started, folders, out))
+
+
+def _next_step(
+    found: Answer, data: tuple[Path, ...], started: Sequence[str], folders: Sequence[str], out: Path | None
+) -> str:
+    """The commands that take the answer over."""
+    choice = [word for effect in found.effects for word in ("--effect", effect)] if found.ties else []
+    paths = [str(path) for path in data]
+    file = str(out or "DIAGNOSIS.yaml")
+    adopt = ["needle-rig", "adopt", file, *paths, *choice, *folders, "--out", "MODEL.yaml"]
+    if out is not None:
+        return f"adopt it: {shlex.join(adopt)}"
+    again = ["needle-rig", "diagnose", *paths, *started, *folders, "--out", file]
+    return f"adopt it: {shlex.join(again)}, then {shlex.join(adopt)}"
 
 
 def _show(found: Answer) -> None:
@@ -88,14 +111,13 @@ def _show(found: Answer) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from needle_rig.workbench.selection.answer import left_out_error
+
     # names and notes come from files: brackets in them are no markup
     console = Console(highlight=False, soft_wrap=False, markup=False)
-    against = f" against the model {found.model}: {_verdict(found)}"
+    against = f" against the model {found.model}: {found.sentence()}"
     console.print(Text.assemble((found.dataset, "bold"), against))
-    before, after = left_out_error(found.held_out_error_before), left_out_error(found.held_out_error_after)
-    console.print(
-        f"Error on {found.left_out} left out: {before} → {after} (noise is {found.noise_floor:.2f})"
-    )
+    console.print(found.errors_sentence())
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("effect", "held out", "removed"):
         table.add_column(heading, no_wrap=True)
@@ -121,13 +143,3 @@ def _show(found: Answer) -> None:
         console.print(f"next: {found.next_experiment['sentence']}")
     for note in found.notes:
         console.print(f"note: {note}")
-
-
-def _verdict(found: Answer) -> str:
-    if found.verdict == "none":
-        return "nothing is missing beyond the noise and the scatter of the trials."
-    if found.verdict == "unknown":
-        return "something is missing that no effect of the library explains."
-    ties = {r for row in found.ranking[: len(found.effects)] for r in row.indistinguishable_from}
-    named = " and ".join(found.effects)
-    return f"{named} missing" + (f"; cannot be told apart from {', '.join(sorted(ties))}." if ties else ".")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import inspect
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 if TYPE_CHECKING:
     from needle_rig.physics.effect import Effect, ParameterInfo
+    from needle_rig.records import JsonObject
 
 
 @click.command()
@@ -76,7 +77,7 @@ def _show(effect: type[Effect]) -> None:
     click.echo(f"  file: {inspect.getsourcefile(effect)}")
 
 
-def _described(effect: type[Effect], *, own: bool) -> dict[str, Any]:
+def _described(effect: type[Effect], *, own: bool) -> JsonObject:
     return {
         "name": effect.name(),
         "text": _text(effect),
@@ -90,7 +91,7 @@ def _described(effect: type[Effect], *, own: bool) -> dict[str, Any]:
     }
 
 
-def _parameter(field: str, info: ParameterInfo) -> dict[str, Any]:
+def _parameter(field: str, info: ParameterInfo) -> JsonObject:
     from dataclasses import asdict
     from math import isfinite
 

@@ -37,6 +37,7 @@ def command(
     Angles come out in degrees, torques in N·mm, time_s from the first row of the run.
     """
     from needle_rig.config.places import show_path
+    from needle_rig.recording import mark_read
 
     if wanted is None:
         raise click.UsageError("Say which format: --csv, --mcap, --png or --dataset.")
@@ -61,6 +62,9 @@ def command(
         from needle_rig.workbench.observations.runs import runs_as_dataset
 
         written = write_dataset(runs_as_dataset([found]), out or Path(f"{found.name}_dataset"))
+    mark_read(found.path)
+    if found.simulated:
+        click.echo(f"{found.name}: no real needle was turned, the rig was simulated", err=True)
     click.echo(show_path(written))
 
 

@@ -37,13 +37,13 @@ def command(directory: Path | None, config_path: Path | None, as_json: bool) -> 
         click.echo(f"No runs in {show_path(folder)}; make one with: needle-rig compensate --target 45")
         return
     rows: list[tuple[str, ...]] = [
-        ("run", "time (UTC)", "target", "strategy", "parameters", "status", "duration")
+        ("run", "rig", "time (UTC)", "target", "strategy", "parameters", "status", "duration")
     ]
     rows += [_row(run) for run in found]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
         cells = [
-            cell.rjust(width) if column in (2, 6) else cell.ljust(width)
+            cell.rjust(width) if column in (3, 7) else cell.ljust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         click.echo("  ".join(cells).rstrip())
@@ -52,13 +52,24 @@ def command(directory: Path | None, config_path: Path | None, as_json: bool) -> 
 def _row(run: RunSummary) -> tuple[str, ...]:
     target = "" if math.isnan(run.target_deg) else f"{run.target_deg:g}°"
     started = run.started_utc[:19].replace("T", " ")
-    return (run.name, started, target, run.strategy, run.parameters, run.status, f"{run.duration_s:.1f} s")
+    rig = {True: "simulated", False: "real", None: ""}[run.simulated]
+    return (
+        run.name,
+        rig,
+        started,
+        target,
+        run.strategy,
+        run.parameters,
+        run.status,
+        f"{run.duration_s:.1f} s",
+    )
 
 
 def _as_json(run: RunSummary) -> dict[str, Any]:
     return {
         "name": run.name,
         "path": str(run.path),
+        "simulated": run.simulated,
         "started_utc": run.started_utc or None,
         "target_deg": None if math.isnan(run.target_deg) else run.target_deg,
         "strategy": run.strategy or None,

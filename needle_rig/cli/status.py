@@ -31,8 +31,13 @@ def _text(state: State, path: str) -> str:
     from needle_rig.cli._output import number
 
     rig, ticks, sensors = state["rig"], state["ticks"], state["sensors"]
-    needle = f", {rig['parameters']}" if rig["parameters"] else ""
-    lines = [f"rig:     {rig['name']}{needle}, on {path}", f"phase:   {phase_line(state).strip()}"]
+    simulated = f", simulated {rig['parameters'] or ''}".rstrip() if rig["simulated"] else ""
+    phase = "starting" if state["starting"] else phase_line(state).strip()
+    lines = [
+        f"rig:     {rig['name']}{simulated}, on {path}",
+        f"since:   {state['since_utc']}",
+        f"phase:   {phase}",
+    ]
     if sensors:
         halls = " ".join(f"{number(angle, 1)}°" for angle in sensors["hall_deg"])
         ages = ", ".join(f"{name} {number(age, 1)} ms" for name, age in _ages(sensors))
@@ -42,7 +47,7 @@ def _text(state: State, path: str) -> str:
             f"torque:  {number(sensors['torque_nmm'], 4)} N·mm",
             f"hall:    {halls}",
             f"ages:    {ages}",
-            f"drive:   {sensors['drive_state']}{faults}{_supply(sensors)}",
+            f"drive:   {sensors['drive_state']}{faults}{'' if sensors['supply_on'] else ', no supply'}",
         ]
     if ticks:
         lines.append(
@@ -55,10 +60,12 @@ def _text(state: State, path: str) -> str:
     if state["run"]:
         lines.append(f"run:     {state['run']}")
     if state["fault"]:
-        after = "; clear it with: needle-rig clear" if state["latched"] else ""
-        lines.append(f"fault:   {state['fault']}{after}")
+        lines.append(f"fault:   {state['fault']}")
+    lines += [f"waits:   {each}" for each in waits_for_a_person(state)]
     if state["last"]:
         lines.append(f"last:    {state['last']['text']}")
+    if state["before"]:
+        lines.append(f"before:  {state['before']}")
     lines += [
         f"cut off: {run['text'] or run['run']} (found {run['found_utc']})" for run in state["unfinished"]
     ]
@@ -71,12 +78,17 @@ def _ages(sensors: Sensors) -> tuple[tuple[str, float | None], ...]:
     return ("torque", ages_ms["torque"]), ("hall", ages_ms["hall"]), ("drive", ages_ms["drive"])
 
 
-def _supply(sensors: Sensors) -> str:
+def waits_for_a_person(state: State) -> list[str]:
+    """What goes on only when a person does something, and what that is."""
     said = []
-    if not sensors["referenced"]:
-        said.append("its zero is not known: needle-rig home")
-    if sensors["emergency_stop"]:
-        said.append("emergency stop is pressed")
-    elif not sensors["supply_on"]:
-        said.append("no supply")
-    return "".join(f"; {each}" for each in said)
+    sensors = state["sensors"]
+    heard = sensors is not None and sensors["age_ms"]["drive"] is not None
+    if sensors is not None and sensors["emergency_stop"]:
+        said.append("the emergency stop is pressed: release it")
+    if sensors is not None and heard and not sensors["referenced"]:
+        said.append("the drive's zero is not known: needle-rig home --by hall")
+    if state["latched"]:
+        said.append("a fault that stays until it is cleared: needle-rig clear")
+    if state["released"]:
+        said.append("the base is released: needle-rig clear, or any motion")
+    return said

@@ -15,6 +15,7 @@ from needle_rig.errors import BadInput
 if TYPE_CHECKING:
     from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.records import JsonObject
     from needle_rig.workbench.contest.strategies_table import Foretold, Table
     from needle_rig.workbench.virtual.noise import Noise
 
@@ -192,10 +193,10 @@ def _identified(plant: NeedleModel, noise: Any, library: Any, diagnose: bool, jo
     return fit_known(dataset, library, [e.name() for e in plant.effects if not e.is_off()])
 
 
-def _document(contest: Contest) -> dict[str, Any]:
+def _document(contest: Contest) -> JsonObject:
     table, saved = contest.table, contest.saved
     told = contest.foretold.sentence if contest.foretold else ""
-    document: dict[str, Any] = {"rows": table.rows(), "overall": table.overall(), "foretold": told}
+    document: JsonObject = {"rows": table.rows(), "overall": table.overall(), "foretold": told}
     if saved is not None:
         document["model"] = {
             name: {
@@ -227,7 +228,7 @@ def _show_one(effect: str, contest: Contest) -> str:
     return f"{effect}: {told.sentence}" if told.little_gained else ""
 
 
-def _show(rows: list[dict[str, Any]], title: str) -> None:
+def _show(rows: list[JsonObject], title: str) -> None:
     """A table, the straightest shaft first; then what was refused and what gave way."""
     click.echo(title)
     heads = ("tip lag °", "worst °", "mean °", "torque N·mm", "rotations", "total °", "time s")

@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 from needle_rig.config.hints import meant_key, meant_value, number, number_from_text, symbol
 from needle_rig.config.places import DataPath, Places, dotted, kind_of
 from needle_rig.errors import BadInput
+from needle_rig.records import JsonObject
 
 MOST_SENTENCES = 20
 """What fills a screen; a line in a wrong place makes every key below it unknown."""
@@ -19,7 +20,7 @@ MOST_SENTENCES = 20
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def validate(model: type[Model], data: dict[str, Any], places: Places) -> Model:
+def validate(model: type[Model], data: JsonObject, places: Places) -> Model:
     """`data` as a `model`, nothing converted silently (text is no number, `yes` is not true).
 
     Raises BadInput with one line for every error, in the order of the file.
@@ -70,7 +71,7 @@ def _sentence(
     error: ErrorDetails,
     path: DataPath,
     model: type[BaseModel],
-    data: dict[str, Any],
+    data: JsonObject,
     places: Places,
     explained: set[DataPath],
 ) -> str:
@@ -137,7 +138,7 @@ def _text_hint(kind: str, key: str, text: str) -> str:
     return number_from_text(key, text) if kind.startswith(("float", "int")) else ""
 
 
-def _range(kind: str, key: str, value: float, context: dict[str, Any]) -> str:
+def _range(kind: str, key: str, value: float, context: JsonObject) -> str:
     unit = symbol(key)
     if kind.startswith("greater"):
         limit = context["gt" if kind == "greater_than" else "ge"]
@@ -168,7 +169,7 @@ def _models_in(annotation: Any) -> type[BaseModel] | None:
     return next((m for a in get_args(annotation) if (m := _models_in(a))), None)
 
 
-def _data_at(data: Any, path: DataPath) -> dict[str, Any]:
+def _data_at(data: Any, path: DataPath) -> JsonObject:
     for part in path:
         data = data[part]
     return data if isinstance(data, dict) else {}

@@ -18,6 +18,11 @@ def config_directories() -> tuple[Path, ...]:
     return tuple(dict.fromkeys(f.resolve() for f in folders if f.is_dir()))
 
 
+def shipped_file(name: str) -> Path:
+    """The file `name` that came with needle-rig, whatever the working folder has."""
+    return config_directories()[-1] / name
+
+
 def find_config_file(name: str) -> Path:
     """The file `name` ("rig.yaml", "parameters/rig_elastic.yaml") in the nearest folder that has it.
 

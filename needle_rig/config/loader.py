@@ -12,6 +12,7 @@ from needle_rig.config.files import config_directories, find_config_file
 from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput
+from needle_rig.records import JsonObject
 
 __all__ = [
     "Places",
@@ -50,7 +51,7 @@ def rig_config_text(config: RigConfig) -> str:
     return write_yaml(config.model_dump(mode="json", exclude_none=True))
 
 
-def _build(data: dict[str, Any], places: Places, overrides: Mapping[str, Any]) -> RigConfig:
+def _build(data: JsonObject, places: Places, overrides: Mapping[str, Any]) -> RigConfig:
     given: dict[DataPath, Any] = {
         tuple(key.split(".")): value for key, value in overrides.items() if value is not None
     }

@@ -17,6 +17,7 @@ import yaml
 
 from needle_rig.config.regular_file import read_regular
 from needle_rig.errors import BadInput
+from needle_rig.records import JsonObject
 
 DataPath = tuple[str | int, ...]
 """Keys and list positions that lead from the top of a file to a value."""
@@ -68,7 +69,7 @@ def dotted(path: DataPath) -> str:
 
 def read_yaml(
     path: str | os.PathLike[str], *, inside: str | os.PathLike[str] | None = None
-) -> tuple[dict[str, Any], Places]:
+) -> tuple[JsonObject, Places]:
     """The mapping in the YAML file at `path`, and the places of its parts; links must not leave `inside`.
 
     Raises BadInput, with file, line and column where there are any, for a file that cannot be read.
@@ -86,7 +87,7 @@ def read_yaml(
     return parse_yaml(text, shown)
 
 
-def parse_yaml(text: str, name: str) -> tuple[dict[str, Any], Places]:
+def parse_yaml(text: str, name: str) -> tuple[JsonObject, Places]:
     """The mapping in `text`; `name` stands for the file in places and errors. Raises BadInput."""
     try:
         root = yaml.compose(text, Loader=_Loader)
@@ -220,8 +221,8 @@ class _Reader:
             self.open.discard(id(node))
         raise self.refuse(node, f"the tag {node.tag} is not read here; write the value plainly")
 
-    def mapping(self, node: yaml.MappingNode, path: DataPath) -> dict[str, Any]:
-        data: dict[str, Any] = {}
+    def mapping(self, node: yaml.MappingNode, path: DataPath) -> JsonObject:
+        data: JsonObject = {}
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self.refuse(key_node, "a key must be a plain word")

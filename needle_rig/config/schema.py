@@ -132,9 +132,13 @@ class SimulationSection(Section):
 
 
 class RecordingSection(Section):
-    """Where runs go."""
+    """Where runs go, and how long they stay; one that nobody exported or diagnosed is never removed."""
 
     directory: str = "runs"
+    keep_days: Annotated[float, Field(ge=1, le=36_500)] | None = None
+    """Runs that are older are removed once they were read; not given: they stay."""
+    keep_gb: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
+    """When all runs take more, the oldest that were read are removed; not given: they stay."""
 
 
 class RigConfig(Section):

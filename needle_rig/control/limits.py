@@ -10,14 +10,14 @@ import math
 from dataclasses import dataclass
 
 from needle_rig.control.faults import Fault, FaultName
-from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
+from needle_rig.records import COMMAND_AGE_S, STOP, Command, DriveFault, DriveState, Measurement
 from needle_rig.units import deg, nmm
 
 ROUNDING = 1e-9
 
 DRIVE_SENTENCES: dict[DriveFault, str] = {
-    DriveFault.COMMAND_AGE: "no valid command reached it for 50 ms; check the bus, this computer's load, and"
-    " that no other master speaks to it",
+    DriveFault.COMMAND_AGE: f"no valid command reached it for {COMMAND_AGE_S * 1e3:g} ms; check the bus, this"
+    " computer's load, and that no other master speaks to it",
     DriveFault.HEARTBEAT: "this computer's heartbeat stood still; check its load",
     DriveFault.VELOCITY: "it was asked to turn faster than its own limit; lower drive.velocity_limit_deg_s",
     DriveFault.ANGLE: "it left its own angle range; turn the base back by hand",

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 TURN_SIGMA = 3.0
 """A reversal counts when the averaged path goes back by this many encoder noises."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 FULL_TURN_RAD = 2.0 * math.pi
 

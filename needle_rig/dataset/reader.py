@@ -92,7 +92,7 @@ def _read_one(path: Path) -> Dataset:
         inside = sorted(p.parent.name for p in path.glob("*/dataset.yaml"))
         hint = f"; did you mean {', '.join(inside[:6])} in it?" if inside else ""
         if os.path.lexists(path / "settled.yaml"):
-            hint = ", only settled values (settled.yaml): needle-rig compare and diagnose read those"
+            hint = ", only settled values (settled.yaml): compare, diagnose and adopt read those"
         raise BadInput(f"{show_path(path)}: has no dataset.yaml{hint}")
     description, places = read_description(path)
     layout = layout_of(description.rig, places)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.rod import Layout
+from needle_rig.records import JsonObject
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Names = npt.NDArray[np.str_]
 
@@ -46,7 +46,7 @@ class TrialCommand:
     other: tuple[tuple[str, str], ...] = ()
     """Further keys of the trial in dataset.yaml, as written, by name."""
 
-    def told(self) -> dict[str, Any]:
+    def file_keys(self) -> JsonObject:
         """The keys that dataset and protocol files write for this command."""
         keys = {
             "target_deg": self.target_deg,

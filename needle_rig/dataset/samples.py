@@ -12,9 +12,8 @@ from needle_rig.dataset.base_path import denoised_base
 from needle_rig.dataset.channels import stuck_runs, unwrapped
 from needle_rig.dataset.records import DatasetTrial, TrialCommand
 from needle_rig.dataset.table import MAX_SAMPLES
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
-
-Array = npt.NDArray[np.float64]
 
 FEWEST_SAMPLES = 10
 LONGEST_BLIND_S = 0.25

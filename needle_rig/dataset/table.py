@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from needle_rig.config.regular_file import read_regular
 from needle_rig.errors import BadInput
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 MAX_SAMPLES = 20_000
 """Rows kept of one file: a model step costs microseconds, a fit takes thousands of passes."""

@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.hints import UNITS, split_unit
 from needle_rig.config.places import show_path
@@ -15,8 +14,7 @@ from needle_rig.dataset.records import DatasetTrial, TrialCommand
 from needle_rig.dataset.samples import checked_trial
 from needle_rig.dataset.table import Table, read_table
 from needle_rig.errors import BadInput
-
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 _SI = {"time": 1.0, "angle": math.pi / 180.0, "torque": 1e-3}
 _DEFAULT_UNIT = {"time": "s", "angle": "deg", "torque": "nmm"}

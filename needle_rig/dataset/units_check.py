@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset.channels import suspected_factor, white_noise
 from needle_rig.dataset.records import DatasetTrial, Needle
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
-
-Array = npt.NDArray[np.float64]
 
 WOUND_DEG = 3.0
 """A shaft whose sensors start this far from where the other trials start was not relaxed."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from needle_rig.config.places import show_path, write_yaml
 from needle_rig.dataset.description import FORMAT
 from needle_rig.dataset.records import Dataset, DatasetTrial
 from needle_rig.errors import BadInput
+from needle_rig.records import JsonObject
 
 
 def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
@@ -26,11 +26,11 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
         )
     (target / "trials").mkdir(parents=True, exist_ok=True)
     layout, needle = dataset.layout, dataset.needle
-    trials: list[dict[str, Any]] = []
+    trials: list[JsonObject] = []
     for number, trial in enumerate(dataset.trials, start=1):
         file = f"trials/{number:02d}.csv"
         (target / file).write_text(_csv(trial, dataset.sensor_names), encoding="utf-8")
-        trials.append({"file": file, "start_s": round(trial.trial.start_s, 3), **trial.command.told()})
+        trials.append({"file": file, "start_s": round(trial.trial.start_s, 3), **trial.command.file_keys()})
     constants: dict[str, float] = {
         "diameter_mm": _tidy(needle.diameter_m * 1e3),
         "shear_modulus_gpa": _tidy(needle.shear_modulus_pa * 1e-9),

@@ -12,7 +12,7 @@ import can
 from can.interfaces.slcan import slcanBus
 
 from needle_rig.config.schema import CanSection
-from needle_rig.devices.ports import claim, port_reason
+from needle_rig.devices.ports import claim, claim_interface, interface_reason, port_reason
 from needle_rig.errors import RigFault
 
 FrameHandler = Callable[[int, bytes, float], None]
@@ -34,6 +34,8 @@ class CanLink:
         self._lock_fd: int | None = None
         self.lost = False
         """Whether the adapter went away."""
+        self.trouble = ""
+        """Why it is lost, for a person; empty while it is not."""
 
     def open(self) -> None:
         """Claim the port and listen in the running loop. Raises RigFault in one sentence."""
@@ -42,12 +44,15 @@ class CanLink:
         try:
             if self._config.interface == "slcan":
                 self._lock_fd = claim(self._config.channel.partition("@")[0])
+            elif self._config.interface == "socketcan":
+                self._lock_fd = claim_interface(self._config.channel)
             self._bus = _open_bus(self._config)
         except (can.CanError, OSError, ValueError) as error:
             self.close()
-            raise RigFault(f"{place}: {_reason(error)}; see links.can in the rig file") from error
+            self.trouble = f"{place}: {_reason(error, self._config)}; see links.can in the rig file"
+            raise RigFault(self.trouble) from error
         self._reader = _Reader(self._bus, self._receive, self._on_lost)
-        self.lost = False
+        self.lost, self.trouble = False, ""
 
     def poll(self) -> None:
         """Take what has arrived and the loop has not brought yet."""
@@ -77,8 +82,9 @@ class CanLink:
             os.close(self._lock_fd)
             self._lock_fd = None
 
-    def _on_lost(self) -> None:
-        self.lost = True
+    def _on_lost(self, error: Exception) -> None:
+        place = f"CAN bus ({self._config.interface} {self._config.channel})"
+        self.lost, self.trouble = True, f"{place}: {_reason(error, self._config)}"
 
     def _receive(self, message: can.Message) -> None:
         if not (message.is_extended_id or message.is_error_frame or message.is_remote_frame):
@@ -92,7 +98,7 @@ class _Reader(can.Notifier):
     """
 
     def __init__(
-        self, bus: can.BusABC, receive: Callable[[can.Message], None], on_lost: Callable[[], None]
+        self, bus: can.BusABC, receive: Callable[[can.Message], None], on_lost: Callable[[Exception], None]
     ) -> None:
         self._on_lost = on_lost
         self.descriptor: int | None
@@ -113,8 +119,8 @@ class _Reader(can.Notifier):
                 message = bus.recv(0)
             except (ValueError, IndexError):
                 continue  # an slcan line that is not a frame
-            except (can.CanError, OSError):
-                self._on_lost()
+            except (can.CanError, OSError) as error:
+                self._on_lost(error)
                 if self.descriptor is not None:
                     asyncio.get_running_loop().remove_reader(self.descriptor)
                 return
@@ -173,7 +179,10 @@ def _open_bus(config: CanSection) -> can.BusABC:
     return can.Bus(interface=config.interface, channel=config.channel)
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: Exception, config: CanSection) -> str:
+    code = error.error_code if isinstance(error, can.CanError) else getattr(error, "errno", None)
+    if config.interface == "socketcan" and code is not None:
+        return interface_reason(code, config.channel)
     if isinstance(error, OSError) and error.filename:
         return port_reason(error, str(error.filename))
     return str(error).split("\n")[0]

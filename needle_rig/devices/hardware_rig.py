@@ -94,7 +94,7 @@ class HardwareRig:
             torque_age_s=self._torque.age_s(now_s),
             hall_age_s=self._hall.age_s(now_s),
             drive_age_s=self._drive.age_s(now_s),
-            torque_complaint=self._torque.complaint,
+            torque_complaint=self._can.trouble or self._torque.complaint,
             hall_complaint=self._hall.complaint,
             referenced=self._drive.referenced,
             supply_on=self._drive.supply_on,
@@ -153,7 +153,7 @@ class HardwareRig:
         now_s = self._now()
         can = f"{self._links.can.interface} {self._links.can.channel}"
         found = (
-            (self._torque.age_s(now_s), "torque link", can, self._torque.complaint),
+            (self._torque.age_s(now_s), "torque link", can, self._can.trouble or self._torque.complaint),
             (self._drive.age_s(now_s), "drive link", can, self._drive.complaint(now_s)),
             (self._hall.age_s(now_s), "Hall link", self._links.hall.port, self._hall.complaint),
         )

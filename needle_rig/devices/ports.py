@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import socket
 from pathlib import Path
 
 
@@ -17,6 +18,29 @@ def claim(path: str) -> int:
         os.close(descriptor)
         raise OSError(error.errno, error.strerror, path) from error
     return descriptor
+
+
+def claim_interface(name: str) -> int:
+    """Hold the network interface `name` for this process alone among those that ask here.
+
+    An abstract socket belongs to the interface's network namespace, and is gone with its process.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as held:
+        held.bind(f"\0needle-rig/can/{name}")
+        return held.detach()
+
+
+def interface_reason(code: int, name: str) -> str:
+    """Why a CAN interface cannot be used, and what to do, for a person; `code` is an errno."""
+    if code in (errno.ENODEV, errno.ENXIO):
+        return f"there is no interface {name}; is the adapter plugged in? ip link shows what is there"
+    if code == errno.ENETDOWN:
+        return f"{name} is down; bring it up: sudo ip link set {name} up"
+    if code == errno.EADDRINUSE:
+        return f"{name} is in use by another needle-rig; stop that one first"
+    if code in (errno.EACCES, errno.EPERM):
+        return f"no right to use {name}; a service needs RestrictAddressFamilies=AF_CAN"
+    return f"cannot use {name}: {os.strerror(code)}"
 
 
 def port_reason(error: OSError, path: str) -> str:

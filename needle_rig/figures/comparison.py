@@ -6,20 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
-from needle_rig.workbench.learning.compare import Comparison, motion_words, scale_of
-
-Array = npt.NDArray[np.float64]
+from needle_rig.workbench.learning.compare import TraceComparison, motion_words, scale_of
 
 SHOWN_TRIALS = 4
 SHOWN_SAMPLES = 2000
 """Samples of a trace that are drawn, at most twice as many: more than a picture has dots across."""
 
 
-def traces(found: Comparison) -> Figure:
+def traces(found: TraceComparison) -> Figure:
     """Measured and modelled traces of one trial of each command (at most four), with the ±2σ noise band."""
     problem, fit = found.prepared.problem, found.prepared.present
     shown = [group[0] for group in problem.groups][:SHOWN_TRIALS]
@@ -83,14 +80,14 @@ def traces(found: Comparison) -> Figure:
     return figure
 
 
-def residual_map(found: Comparison) -> Figure:
+def residual_map(found: TraceComparison) -> Figure:
     """Error in units of the noise, channel by motion and state, all directions."""
     from matplotlib.colors import LogNorm
 
-    names = list(dict.fromkeys(p.channel for p in found.places))
-    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in found.places))
+    names = list(dict.fromkeys(p.channel for p in found.every_place))
+    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in found.every_place))
     values = np.full((len(names), len(columns)), np.nan)
-    for place in found.places:
+    for place in found.every_place:
         values[names.index(place.channel), columns.index((place.motion, place.direction, place.state))] = (
             place.sigmas
         )
@@ -124,7 +121,7 @@ def residual_map(found: Comparison) -> Figure:
     return figure
 
 
-def pulls(found: Comparison) -> Figure:
+def pulls(found: TraceComparison) -> Figure:
     """Histogram of the whitened residuals beside the standard normal."""
     values = np.concatenate(found.prepared.present.residuals)
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")
@@ -151,7 +148,7 @@ def _title(command: object) -> str:
     return " ".join(p for p in (str(kind), goal, f"at {speed:g}°/s" if speed else "") if p)
 
 
-def pictures(found: Comparison) -> tuple[Picture, ...]:
+def pictures(found: TraceComparison) -> tuple[Picture, ...]:
     """The three pictures of a comparison."""
     return (
         Picture("traces", "Measured and modelled", png(traces(found))),
@@ -160,7 +157,7 @@ def pictures(found: Comparison) -> tuple[Picture, ...]:
     )
 
 
-def write_html(found: Comparison, drawn: Sequence[Picture], path: Path) -> None:
+def write_html(found: TraceComparison, drawn: Sequence[Picture], path: Path) -> None:
     """One self-contained file: the numbers in words and tables, and the three pictures."""
     left_out = f"{found.held_out_error:.2f}" if np.isfinite(found.held_out_error) else "—"
     channels = [
@@ -179,6 +176,6 @@ def write_html(found: Comparison, drawn: Sequence[Picture], path: Path) -> None:
             table(("channel", "rmse", "noise", "in units of the noise"), channels),
             items("Worst places", worst or ["none above 3 × the noise"]),
             *map(shown, drawn),
-            items("Notes", (*found.prepared.dataset.notes, *found.prepared.notes)),
+            items("Notes", found.notes),
         ),
     )

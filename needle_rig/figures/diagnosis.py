@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from needle_rig.workbench.selection.diagnose import Diagnosis
+from needle_rig.workbench.selection.answer import Answer
 
 SHOWN = 12
 
 
-def ranking_figure(found: Diagnosis) -> Figure:
-    """Error on commands left out by candidate, the best first, beside the present model and the noise."""
+def ranking_figure(found: Answer) -> Figure:
+    """Error left out by candidate, the best first, beside the present model and the noise."""
     rows = [r for r in found.ranking if r.held_out_error is not None][:SHOWN]
     figure = Figure(figsize=(7.5, 1.4 + 0.34 * (len(rows) + 1)), layout="constrained")
     axes = figure.subplots()
@@ -24,7 +24,7 @@ def ranking_figure(found: Diagnosis) -> Figure:
     axes.set_xscale("log")
     axes.set_xlim(0.7, 1.8 * float(np.nanmax(errors)))
     axes.invert_yaxis()
-    axes.set_xlabel("error on commands left out, × the noise")
+    axes.set_xlabel(f"error on {found.left_out} left out, × the noise")
     axes.set_title(f"{found.dataset}: {' and '.join(found.effects) or found.verdict}", fontsize=11)
     axes.legend(frameon=False, fontsize=8)
     return figure

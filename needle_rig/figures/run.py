@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,10 +16,10 @@ from matplotlib.figure import Figure
 from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.numerics import Array
 from needle_rig.recording import RunFile
+from needle_rig.recording.tables import Rows
 from needle_rig.units import deg, mm, nmm
-
-Array = npt.NDArray[np.float64]
 
 # Okabe and Ito's palette: told apart by people with colour-blindness and in grey.
 BASE = "#000000"
@@ -83,7 +82,7 @@ def run_figure(run: RunFile) -> Figure:
     return figure
 
 
-def find_motions(ticks: npt.NDArray[Any]) -> tuple[Motion, ...]:
+def find_motions(ticks: Rows) -> tuple[Motion, ...]:
     """The motions in a table of ticks, in order; the rest before the first is none of them."""
     names = ticks["motion"]
     active = ~np.isin(ticks["phase"], (b"idle", b"done", b"aborted", b"fault"))
@@ -108,7 +107,7 @@ def find_motions(ticks: npt.NDArray[Any]) -> tuple[Motion, ...]:
     return tuple(motions)
 
 
-def settled_angles(ticks: npt.NDArray[Any], motions: tuple[Motion, ...], window_s: float) -> Array:
+def settled_angles(ticks: Rows, motions: tuple[Motion, ...], window_s: float) -> Array:
     """Mean base and Hall angles in degrees over the end of each motion, (motions, 1 + sensors)."""
     angles = np.column_stack([ticks["base_angle_rad"], ticks["hall_rad"]])
     means = np.full((len(motions), angles.shape[1]), np.nan)
@@ -120,9 +119,7 @@ def settled_angles(ticks: npt.NDArray[Any], motions: tuple[Motion, ...], window_
     return means
 
 
-def _draw_angles(
-    axes: Axes, ticks: npt.NDArray[Any], begin_s: float, config: RigConfig, target_deg: float
-) -> None:
+def _draw_angles(axes: Axes, ticks: Rows, begin_s: float, config: RigConfig, target_deg: float) -> None:
     time_s = ticks["time_s"] - begin_s
     tolerance = config.sequence.aligned_deg
     if np.isfinite(target_deg):
@@ -144,9 +141,7 @@ def _draw_angles(
     axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, **STYLE)
 
 
-def _draw_torque(
-    axes: Axes, run: RunFile, ticks: npt.NDArray[Any], begin_s: float, config: RigConfig
-) -> None:
+def _draw_torque(axes: Axes, run: RunFile, ticks: Rows, begin_s: float, config: RigConfig) -> None:
     raw = run.table("torque") if "torque" in run.tables else ticks
     raw = raw if len(raw) else ticks
     axes.plot(
@@ -276,7 +271,7 @@ def _draw_shaft(
     axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, **STYLE)
 
 
-def _picture_of(motion: Motion, pictures: npt.NDArray[Any] | None) -> Array | None:
+def _picture_of(motion: Motion, pictures: Rows | None) -> Array | None:
     """The last picture of the simulated shaft within `motion`, in radians."""
     if pictures is None:
         return None
@@ -297,8 +292,8 @@ def _title(run: RunFile) -> str:
     known, result = run.attributes, run.result or {}
     target = _number(known.get("target_deg"))
     parts = [f"{known.get('strategy', 'run')} to {target:g}°" if np.isfinite(target) else run.name]
-    if known.get("parameters"):
-        parts.append(str(known["parameters"]))
+    if run.simulated:
+        parts.append(f"simulated {known.get('parameters') or 'rig'}")
     parts.append(str(result.get("status", "cut off")).replace("_", " "))
     final = result.get("final")
     if isinstance(final, dict) and isinstance(final.get("tip_lag_deg"), int | float):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from needle_rig.config.files import config_directories
 from needle_rig.config.places import Places
@@ -13,6 +12,7 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.effect_text import effect_called
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.records import JsonObject
 
 
 def effect_directories(extra: Iterable[str | Path] = ()) -> tuple[Path, ...]:
@@ -27,7 +27,7 @@ def effect_directories(extra: Iterable[str | Path] = ()) -> tuple[Path, ...]:
 def built_effect(
     library: Mapping[str, type[Effect]],
     name: str,
-    values: dict[str, Any],
+    values: JsonObject,
     places: Places,
     path: tuple[str, ...],
     inner: tuple[str, ...] = (),

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from needle_rig.config.check import validate
 from needle_rig.config.places import Places, read_yaml, write_yaml
@@ -22,6 +21,7 @@ from needle_rig.physics.needle_model import (
     NeedleModel,
 )
 from needle_rig.physics.rod import Layout
+from needle_rig.records import JsonObject
 from needle_rig.units import m, mm, per_length_n
 
 
@@ -59,22 +59,35 @@ def load_model(path: str | os.PathLike[str], *, effects: Iterable[str | Path] = 
 
 def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
     """Write a model file, whole or not at all; `load_model` gives back an equal one."""
+    write_whole(path, model_mapping(saved))
+
+
+def write_whole(path: str | os.PathLike[str], data: JsonObject) -> None:
+    """Write `data` as a YAML file, whole or not at all."""
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.new")
+    temporary.write_text(write_yaml(data), encoding="utf-8")
+    temporary.replace(target)
+
+
+def model_mapping(saved: SavedModel) -> JsonObject:
+    """What stands in a model file; `saved_model` gives back an equal one."""
     model = saved.model
     values = model.values()
 
-    def fitted(name: str) -> dict[str, Any]:
-        entry: dict[str, Any] = {"value": values[name]}
+    def fitted(name: str) -> JsonObject:
+        entry: JsonObject = {"value": values[name]}
         if name in saved.uncertainties:
             entry["uncertainty"] = float(saved.uncertainties[name])
         return entry | {"unit": model.info(name).unit}
 
-    def fitted_list(names: list[str], unit: str) -> dict[str, Any]:
-        entry: dict[str, Any] = {"value": [values[name] for name in names]}
+    def fitted_list(names: list[str], unit: str) -> JsonObject:
+        entry: JsonObject = {"value": [values[name] for name in names]}
         if any(name in saved.uncertainties for name in names):
             entry["uncertainty"] = [saved.uncertainties.get(name) for name in names]
         return entry | {"unit": unit}
 
-    effects: dict[str, dict[str, Any]] = {}
+    effects: dict[str, JsonObject] = {}
     for effect in model.effects:
         fields = effects.setdefault(effect.name(), {})
         for name, info in effect.parameters().items():
@@ -85,7 +98,7 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
                 items = [f"{place}[{i}]" for i in range(model.count(info))]
                 fields[name] = fitted_list(items, info.unit)
     layout = model.layout
-    data = {
+    return {
         "format": MODEL_FORMAT,
         "name": model.name,
         "starts_from": saved.starts_from,
@@ -98,10 +111,6 @@ def save_model(path: str | os.PathLike[str], saved: SavedModel) -> None:
         "effects": effects,
         "history": [entry.model_dump(mode="json", exclude_none=True) for entry in saved.history],
     }
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.new")
-    temporary.write_text(write_yaml(data), encoding="utf-8")
-    temporary.replace(target)
 
 
 def _tidy(length_m: float) -> float:
@@ -109,7 +118,7 @@ def _tidy(length_m: float) -> float:
     return round(mm(length_m), 9)
 
 
-def saved_model(data: dict[str, Any], places: Places, effects: Iterable[str | Path]) -> SavedModel:
+def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path]) -> SavedModel:
     """The model in the mapping of a model file. Raises BadInput with file and line."""
     found = validate(ModelFile, data, places)
     for name in BASE_PARAMETERS:

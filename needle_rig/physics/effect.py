@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.rod import Indices, Rod
 
-Array = npt.NDArray[np.float64]
 PerItem: TypeAlias = float | tuple[float, ...]
 """Value of a field that has one number for each sensor or section; a single one serves for all."""
 

@@ -14,16 +14,14 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.compiled import torque_law
 from needle_rig.physics.effect import Effect, ParameterInfo, Reading, Trial
 from needle_rig.physics.rod import Layout, Rod, build_rod
 from needle_rig.physics.solver import DEFAULT_TOLERANCE_RAD, RodState, Solution, solve, solve_batch
 from needle_rig.units import per_100mm, per_length_n
-
-Array = npt.NDArray[np.float64]
 
 NMM2_PER_NM2 = 1e6
 FRICTION = "friction_nmm_per_100mm"

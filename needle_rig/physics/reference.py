@@ -23,9 +23,8 @@ import numpy.typing as npt
 from numba import njit
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

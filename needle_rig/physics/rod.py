@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 SAME_PLACE_M = 1e-9

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import RodState, Solution, relaxed
 
-Array = npt.NDArray[np.float64]
 Truth = Callable[[NeedleModel, Trial, RodState], Solution]
 """Solves a piece of path as `NeedleModel.truth` does; raises what it raises."""
 

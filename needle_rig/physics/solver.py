@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.physics.rod import Array, Rod
+from needle_rig.numerics import Array
+from needle_rig.physics.rod import Rod
 
 if TYPE_CHECKING:
     from needle_rig.physics.kernel.layout import Laws

@@ -6,11 +6,13 @@ from needle_rig.recording.catalogue import (
     is_run_file,
     list_runs,
     remove_empty_runs,
+    runs_in_journals,
     unfinished_runs,
 )
 from needle_rig.recording.journal import journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
+from needle_rig.recording.retention import mark_read, retain
 from needle_rig.recording.tables import run_attributes, run_tables, sample_row
 from needle_rig.recording.writer import RunWriter, new_run
 
@@ -24,10 +26,13 @@ __all__ = [
     "is_run_file",
     "journal_path",
     "list_runs",
+    "mark_read",
     "new_run",
     "remove_empty_runs",
+    "retain",
     "run_attributes",
     "run_tables",
+    "runs_in_journals",
     "sample_row",
     "unfinished_runs",
 ]

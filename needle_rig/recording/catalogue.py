@@ -9,13 +9,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.recording.journal import SUFFIX, Frames, Journal, journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import RunFile
+from needle_rig.records import JsonObject
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class RunSummary:
 
     name: str
     path: Path
+    simulated: bool | None
+    """Whether no real needle was turned; None for an unreadable run."""
     started_utc: str
     target_deg: float
     strategy: str
@@ -43,9 +45,13 @@ def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
 
 def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:
     """The run files in `directory`, by name, whose writer was cut off before it could make them."""
+    return [run for run in runs_in_journals(directory) if not being_written(run)]
+
+
+def runs_in_journals(directory: str | os.PathLike[str]) -> list[Path]:
+    """The run files in `directory`, by name, that are not made yet: being written, or cut off."""
     journals = sorted(one for one in Path(directory).glob(f"*{SUFFIX}") if one.is_file())
-    runs = [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
-    return [run for run in runs if not being_written(run)]
+    return [journal.with_suffix(".h5") for journal in journals if not journal.name.startswith(".")]
 
 
 def remove_empty_runs(directory: str | os.PathLike[str]) -> None:
@@ -91,8 +97,8 @@ def _summary(path: Path) -> RunSummary:
         run = RunFile(path)
         ending = run.ending()
     except BadInput:
-        return RunSummary(path.stem, path, "", math.nan, "", "", "unreadable", 0.0, False)
-    known: dict[str, Any] = run.attributes
+        return RunSummary(path.stem, path, None, "", math.nan, "", "", "unreadable", 0.0, False)
+    known: JsonObject = run.attributes
     first_s, last_s = ending.span_s
     if ending.result is not None:
         status = str(ending.result.get("status", "cut off"))
@@ -101,6 +107,7 @@ def _summary(path: Path) -> RunSummary:
     return RunSummary(
         name=run.name,
         path=path,
+        simulated=run.simulated,
         started_utc=str(known.get("started_utc", "")),
         target_deg=float(known.get("target_deg", math.nan)),
         strategy=str(known.get("strategy", "")),

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from needle_rig.config.places import parse_yaml, show_path, write_yaml
 from needle_rig.errors import BadInput
 from needle_rig.recording.reader import RunFile
-from needle_rig.recording.tables import at_edge
+from needle_rig.recording.tables import Rows, at_edge
 
 
 def export_csv(run: RunFile, folder: str | os.PathLike[str]) -> list[Path]:
@@ -45,7 +45,7 @@ def export_csv(run: RunFile, folder: str | os.PathLike[str]) -> list[Path]:
     return [*written, target / "run.yaml"]
 
 
-def edge_columns(rows: npt.NDArray[Any], begin_s: float = 0.0) -> Iterator[tuple[str, list[str]]]:
+def edge_columns(rows: Rows, begin_s: float = 0.0) -> Iterator[tuple[str, list[str]]]:
     """Columns of a table as text, in the units of files; arrays become one column an entry (hall_1_deg)."""
     for name in rows.dtype.names or ():
         values = rows[name]

@@ -17,6 +17,7 @@ from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
 from needle_rig.recording.reader import RunFile
 from needle_rig.recording.tables import at_edge
+from needle_rig.records import JsonObject
 from needle_rig.version import VERSION
 
 
@@ -62,13 +63,13 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _channel(writer: Writer, name: str, properties: dict[str, Any]) -> int:
+def _channel(writer: Writer, name: str, properties: JsonObject) -> int:
     schema = {"type": "object", "title": name, "properties": properties}
     schema_id = writer.register_schema(f"needle_rig.{name}", "jsonschema", json.dumps(schema).encode())
     return int(writer.register_channel(topic=f"/{name}", message_encoding="json", schema_id=schema_id))
 
 
-def _kind(dtype: np.dtype[Any]) -> dict[str, Any]:
+def _kind(dtype: np.dtype[Any]) -> JsonObject:
     if dtype.subdtype is not None:
         return {"type": "array", "items": _kind(dtype.subdtype[0])}
     return {"type": {"S": "string", "b": "boolean", "f": ["number", "null"]}.get(dtype.kind, "integer")}

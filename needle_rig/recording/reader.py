@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.places import show_path
@@ -24,7 +23,8 @@ from needle_rig.recording.image import LATE
 from needle_rig.recording.journal import SUFFIX, Frames, journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
-from needle_rig.recording.tables import FORMAT
+from needle_rig.recording.tables import FORMAT, Rows
+from needle_rig.records import JsonObject
 
 Found = TypeVar("Found")
 
@@ -43,7 +43,7 @@ class Ending:
     """How far a run has come; see the properties of RunFile of these names."""
 
     complete: bool
-    result: dict[str, Any] | None
+    result: JsonObject | None
     span_s: tuple[float, float]
 
 
@@ -59,7 +59,7 @@ class RunFile:
         """Raises BadInput when there is no file at `path` or it is no run."""
         given = Path(path)
         self.path = given.with_suffix(".h5") if given.suffix == SUFFIX else given
-        self.attributes: dict[str, Any]
+        self.attributes: JsonObject
         self.tables: tuple[str, ...]
         self.attributes, self.tables = self._read(_about)
         if self.attributes.get("format") != FORMAT:
@@ -70,11 +70,11 @@ class RunFile:
         """The run's name: its file without the ending."""
         return self.path.stem
 
-    def table(self, name: str) -> npt.NDArray[Any]:
+    def table(self, name: str) -> Rows:
         """All rows of table `name` as a structured array (see `tables.run_tables`)."""
         if name not in self.tables:
             raise BadInput(f"{self._shown}: has no table {name}; it has {', '.join(self.tables)}")
-        rows: npt.NDArray[Any] = self._read(lambda file: _rows(file, name))
+        rows: Rows = self._read(lambda file: _rows(file, name))
         return rows
 
     @property
@@ -91,12 +91,17 @@ class RunFile:
         return tuple(events)
 
     @property
+    def simulated(self) -> bool:
+        """Whether no real needle was turned."""
+        return self.attributes.get("kind") == "simulated"
+
+    @property
     def complete(self) -> bool:
         """Whether its writer closed it; False while it is written and after a kill."""
         return self.ending().complete
 
     @property
-    def result(self) -> dict[str, Any] | None:
+    def result(self) -> JsonObject | None:
         """The result with which the run ended, or None."""
         return self.ending().result
 
@@ -137,13 +142,13 @@ class RunFile:
         return read_hdf5(self.path, self._shown, take)
 
 
-def _about(file: h5py.File) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _about(file: h5py.File) -> tuple[JsonObject, tuple[str, ...]]:
     attributes = {key: _plain(value) for key, value in file.attrs.items()} | _late(file)
     check_attributes(attributes)
     return attributes, tuple(sorted(set(file) - NOT_TABLES))
 
 
-def _rows(file: h5py.File, name: str) -> npt.NDArray[Any]:
+def _rows(file: h5py.File, name: str) -> Rows:
     rows = np.asarray(file[name][:])
     check_times(name, rows["time_s"])
     return rows
@@ -161,9 +166,9 @@ def _ending(file: h5py.File, tables: tuple[str, ...]) -> Ending:
     )
 
 
-def _late(file: h5py.File) -> dict[str, Any]:
+def _late(file: h5py.File) -> JsonObject:
     """Attributes that were added after the start; a line cut off by a kill is left out."""
-    known: dict[str, Any] = {}
+    known: JsonObject = {}
     if LATE in file:
         for line in bytes(file[LATE][:]).splitlines():
             with suppress(ValueError, RecursionError):

@@ -8,8 +8,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.recording.tables import EVENT, run_tables
 
 NOT_TABLES = frozenset({"events", "late_attributes"})
@@ -67,7 +67,7 @@ def check_attributes(attributes: Mapping[str, Any]) -> None:
         raise ValueError("attribute shaft_position_m is no list of numbers")
 
 
-def check_times(name: str, time_s: npt.NDArray[Any]) -> None:
+def check_times(name: str, time_s: Array) -> None:
     """Raise ValueError when a time of table `name` is none."""
     wrong = time_s[~(np.abs(time_s) < LONGEST_S)]
     if wrong.size:

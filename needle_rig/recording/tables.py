@@ -14,11 +14,13 @@ import numpy.typing as npt
 
 from needle_rig.config.loader import rig_config_text
 from needle_rig.config.schema import RigConfig
-from needle_rig.records import Sample
+from needle_rig.numerics import Array
+from needle_rig.records import JsonObject, Sample
 from needle_rig.units import deg, nmm
 from needle_rig.version import VERSION
 
-Array = npt.NDArray[Any]
+Rows = npt.NDArray[Any]
+"""Rows of one table of a run: a structured array whose fields are those of `run_tables`, or EVENT."""
 
 FORMAT = "needle-rig-run/1"
 
@@ -110,10 +112,11 @@ def sample_row(sample: Sample) -> tuple[Any, ...]:
 
 def run_attributes(
     config: RigConfig, *, strategy: str, target_deg: float, parameters: str, **more: Any
-) -> dict[str, Any]:
+) -> JsonObject:
     """What every run says of itself: the request, the whole effective config, versions and the start.
 
-    `parameters` names the simulated needle, or is empty on hardware; `more` are text, numbers or arrays.
+    `parameters` names the simulated needle, or is empty on hardware; `more` are text, numbers or arrays, and
+    stand in for what the config says.
     """
     return {
         "strategy": strategy,

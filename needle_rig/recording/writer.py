@@ -21,7 +21,7 @@ from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording.image import LATE, Shape, empty_image, make_run_file
 from needle_rig.recording.journal import Journal, is_full, journal_path, refusal, sync_folder
-from needle_rig.recording.tables import EVENT
+from needle_rig.recording.tables import EVENT, Rows
 
 SYNC_INTERVAL_S = 0.1
 """With the 0.05 s that the daemon collects rows for, a power cut takes less than 0.25 s of a run."""
@@ -133,7 +133,7 @@ class RunWriter:
         """Whether the run has its end, and only its HDF5 file may be missing."""
         return self._shape.ended
 
-    def append(self, table: str, rows: npt.NDArray[Any] | Sequence[Sequence[Any]]) -> None:
+    def append(self, table: str, rows: Rows | Sequence[Sequence[Any]]) -> None:
         """Add rows to `table`: an array of its type, tuples of its fields, or flat tuples of numbers.
 
         Raises RigFault when the disk refuses them or an earlier sync.
@@ -216,7 +216,7 @@ class RunWriter:
     ) -> None:
         self.close()
 
-    def _add(self, table: str, rows: npt.NDArray[Any], *, last_words: bool = False) -> None:
+    def _add(self, table: str, rows: Rows, *, last_words: bool = False) -> None:
         if not rows.size:
             return
         number, payload = self._shape.number(table), rows.tobytes()
@@ -290,7 +290,7 @@ def _make_folder(folder: Path) -> None:
         ) from None
 
 
-def _structured(rows: Sequence[Sequence[Any]] | npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+def _structured(rows: Sequence[Sequence[Any]] | Rows, dtype: np.dtype[Any]) -> Rows:
     if len(rows) == 0:
         return np.empty(0, dtype)
     if not isinstance(rows, np.ndarray) and len(rows[0]) == len(dtype.names or ()):
@@ -298,7 +298,7 @@ def _structured(rows: Sequence[Sequence[Any]] | npt.NDArray[Any], dtype: np.dtyp
     return unstructured_to_structured(np.asarray(rows, dtype="f8"), dtype)
 
 
-def _event_rows(time_s: float, kind: str, text: str) -> npt.NDArray[Any]:
+def _event_rows(time_s: float, kind: str, text: str) -> Rows:
     raw, width = text.encode("utf-8", "replace"), EVENT["text"].itemsize
     pieces: list[bytes] = []
     while raw or not pieces:

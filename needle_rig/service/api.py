@@ -17,7 +17,7 @@ import json
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -27,6 +27,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from needle_rig.errors import Aborted, BadInput
+from needle_rig.service.documents import Message
 from needle_rig.service.openapi import ROUTES, Path, openapi_document
 from needle_rig.service.orders import read_order
 
@@ -45,18 +46,16 @@ STATE_EVERY_S = 0.04
 a hundred meets the 0.3 ms that an answer takes."""
 PATIENCE_S = 2.0
 
-Document = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Answer:
     """What the daemon answers: a document, and the HTTP status of a refusal; 0 when it was done."""
 
     status: int
-    content: Document
+    content: Message
 
 
-Ask = Callable[[str, Document, float, str | None], Awaitable[Answer]]
+Ask = Callable[[str, Message, float, str | None], Awaitable[Answer]]
 """Asks the daemon: name of the order, its content, when its first byte came, and its lease."""
 
 
@@ -70,18 +69,18 @@ class Shared:
     Of questions with different contents the first is sent.
     """
 
-    def __init__(self, ask: Callable[[Document], Awaitable[Answer]]) -> None:
+    def __init__(self, ask: Callable[[Message], Awaitable[Answer]]) -> None:
         self._ask = ask
         self._asking: asyncio.Task[Answer] | None = None
         self._next: asyncio.Task[Answer] | None = None
 
-    async def __call__(self, content: Document) -> Answer:
+    async def __call__(self, content: Message) -> Answer:
         """The answer to a question that was not sent before this call."""
         if self._next is None:
             self._next = asyncio.create_task(self._after(self._asking, content))
         return await asyncio.shield(self._next)
 
-    async def _after(self, before: asyncio.Task[Answer] | None, content: Document) -> Answer:
+    async def _after(self, before: asyncio.Task[Answer] | None, content: Message) -> Answer:
         if before is not None:
             await asyncio.wait({before})
         self._asking, self._next = self._next, None
@@ -120,7 +119,7 @@ class Desk:
         self._state = Shared(self._ask_state)
         self._stop = Shared(lambda content: ask("stop", content, time.monotonic(), None))
 
-    async def ask(self, order: str, content: Document, begun_s: float, lease: str | None) -> Answer:
+    async def ask(self, order: str, content: Message, begun_s: float, lease: str | None) -> Answer:
         """Pass on an order that is no stop; raises Aborted for one that began before a stop."""
         await self._orders.turn()
         await self._stopped.wait()
@@ -132,7 +131,7 @@ class Desk:
         """The state as it is after this call."""
         return await self._state({})
 
-    async def stop(self, content: Document) -> Answer:
+    async def stop(self, content: Message) -> Answer:
         """Pass on a stop; the orders that come meanwhile wait until `acknowledged` is called."""
         self._stopping += 1
         self._stopped.clear()
@@ -145,7 +144,7 @@ class Desk:
         if not self._stopping:
             self._stopped.set()
 
-    async def _ask_state(self, content: Document) -> Answer:
+    async def _ask_state(self, content: Message) -> Answer:
         await self._states.turn()
         return await self._ask_daemon("state", content, time.monotonic(), None)
 

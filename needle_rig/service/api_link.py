@@ -9,12 +9,11 @@ import os
 import socket
 import sys
 from collections.abc import Awaitable, Callable
-from typing import Any
 
 import structlog
 
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.service.documents import Message
+from needle_rig.service.documents import Answered, Asked, Message
 from needle_rig.service.lease import Claim, Taken
 from needle_rig.service.lines import Lines
 
@@ -152,7 +151,7 @@ class ApiLink:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
-    async def _answer(self, asked: dict[str, Any]) -> None:
+    async def _answer(self, asked: Asked) -> None:
         lines = self._lines
         try:
             claim = Claim(asked["begun_s"], asked["lease"])
@@ -165,4 +164,5 @@ class ApiLink:
             content = {"error": f"a defect of the daemon: {error!r}; see its log", "exit_code": 70}
             status = 500
         if lines is not None:
-            lines.send("answer", {"number": asked["number"], "status": status, "content": content})
+            answer: Answered = {"number": asked["number"], "status": status, "content": content}
+            lines.send("answer", answer)

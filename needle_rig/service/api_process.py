@@ -23,8 +23,9 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 
-from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, Document, application
+from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, application
 from needle_rig.service.connections import REQUEST_S, SPARE, Connections, HttpConnection, WatcherConnection
+from needle_rig.service.documents import Answered, Asked, Message
 from needle_rig.service.endpoint import Made
 from needle_rig.service.lines import Lines
 from needle_rig.service.stream import Stream
@@ -75,14 +76,18 @@ class Process:
             self._lines.send("alive", {})
             await asyncio.sleep(ALIVE_EVERY_S)
 
-    async def _ask(self, order: str, content: Document, begun_s: float, lease: str | None) -> Answer:
+    async def _ask(self, order: str, content: Message, begun_s: float, lease: str | None) -> Answer:
         self._asked += 1
         number = self._asked
         self._answers[number] = asyncio.get_running_loop().create_future()
-        self._lines.send(
-            "ask",
-            {"number": number, "order": order, "content": content, "begun_s": begun_s, "lease": lease},
-        )
+        asked: Asked = {
+            "number": number,
+            "order": order,
+            "content": content,
+            "begun_s": begun_s,
+            "lease": lease,
+        }
+        self._lines.send("ask", asked)
         try:
             return await self._answers[number]
         finally:
@@ -94,7 +99,7 @@ class Process:
         elif word == "event":
             self._stream.event(text.decode())
         elif word == "answer":
-            told = json.loads(text)
+            told: Answered = json.loads(text)
             answer = self._answers.get(told["number"])
             if answer is not None and not answer.done():
                 answer.set_result(Answer(told["status"], told["content"]))

@@ -14,12 +14,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, cast
 
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
+from needle_rig.records import JsonObject
 from needle_rig.service.documents import Document, Message, Started, State
 from needle_rig.service.endpoint import private_socket, sockets_for_client
+from needle_rig.service.installation import nobody_answers
+from needle_rig.service.systemd import LOG
 
 _DAEMON = (sys.executable, "-m", "needle_rig", "daemon")
 _PREFIX = "needle-rig-daemon-"
@@ -106,15 +109,21 @@ class DaemonClient:
         try:
             connections = [connect()]
         except (OSError, InvalidHandshake, EOFError) as error:
-            raise RigFault(f"{self.path}: the daemon does not answer ({error}); look at its log") from None
+            raise self._silent(error) from None
         try:
             yield documents()
         finally:
             connections[-1].close()
 
+    def _silent(self, error: Exception) -> RigFault:
+        said = str(error) or type(error).__name__
+        return RigFault(
+            f"{self.path}: the daemon does not answer ({said}); look at its log, of a service: {LOG}"
+        )
+
     def _ask(
         self, method: str, path: str, content: Message | None = None, *, again_s: float = 0.0
-    ) -> dict[str, Any]:
+    ) -> JsonObject:
         """The daemon's answer; for `again_s` it is asked again when the connection breaks."""
         import httpx
 
@@ -132,11 +141,9 @@ class DaemonClient:
                 break
             except httpx.TransportError as error:
                 if _nobody_there(error) or time.monotonic() > deadline_s:
-                    raise RigFault(
-                        f"{self.path}: the daemon does not answer ({error}); look at its log"
-                    ) from None
+                    raise self._silent(error) from None
                 time.sleep(_AGAIN_EVERY_S)
-        answer: dict[str, Any] = response.json()
+        answer: JsonObject = response.json()
         if "error" in answer:
             raise failure(answer)
         return answer
@@ -178,8 +185,7 @@ def the_daemon(path: Path | None = None) -> DaemonClient:
     """The running daemon; RigFault says where was looked when there is none."""
     found = find_daemon(path)
     if found is None:
-        places = " or ".join(str(place) for place in (sockets_for_client() if path is None else [path]))
-        raise RigFault(f"no daemon answers at {places}; start one: needle-rig daemon")
+        raise nobody_answers(sockets_for_client() if path is None else [path])
     return found
 
 
@@ -221,7 +227,7 @@ def _wait_until_ready(
             ready, _, _ = select.select([process.stdout], [], [], _START_TIMEOUT_S)
     line = process.stdout.readline() if ready else b""
     if line:
-        told: dict[str, Any] = json.loads(line)
+        told: JsonObject = json.loads(line)
         if "error" in told:
             raise failure(told)
         return

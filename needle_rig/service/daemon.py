@@ -16,14 +16,18 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.numerics import rounded
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
 from needle_rig.service.api_link import ApiLink
 from needle_rig.service.documents import Ended, Message, Moved, Started, State, Ticks, Told, Whole
 from needle_rig.service.lease import LEASE_S, Claim, Lease
+from needle_rig.service.logbook import Logbook
 from needle_rig.service.loop import ControlLoop
 from needle_rig.service.orders import Holder, Home, Jog, Model, Order, Reason, read_order
+from needle_rig.service.rates import Rates
 from needle_rig.service.recorder import Recorder
+from needle_rig.service.repeats import Repeats
 from needle_rig.units import rad
 
 if TYPE_CHECKING:
@@ -37,6 +41,9 @@ if TYPE_CHECKING:
 log = structlog.get_logger("daemon")
 
 _STATUS_EVERY_S = 5.0
+_ASK_EVERY_S = 2.0
+_MORE_TIME_S = 15.0
+"""Asked for every two seconds: a machine that starves the daemon for ten still waits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +56,8 @@ class Parts:
     make_clock: Callable[[Rig], Clock]
     make_steady: Callable[[], list[str]]
     """Asks the system for a steady tick and returns what it refused."""
+    simulated: bool
+    """Whether no real needle is turned."""
     close: Callable[[], None] = lambda: None
     """Called last."""
 
@@ -56,15 +65,19 @@ class Parts:
 class Daemon:
     """Serves one rig until `end`. All methods belong to the event loop that runs `run`."""
 
-    def __init__(self, parts: Parts, runs: Path, notify: Notify) -> None:
+    def __init__(self, parts: Parts, runs: Path, notify: Notify, logbook: Logbook) -> None:
         self._api = ApiLink(self._do)
+        self._logbook = logbook
+        self._faults = Repeats()
+        self._end_reason = "it was told to end"
         self._lease = Lease(lambda: self._occupied)
         self._parts = parts
         self._brain = parts.brain
         self._runs = runs
         self._notify = notify
         self._recorder = Recorder(self._on_recorder_failure)
-        self._rig_document = report.rig_document(parts.config)
+        self._rates = Rates(self._recorder.raw)
+        self._rig_document = report.rig_document(parts.config, simulated=parts.simulated)
         self._loop: ControlLoop | None = None
         self._warnings: list[str] = []
         self._main: asyncio.Task[Any] | None = None
@@ -87,29 +100,53 @@ class Daemon:
         self._main = asyncio.current_task()
         if self._ending:
             return
+        self._logbook.begin()
+        if self._logbook.before:
+            log.info("before", text=self._logbook.before)
+        asking = asyncio.create_task(self._ask_for_time(), name="ask for time")
         try:
             # both get ready while the rig is built
             self._api.start(listener)
             await self._recorder.start(self._runs)
-            rig = self._parts.make_rig(self._recorder.raw)
+            rig = self._parts.make_rig(self._rates.raw)
+            # before the links are open: what they bring meanwhile would be old at the first tick
+            self._warnings = self._parts.make_steady()
+            for warning in self._warnings:
+                log.warning("not steady", reason=warning)
+            self._api.serve()
             try:
                 await rig.open()
                 await self._serve(rig, listener, on_ready)
             finally:
                 await rig.close()
+        except NeedleRigError as error:
+            self._end_reason = str(error)
+            raise
+        except Exception as error:
+            self._end_reason = f"a defect: {error!r}"
+            raise
         finally:
             await self._api.close()
             await self._recorder.close()
             self._parts.close()
+            asking.cancel()
+            await asyncio.gather(asking, return_exceptions=True)
+            self._logbook.end(self._end_reason)
             log.info("ended")
 
+    async def _ask_for_time(self) -> None:
+        """Keep systemd waiting while this daemon starts or ends; what it waits for has limits of its own."""
+        while True:
+            if self._loop is None or self._ending:
+                self._notify.send(EXTEND_TIMEOUT_USEC=round(_MORE_TIME_S * 1e6))
+            if self._loop is None:
+                why = ": the first start compiles the needle's equations" if self._parts.simulated else ""
+                self._notify.send(STATUS=f"starting{why}")
+            await asyncio.sleep(_ASK_EVERY_S)
+
     async def _serve(self, rig: Rig, listener: socket.socket, on_ready: Callable[[], None]) -> None:
-        self._warnings = self._parts.make_steady()
-        for warning in self._warnings:
-            log.warning("not steady", reason=warning)
         clock = self._parts.make_clock(rig)
         self._loop = ControlLoop(rig, self._brain, clock, self._on_sample, self._notify.alive)
-        self._api.serve()
         self._notify.send(READY=1, STATUS="idle")
         log.info("ready", rig=self._parts.config.name, socket=str(listener.getsockname()))
         on_ready()
@@ -230,8 +267,12 @@ class Daemon:
             "rig": self._rig_document,
             "run": None if self._run is None else str(self._run),
             "last": self._last,
-            "warnings": self._warnings,
+            "warnings": [*self._warnings, *filter(None, [self._recorder.crowded])],
+            "starting": self._loop is None,
+            "since_utc": self._logbook.since_utc,
+            "before": self._logbook.before or None,
             "unfinished": self._recorder.unfinished,
+            "rates_hz": self._rates.hz,
             "lease": self._lease.holder,
             "motions": self._motions,
             "moving": self._moving,
@@ -249,9 +290,9 @@ class Daemon:
         return {
             "count": timing.ticks,
             "missed": timing.missed,
-            "late_p50_ms": report.number(timing.late_p50_s * 1e3),
-            "late_p99_ms": report.number(timing.late_p99_s * 1e3),
-            "late_max_ms": report.number(timing.late_max_s * 1e3),
+            "late_p50_ms": rounded(timing.late_p50_s * 1e3, 4),
+            "late_p99_ms": rounded(timing.late_p99_s * 1e3, 4),
+            "late_max_ms": rounded(timing.late_max_s * 1e3, 4),
             "lost_rows": self._recorder.lost_rows,
         }
 
@@ -260,6 +301,7 @@ class Daemon:
         return {
             "strategy": order.strategy,
             "target_deg": order.target_deg,
+            "kind": "simulated" if self._parts.simulated else "hardware",
             "parameters": simulation.parameters if simulation else "",
             "options": json.dumps(order.options),
             **{
@@ -288,6 +330,7 @@ class Daemon:
                 moved: Moved = {"type": "moved", "moved": self._motions, **self.describe()}
                 self._api.event(moved)
         now_s = time.monotonic()
+        self._rates.step(sample.time_s)
         self._api.state(now_s, lambda: self._state("state"))
         if now_s >= self._next_status_s:
             self._next_status_s = now_s + _STATUS_EVERY_S
@@ -301,7 +344,9 @@ class Daemon:
         self._recorder.event(sample.time_s, "phase", text)
         if sample.phase is Phase.FAULT:
             self._recorder.event(sample.time_s, "fault", state.fault or "")
-            log.error("fault", reason=state.fault)
+            times = self._faults.count(f"{state.fault_name}, {state.waiting_for}", time.monotonic())
+            if times is not None:
+                log.error("fault", reason=state.fault, times=times)
         self._api.event(self._state("phase"))
 
     def _on_recorder_failure(self, sentence: str) -> None:
@@ -328,10 +373,9 @@ class Daemon:
         run = self._run
         outcome = state.outcome
         assert outcome is not None
-        parameters = self._rig_document["parameters"]
         if self._failure is not None:
             outcome = dataclasses.replace(outcome, status="fault", text=self._failure)
-        result = report.result_document(outcome, state.settled, parameters, str(run))
+        result = report.result_document(outcome, state.settled, self._rig_document, str(run))
         try:
             await self._recorder.finish(result, self._time_s)
         except NeedleRigError as error:

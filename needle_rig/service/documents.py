@@ -15,10 +15,31 @@ Message = Mapping[str, Any]
 """An order before it is judged by the models of `orders`, or an answer: one line between two processes."""
 
 
+class Asked(TypedDict):
+    """What the API's process asks the daemon."""
+
+    number: int
+    order: str
+    content: Message
+    begun_s: float
+    """When the request's first byte came."""
+    lease: str | None
+
+
+class Answered(TypedDict):
+    """The daemon's answer to the question of that number."""
+
+    number: int
+    status: int
+    """The HTTP status of a refusal; 0 when it was done."""
+    content: Message
+
+
 class Rig(TypedDict):
     """What does not change while the daemon lives."""
 
     name: str
+    simulated: bool
     parameters: str | None
     """Of the simulated needle; None on a real rig."""
     tick_hz: float
@@ -101,6 +122,7 @@ class Result(TypedDict):
     status: Status
     target_deg: float | None
     strategy: str
+    simulated: bool
     parameters: str | None
     lag_deg: float | None
     motions: list[Motion]
@@ -167,8 +189,14 @@ class Whole(Standing):
     last: Told | None
     """How the last run of this daemon ended."""
     warnings: list[str]
+    starting: bool
+    since_utc: str
+    before: str | None
+    """How the daemon before this one ended."""
     unfinished: list[dict[str, str]]
     """Runs that an earlier daemon could not close."""
+    rates_hz: dict[str, float]
+    """Readings of each node in the last second, a second."""
     lease: str | None
     """Who commands."""
     motions: int

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
+from needle_rig.records import JsonObject
 from needle_rig.service.orders import MODELS, Nothing
 from needle_rig.version import VERSION
-
-Document = dict[str, Any]
 
 _REFERENCE = "#/components/schemas/{model}"
 
@@ -50,12 +48,12 @@ _REFUSALS = {
 
 
 @cache
-def openapi_document() -> Document:
+def openapi_document() -> JsonObject:
     """The API as OpenAPI 3.1."""
     _, schemas = models_json_schema(
         [(model, "validation") for model in MODELS.values()], ref_template=_REFERENCE
     )
-    paths: Document = {}
+    paths: JsonObject = {}
     for route in ROUTES:
         paths.setdefault(route.path, {})[route.method.lower()] = _operation(route)
     error = {
@@ -71,8 +69,8 @@ def openapi_document() -> Document:
     }
 
 
-def _operation(route: Path) -> Document:
-    operation: Document = {
+def _operation(route: Path) -> JsonObject:
+    operation: JsonObject = {
         "operationId": route.order,
         "summary": route.summary,
         "responses": {
@@ -90,9 +88,9 @@ def _operation(route: Path) -> Document:
     return operation
 
 
-def _content(text: str, schema: Document) -> Document:
+def _content(text: str, schema: JsonObject) -> JsonObject:
     return {"description": text, "content": {"application/json": {"schema": schema}}}
 
 
-def _reference(name: str) -> Document:
+def _reference(name: str) -> JsonObject:
     return {"$ref": _REFERENCE.format(model=name)}

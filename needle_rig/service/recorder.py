@@ -14,9 +14,9 @@ import structlog
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import NeedleRigError, RigFault
-from needle_rig.recording import journal_path, unfinished_runs
+from needle_rig.recording import being_written, journal_path, runs_in_journals
 from needle_rig.records import Sample
-from needle_rig.service.recorder_link import Gone, RecorderLink
+from needle_rig.service.recorder_link import Gone, RecorderLink, Reply
 
 log = structlog.get_logger("recorder")
 
@@ -27,6 +27,8 @@ SLOWEST_DISK_BYTES_S = 10e6
 _BATCH_S = 0.05
 _CHECK_S = 1.0
 _REPLY_TIMEOUT_S = 10.0
+_LAST_WORDS_S = 5.0
+"""A recorder whose daemon is gone ends at once, but for what a slow disk makes of its last sync."""
 
 Row = tuple[float, ...]
 
@@ -53,13 +55,15 @@ class Recorder:
         self._run_bytes = 0
         self.lost_rows = 0
         """Rows of the present run that were thrown away because the writer was too slow."""
+        self.crowded: str | None = None
+        """Why runs take more room than they may, for a person."""
         self.unfinished: list[dict[str, str]] = []
         """Runs that were found cut off: `run`, `found_utc` and `text`, which is empty until it is closed."""
 
     async def start(self, directory: Path) -> None:
         """Start the process, and let it close the runs in `directory` that were left unfinished."""
         await self._linked()
-        left = unfinished_runs(directory)
+        left = runs_in_journals(directory)
         if left:
             self._closing_left = asyncio.create_task(self._close_left(left), name="close unfinished runs")
 
@@ -113,13 +117,24 @@ class Recorder:
         path, self._path, self._recording = self._path, None, False
         if self._lost is None:
             try:
-                await self._ask("finish", dict(result), time_s, work_bytes=self._run_bytes)
+                closed = await self._ask("finish", dict(result), time_s, work_bytes=self._run_bytes)
+                self._tell_kept(closed["removed"], closed["unread_bytes"])
             except Gone as gone:
                 answer = await self._recover(path, str(gone), result)
                 if not answer["complete"]:
                     raise RigFault(f"{gone}; what it had written is in {path}") from None
         else:
             await self._recover(path, self._lost, result)
+
+    def _tell_kept(self, removed: list[str], unread_bytes: int) -> None:
+        if removed:
+            log.info("old runs removed", runs=removed)
+        self.crowded = (
+            f"runs take {unread_bytes / 1e9:.3g} GB more than recording.keep_gb, and nobody read them:"
+            " needle-rig export"
+            if unread_bytes
+            else None
+        )
 
     async def discard(self) -> None:
         """Remove the open run: it never began."""
@@ -149,7 +164,7 @@ class Recorder:
             self._links.append(await RecorderLink.start(self._fail, self._on_gone))
         return self._links[-1]
 
-    async def _ask(self, *message: Any, work_bytes: int = 0) -> dict[str, Any]:
+    async def _ask(self, *message: Any, work_bytes: int = 0) -> Reply:
         timeout_s = _REPLY_TIMEOUT_S + work_bytes / SLOWEST_DISK_BYTES_S
         async with self._asking:
             return await (await self._linked()).ask(timeout_s, *message)
@@ -161,9 +176,7 @@ class Recorder:
         except NeedleRigError as error:
             self._fail(str(error))
 
-    async def _recover(
-        self, path: Path, text: str, result: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    async def _recover(self, path: Path, text: str, result: Mapping[str, Any] | None = None) -> Reply:
         try:
             size_bytes = journal_path(path).stat().st_size
         except OSError:
@@ -172,6 +185,11 @@ class Recorder:
 
     async def _close_left(self, left: list[Path]) -> None:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        # the recorder of a daemon that was killed may still write down its last rows; others write their own
+        until_s = time.monotonic() + _LAST_WORDS_S
+        while time.monotonic() < until_s and any(map(being_written, left)):
+            await asyncio.sleep(_BATCH_S)
+        left = [path for path in left if journal_path(path).exists() and not being_written(path)]
         self.unfinished += [{"run": str(path), "found_utc": now, "text": ""} for path in left]
         for path, told in zip(left, list(self.unfinished), strict=True):
             log.warning("unfinished run", run=str(path))

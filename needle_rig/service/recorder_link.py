@@ -9,7 +9,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypedDict
 
 from needle_rig.errors import BadInput, RigFault
 
@@ -20,6 +20,22 @@ REPLY_LIMIT_BYTES = 65_536
 """Answers are one sentence and a path: what is longer is no answer of a recorder in its senses."""
 
 _READ_BYTES = 65_536
+
+
+class Reply(TypedDict, total=False):
+    """What a recorder process says: every line has a number, the rest is as was asked."""
+
+    number: int
+    """Of the message that it answers; 0: it is ready, or what it could not record."""
+    ready: bool
+    error: str
+    exit_code: int
+    opened: str
+    closed: str
+    complete: bool
+    removed: list[str]
+    unread_bytes: int
+    text: str
 
 
 class Gone(RigFault):
@@ -39,7 +55,7 @@ class RecorderLink:
         self._on_failure = on_failure
         self._on_gone = on_gone
         self._numbers = itertools.count(1)
-        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._waiting: dict[int, asyncio.Future[Reply]] = {}
         self._ready = asyncio.Event()
         self._reason = ""
         self._listening = asyncio.create_task(self._listen(), name="recorder replies")
@@ -77,7 +93,7 @@ class RecorderLink:
         """Send a message that is not answered; returns its length in bytes."""
         return self._write(0, *message)
 
-    async def ask(self, timeout_s: float, *message: Any) -> dict[str, Any]:
+    async def ask(self, timeout_s: float, *message: Any) -> Reply:
         """Send a message and wait for its answer. A process that does not answer in time is killed.
 
         Raises Gone then and when the process ends, and the BadInput or RigFault with which it answers.
@@ -156,7 +172,7 @@ class RecorderLink:
         await self.process.wait()
         self._end("the recorder ended before the run did")
 
-    def _take(self, reply: dict[str, Any]) -> None:
+    def _take(self, reply: Reply) -> None:
         number = reply["number"]
         if number == 0:
             if "error" in reply:

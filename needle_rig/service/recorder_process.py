@@ -13,20 +13,25 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 
-from needle_rig.config.schema import RigConfig
+from needle_rig.config.schema import RecordingSection, RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording import (
     RunFile,
     RunWriter,
     new_run,
     remove_empty_runs,
+    retain,
     run_attributes,
     run_tables,
     sample_row,
     unfinished_runs,
 )
+
+if TYPE_CHECKING:
+    from needle_rig.records import JsonObject
+    from needle_rig.service.recorder_link import Reply
 
 _SENTENCE_LETTERS = 2000
 
@@ -37,6 +42,7 @@ class Keeper:
     def __init__(self, replies: TextIO) -> None:
         self._replies = replies
         self._writer: RunWriter | None = None
+        self._section = RecordingSection()
         self._broken: str | None = None
         """Why rows of the open run are missing."""
 
@@ -50,10 +56,11 @@ class Keeper:
             if number:
                 self._answer(number=number, **answer)
 
-    def begin(self, directory: Path, config: RigConfig, request: dict[str, Any]) -> dict[str, Any]:
+    def begin(self, directory: Path, config: RigConfig, request: JsonObject) -> Reply:
         """Open a new run."""
         self._leave()
         remove_empty_runs(directory)
+        self._section = config.recording
         tables = run_tables(len(config.layout.hall_sensors))
         self._writer = new_run(directory, run_attributes(config, **request), tables)
         self._broken = None
@@ -73,13 +80,13 @@ class Keeper:
         if self._writer is not None:
             self._writer.event(time_s, kind, text)
 
-    def sync(self) -> dict[str, Any]:
+    def sync(self) -> Reply:
         """Answer when every row is on the disk."""
         if self._writer is not None:
             self._writer.sync()
         return {}
 
-    def finish(self, result: dict[str, Any], time_s: float) -> dict[str, Any]:
+    def finish(self, result: JsonObject, time_s: float) -> Reply:
         """Close the run, whole if no row is missing."""
         writer, self._writer = self._writer, None
         if writer is None:
@@ -88,16 +95,21 @@ class Keeper:
             writer.close(result, time_s=time_s)
         else:
             writer.close_unfinished(self._broken, result)
-        return {"closed": str(writer.path)}
+        kept = retain(writer.path.parent, self._section.keep_days, self._section.keep_gb)
+        return {
+            "closed": str(writer.path),
+            "removed": [run.name for run in kept.removed],
+            "unread_bytes": kept.unread_bytes,
+        }
 
-    def discard(self) -> dict[str, Any]:
+    def discard(self) -> Reply:
         """Take the run away."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.discard()
         return {}
 
-    def recover(self, path: Path, text: str, result: dict[str, Any] | None) -> dict[str, Any]:
+    def recover(self, path: Path, text: str, result: JsonObject | None) -> Reply:
         """Close the run at `path` that another recorder left; `text` says why it could not close it."""
         if path.exists() and path not in unfinished_runs(path.parent):
             return {"complete": RunFile(path).complete, "text": f"{path} is closed"}

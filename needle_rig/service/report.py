@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
-import math
-
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
+from needle_rig.numerics import rounded
 from needle_rig.records import DriveFault, Measurement
 from needle_rig.service import documents
 from needle_rig.units import deg, nmm
 
 
-def number(value: float | None, digits: int = 4) -> float | None:
-    """`value` for JSON: None where there is none or it is not finite, and no more digits than it deserves."""
-    return None if value is None or not math.isfinite(value) else round(value, digits)
-
-
 def _deg(angle_rad: float | None) -> float | None:
-    return None if angle_rad is None else number(deg(angle_rad))
+    return None if angle_rad is None else rounded(deg(angle_rad), 4)
 
 
 def _nmm(torque_nm: float) -> float | None:
-    return number(nmm(torque_nm), 5)
+    return rounded(nmm(torque_nm), 5)
 
 
 def _degrees(angles_rad: tuple[float, ...]) -> list[float | None]:
     return [_deg(angle) for angle in angles_rad]
 
 
-def rig_document(config: RigConfig) -> documents.Rig:
+def rig_document(config: RigConfig, *, simulated: bool) -> documents.Rig:
     """What does not change: the rig's name, its parameters when simulated, and its layout."""
     return {
         "name": config.name,
+        "simulated": simulated,
         "parameters": config.simulation.parameters if config.simulation else None,
         "tick_hz": config.tick_hz,
         "needle_length_mm": config.needle.length_mm,
@@ -44,13 +39,13 @@ def rig_document(config: RigConfig) -> documents.Rig:
 def state_document(state: BrainState) -> documents.Standing:
     """Where the brain stands and what the sensors say."""
     return {
-        "time_s": number(state.time_s),
+        "time_s": rounded(state.time_s, 4),
         "phase": state.phase.value,
         "motion": state.motion,
         "motion_index": state.motion_index,
         "motions_expected": state.motions_expected,
         "waiting_for": state.waiting_for,
-        "remaining_s": number(state.remaining_s, 2),
+        "remaining_s": rounded(state.remaining_s, 2),
         "progress": round(state.progress, 4),
         "target_deg": _deg(state.target_rad),
         "strategy": state.strategy,
@@ -79,9 +74,9 @@ def _sensors(measurement: Measurement) -> documents.Sensors:
             (fault.name or "").lower() for fault in DriveFault if fault and fault in measurement.drive_faults
         ],
         "age_ms": {
-            "torque": number(measurement.torque_age_s * 1e3, 1),
-            "hall": number(measurement.hall_age_s * 1e3, 1),
-            "drive": number(measurement.drive_age_s * 1e3, 1),
+            "torque": rounded(measurement.torque_age_s * 1e3, 1),
+            "hall": rounded(measurement.hall_age_s * 1e3, 1),
+            "drive": rounded(measurement.drive_age_s * 1e3, 1),
         },
     }
 
@@ -96,20 +91,21 @@ def settled_document(motion: SettledMotion) -> documents.Settled:
         "predicted_lag_deg": _deg(motion.predicted_lag_rad),
         "hall_deg": _degrees(motion.hall_rad),
         "tip_lag_deg": _deg(motion.tip_lag_rad),
-        "moved_s": number(motion.moved_s),
-        "settled_s": number(motion.time_s),
+        "moved_s": rounded(motion.moved_s, 4),
+        "settled_s": rounded(motion.time_s, 4),
     }
 
 
 def result_document(
-    outcome: Outcome, settled: tuple[SettledMotion, ...], parameters: str | None, run: str
+    outcome: Outcome, settled: tuple[SettledMotion, ...], rig: documents.Rig, run: str
 ) -> documents.Result:
     """The result of a run: the object that `needle-rig compensate --json` prints."""
     return {
         "status": outcome.status,
         "target_deg": _deg(outcome.target_rad),
         "strategy": outcome.strategy,
-        "parameters": parameters,
+        "simulated": rig["simulated"],
+        "parameters": rig["parameters"],
         "lag_deg": _deg(outcome.lag_rad),
         "motions": [
             {
@@ -140,8 +136,8 @@ def condition_document(condition: Condition) -> documents.Condition:
     return {
         "name": condition.name,
         "text": condition.text,
-        "value": number(convert(condition.value), 5),
-        "limit": number(convert(condition.limit), 5),
+        "value": rounded(convert(condition.value), 5),
+        "limit": rounded(convert(condition.limit), 5),
         "unit": "°" if angle else "N·mm",
         "met": condition.met,
     }

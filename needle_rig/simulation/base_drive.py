@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from needle_rig.numerics import Array
 
 LAG_S = 1.0 / 12.0
 """Time constant of each lag: the base of the practice datasets to within its encoder's noise."""

@@ -20,11 +20,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
+
+if TYPE_CHECKING:
+    from needle_rig.simulation.bench_lines import Said
 
 PREFIX = "needle-rig-bench-"
 """Of the temporary folders with the names of a bench's ports."""
@@ -71,7 +74,7 @@ class Bench:
         said = self.wait_for(lambda said: wanted.items() <= said.items(), timeout_s)
         return float(said["time_s"])
 
-    def heard(self, timeout_s: float) -> dict[str, Any] | None:
+    def heard(self, timeout_s: float) -> Said | None:
         """The next thing that the bench says; None when it says nothing for `timeout_s`.
 
         Raises RigFault when the bench is gone.
@@ -89,16 +92,33 @@ class Bench:
                 raise RigFault(f"the simulated rig ended (exit {self._process.wait()})")
             self._text += chunk
         line, _, self._text = self._text.partition(b"\n")
-        said: dict[str, Any] = json.loads(line)
+        said: Said = json.loads(line)
         return said
 
-    def wait_for(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float) -> dict[str, Any]:
+    def wait_for(self, wanted: Callable[[Said], bool], timeout_s: float) -> Said:
         """The next thing said that is `wanted`; others are dropped. Raises TimeoutError."""
         deadline_s = time.monotonic() + timeout_s
         while (said := self.heard(max(deadline_s - time.monotonic(), 0.0))) is not None:
             if wanted(said):
                 return said
         raise TimeoutError(f"the bench did not say it within {timeout_s:g} s")
+
+    def wait_until_ready(self, timeout_s: float) -> None:
+        """Wait until the ports are there.
+
+        The first start on a machine compiles the solver, which takes a quarter of a minute. Raises BadInput
+        or RigFault with what the child had to say. Blocks: from a running loop, use a thread.
+        """
+        said = self.heard(timeout_s)
+        if said is None:
+            raise RigFault(f"the simulated rig did not start within {timeout_s:g} s")
+        if "error" in said:
+            raise (BadInput if said["exit_code"] == BadInput.exit_code else RigFault)(said["error"])
+        self.ports = {name: said[name] for name in ("can", "hall")}
+
+    def kill(self) -> None:
+        """End it at once, whatever it does; `close` takes away what is left."""
+        self._process.kill()
 
     @property
     def pid(self) -> int:
@@ -122,11 +142,18 @@ class Bench:
 
 
 def start(config: RigConfig, timeout_s: float = 120.0) -> Bench:
-    """Start the bench of `config` as a child and wait until its ports are there.
+    """Start the bench of `config` as a child and wait until its ports are there: `spawn`, then wait."""
+    bench = spawn(config)
+    try:
+        bench.wait_until_ready(timeout_s)
+    except BaseException:
+        bench.close()
+        raise
+    return bench
 
-    The first start on a machine compiles the solver, which takes a quarter of a minute. Raises BadInput or
-    RigFault with what the child had to say. Blocks: from a running loop, use a thread.
-    """
+
+def spawn(config: RigConfig) -> Bench:
+    """Start the bench of `config` as a child that gets ready by itself."""
     folder = contextlib.ExitStack()
     ports = str(folder.enter_context(temporary_folder(PREFIX)))
     command = [sys.executable, "-m", "needle_rig.simulation.bench", "--config", "-", "--child-in", ports]
@@ -135,17 +162,8 @@ def start(config: RigConfig, timeout_s: float = 120.0) -> Bench:
     # folder in this process's place.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
     bench = Bench(process, {}, folder)
-    try:
+    with contextlib.suppress(BrokenPipeError):  # it is gone, which is told when it is waited for
         bench.tell(config.model_dump_json())
-        said = bench.heard(timeout_s)
-        if said is None:
-            raise RigFault(f"the simulated rig did not start within {timeout_s:g} s")
-        if "error" in said:
-            raise (BadInput if said["exit_code"] == BadInput.exit_code else RigFault)(said["error"])
-    except BaseException:
-        bench.close()
-        raise
-    bench.ports = {name: said[name] for name in ("can", "hall")}
     return bench
 
 
@@ -188,6 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--ports", help="folder for the names of the ports; default: a temporary one")
     place.add_argument("--child-in", help=argparse.SUPPRESS)
+    parser.add_argument("--can", help="CAN interface to put the nodes on, such as vcan0; default: slcan")
     parser.add_argument("--keep", action="store_true", help="go on when standard input ends")
     options = parser.parse_args(arguments)
 
@@ -201,12 +220,12 @@ def main(arguments: list[str] | None = None) -> int:
             from needle_rig.simulation.build import build_plant
 
             config = _read_config(options.config)
-            loop = BenchLoop(config, build_plant(config), ports, say)
+            loop = BenchLoop(config, build_plant(config), ports, say, options.can)
         except NeedleRigError as error:
             say({"error": str(error), "exit_code": error.exit_code})
             return error.exit_code
         stack.callback(loop.close)
-        say(dict(loop.ports))
+        say({"can": loop.ports["can"], "hall": loop.ports["hall"]})
         be_urgent()
         with contextlib.suppress(KeyboardInterrupt):
             loop.run(0, end_with_control=not options.keep)

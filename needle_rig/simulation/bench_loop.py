@@ -17,9 +17,11 @@ from typing import Any, Protocol
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.records import Measurement
+from needle_rig.simulation.bench_lines import Said
 from needle_rig.simulation.faults import Faults, over_index
 from needle_rig.simulation.node_set import build_nodes
-from needle_rig.simulation.slcan_hub import Frame, Pty, SlcanHub, SlcanPort
+from needle_rig.simulation.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
+from needle_rig.simulation.socketcan_port import SocketCanPort
 from needle_rig.units import deg, rad
 from needle_rig.wire.can_frames import CanCodec, DriveCommand
 
@@ -93,10 +95,18 @@ class Tap:
 
 
 class BenchLoop:
-    """Plant, nodes and ports. `say` receives what happens, as objects for JSON."""
+    """Plant, nodes and ports. `say` receives what happens, as objects for JSON.
+
+    The nodes on CAN are on the SocketCAN `interface` when one is named, else on an slcan port in `ports`.
+    """
 
     def __init__(
-        self, config: RigConfig, plant: WorldPlant, ports: Path, say: Callable[[dict[str, Any]], None]
+        self,
+        config: RigConfig,
+        plant: WorldPlant,
+        ports: Path,
+        say: Callable[[Said], None],
+        interface: str | None = None,
     ) -> None:
         if config.simulation is None:
             raise ValueError("a bench needs the simulation section")
@@ -114,7 +124,8 @@ class BenchLoop:
         self._taps = {link: Tap(seed) for seed, link in enumerate(LINKS)}
         self._hub = SlcanHub()
         self._ports_folder = ports
-        self._can_port: SlcanPort | None = None
+        self._interface = interface
+        self._can_port: CanPort | None = None
         self._hall_port: Pty | None = None
         self._plug_can()
         self._plug_hall()
@@ -133,7 +144,8 @@ class BenchLoop:
     @property
     def ports(self) -> dict[str, str]:
         """Where the rig's links are."""
-        return {name: str(self._ports_folder / name) for name in ("can", "hall")}
+        can, hall = (str(self._ports_folder / name) for name in ("can", "hall"))
+        return {"can": self._interface or can, "hall": hall}
 
     def run(self, control_fd: int, *, end_with_control: bool = True) -> None:
         """Run until `control_fd` ends; commands come from it, a line each."""
@@ -169,8 +181,10 @@ class BenchLoop:
 
     def close(self) -> None:
         """Hang up every port."""
-        for port in (*self._hub.ports, *([self._hall_port] if self._hall_port else [])):
+        for port in self._hub.ports:
             port.close()
+        if self._hall_port is not None:
+            self._hall_port.close()
         for name in ("can", "hall"):
             (self._ports_folder / name).unlink(missing_ok=True)
 
@@ -245,9 +259,7 @@ class BenchLoop:
         if link == "torque" and self._taps["drive"].fault != "unplug":
             self._drive.receive(self._now_us, frame[0], data)
         if self._taps["can"].fault == "garble" and self._can_port is not None:
-            self._can_port.write(
-                self._taps["can"].through(b"t%03X8%s\r" % (frame[0], data.hex().encode())) or b""
-            )
+            self._can_port.send_garbled((frame[0], data), lambda line: self._taps["can"].through(line) or b"")
         elif self._taps["can"].fault == "restore":
             self._hub.send((frame[0], data), sender=self._on_bus)
 
@@ -336,12 +348,15 @@ class BenchLoop:
 
     def _plug_can(self, plugged: bool = True) -> None:
         if plugged and self._can_port is None:
-            self._can_port = self._hub.add_port()
-            self._link("can", self._can_port.name)
+            self._can_port = SlcanPort() if self._interface is None else SocketCanPort(self._interface)
+            self._hub.plug(self._can_port)
+            if self._interface is None:
+                self._link("can", self._can_port.name)
         elif not plugged and self._can_port is not None:
             self._hub.remove_port(self._can_port)
             self._can_port = None
-            (self._ports_folder / "can").unlink()
+            if self._interface is None:
+                (self._ports_folder / "can").unlink()
 
     def _plug_hall(self, plugged: bool = True) -> None:
         if plugged and self._hall_port is None:
@@ -373,11 +388,11 @@ def be_urgent(urgent: bool = True) -> None:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
 
 
-def speak(stream_fd: int) -> Callable[[dict[str, Any]], None]:
+def speak(stream_fd: int) -> Callable[[Said], None]:
     """A `say` that writes one JSON line, with the time, or drops it when nobody reads."""
     os.set_blocking(stream_fd, False)
 
-    def say(what: dict[str, Any]) -> None:
+    def say(what: Said) -> None:
         line = json.dumps({**what, "time_s": round(time.monotonic(), 6)}) + "\n"
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(stream_fd, line.encode())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from needle_rig.config.schema import DriveSection
-from needle_rig.records import STOP, Command, DriveFault, DriveState
+from needle_rig.records import COMMAND_AGE_S, STOP, Command, DriveFault, DriveState
 from needle_rig.simulation.motion_monitor import MotionMonitor, Verdict
 from needle_rig.units import deg, nm, rad
 
@@ -18,7 +18,7 @@ VELOCITY_MARGIN = 1.5
 class GuardSettings:
     """The firmware's defaults: µs and SI. See firmware/core/nr_guard.h."""
 
-    command_age_us: int = 50_000
+    command_age_us: int = round(COMMAND_AGE_S * 1e6)
     heartbeat_us: int = 50_000
     torque_age_us: int = 50_000
     still_us: int = 100_000

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
+from needle_rig.numerics import Array
 from needle_rig.records import Command, DriveFault, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.simulation.faults import Faults, Links, over_index
 from needle_rig.simulation.node_set import build_nodes
-from needle_rig.simulation.plant import Array, Plant
+from needle_rig.simulation.plant import Plant
 from needle_rig.wire.can_frames import (
     DRIVE_COMMAND_ID,
     DRIVE_REFERENCE_ID,

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.schema import SimulationSection
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
@@ -23,7 +23,6 @@ from needle_rig.simulation.motor import Motor, MotorSettings
 from needle_rig.simulation.velocity_loop import VelocityLoop
 from needle_rig.units import nm, rad
 
-Array = npt.NDArray[np.float64]
 REMEMBERED = 64
 """Readings kept for effects on the sensors that look back (a stream that is late)."""
 _LINKS = {

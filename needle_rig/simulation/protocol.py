@@ -96,7 +96,7 @@ def save_protocol(path: str | os.PathLike[str], protocol: Protocol, note: str = 
     data: dict[str, object] = {"format": FORMAT, "name": protocol.name, "pause_s": protocol.pause_s}
     if note:
         data["note"] = note
-    data["trials"] = [t.told() for t in protocol.trials]
+    data["trials"] = [t.file_keys() for t in protocol.trials]
     Path(path).write_text(write_yaml(data), encoding="utf-8")
 
 

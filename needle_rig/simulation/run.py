@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion
 from needle_rig.errors import RigFault
+from needle_rig.numerics import Array
 from needle_rig.records import Sample
 from needle_rig.simulation.plant import Plant
 
@@ -25,7 +23,7 @@ class VirtualRun:
     outcome: Outcome
     settled: tuple[SettledMotion, ...]
     samples: tuple[Sample, ...]
-    shafts_rad: tuple[npt.NDArray[np.float64], ...]
+    shafts_rad: tuple[Array, ...]
     time_s: float
 
 
@@ -45,7 +43,7 @@ def run_virtual(
     """
     brain.compensate(request)
     samples: list[Sample] = []
-    pictures: list[npt.NDArray[np.float64]] = []
+    pictures: list[Array] = []
     start_s = plant.time_s
     settled = 0
     while True:

@@ -7,12 +7,37 @@ import os
 import re
 import tty
 from collections.abc import Callable
+from typing import Protocol
 
 Frame = tuple[int, bytes]
 
 _FRAME = re.compile(rb"t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2})*)")
 _QUEUE_BYTES = 4096
 _OK, _ERROR = b"\r", b"\a"
+
+
+class CanPort(Protocol):
+    """An adapter between the hub and another program."""
+
+    name: str
+
+    def fileno(self) -> int:
+        """Descriptor to wait on for what the program sends."""
+
+    def receive(self) -> list[Frame]:
+        """Frames that the program sent."""
+
+    def send(self, frame: Frame) -> None:
+        """Queue a frame for the program."""
+
+    def send_garbled(self, frame: Frame, garble: Callable[[bytes], bytes]) -> None:
+        """Queue what `garble` leaves of a frame."""
+
+    def flush(self) -> None:
+        """Send what is queued."""
+
+    def close(self) -> None:
+        """Hang up; safe to call twice."""
 
 
 class Pty:
@@ -80,8 +105,11 @@ class SlcanPort(Pty):
     def send(self, frame: Frame) -> None:
         """Pass a frame on to the program if it opened the channel."""
         if self.is_open:
-            frame_id, data = frame
-            self.write(b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode()))
+            self.write(_line(frame))
+
+    def send_garbled(self, frame: Frame, garble: Callable[[bytes], bytes]) -> None:
+        """Send noise in place of the frame's line, whether the channel is open or not."""
+        self.write(garble(_line(frame)))
 
     def _obey(self, line: bytes) -> Frame | None:
         match = _FRAME.fullmatch(line)
@@ -100,19 +128,29 @@ class SlcanPort(Pty):
         return None
 
 
+def _line(frame: Frame) -> bytes:
+    frame_id, data = frame
+    return b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode())
+
+
 class SlcanHub:
     """Every frame reaches every other port and every node on this side, as on one pair of wires."""
 
     def __init__(self) -> None:
-        self.ports: list[SlcanPort] = []
+        self.ports: list[CanPort] = []
         self._nodes: list[Callable[[Frame], None]] = []
 
     def add_port(self) -> SlcanPort:
         """One more adapter on the bus."""
-        self.ports.append(SlcanPort())
-        return self.ports[-1]
+        port = SlcanPort()
+        self.plug(port)
+        return port
 
-    def remove_port(self, port: SlcanPort) -> None:
+    def plug(self, port: CanPort) -> None:
+        """Put an adapter on the bus."""
+        self.ports.append(port)
+
+    def remove_port(self, port: CanPort) -> None:
         """Pull an adapter out."""
         self.ports.remove(port)
         port.close()
@@ -135,7 +173,7 @@ class SlcanHub:
         for port in self.ports:
             port.flush()
 
-    def serve(self, port: SlcanPort) -> None:
+    def serve(self, port: CanPort) -> None:
         """Pass on what came into `port`."""
         for frame in port.receive():
             self.send(frame, sender=port)

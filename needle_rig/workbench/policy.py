@@ -315,12 +315,11 @@ class Policy:
 
     def as_json(self) -> dict[str, dict[str, Any]]:
         """Values by group and name."""
-        return {
-            group.name: {
-                f.name: getattr(getattr(self, group.name), f.name) for f in fields(getattr(self, group.name))
-            }
-            for group in fields(self)
-        }
+        found: dict[str, dict[str, Any]] = {}
+        for row in thresholds(self):
+            value = list(row.value) if isinstance(row.value, tuple) else row.value
+            found.setdefault(row.group, {})[row.name] = value
+        return found
 
 
 @dataclass(frozen=True)

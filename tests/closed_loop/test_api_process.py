@@ -173,7 +173,7 @@ def test_jog_home_hold_and_release(shell: Shell, daemon: subprocess.Popen[str]) 
 
 
 def test_a_motion_is_stopped_by_ctrl_c(shell: Shell, daemon: subprocess.Popen[str]) -> None:
-    with shell.start("jog", "--to", "700", "--speed", "0.1") as client:
+    with shell.start("jog", "--to", "700", "--speed", "0.5") as client:
         wait_for_line(client, lambda line: "moving" in line)
         second = shell.run("home")
         assert second.returncode == 2

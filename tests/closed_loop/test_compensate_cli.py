@@ -28,7 +28,17 @@ def tip_lag(motion: dict[str, Any]) -> float:
 
 def check_schema(result: dict[str, Any]) -> None:
     assert list(result) == [
-        *("status", "target_deg", "strategy", "parameters", "lag_deg", "motions", "final", "run"),
+        *(
+            "status",
+            "target_deg",
+            "strategy",
+            "simulated",
+            "parameters",
+            "lag_deg",
+            "motions",
+            "final",
+            "run",
+        ),
         "fault_name",
     ]
     assert all(list(m) == ["phase", "base_deg", "torque_nmm", "hall_deg"] for m in result["motions"])

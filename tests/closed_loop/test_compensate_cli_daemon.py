@@ -7,6 +7,8 @@ import signal
 import socket
 import stat
 import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -168,7 +170,12 @@ def test_systemd_is_told(shell: Shell) -> None:
         )
         stack.callback(process.wait)
         stack.callback(process.kill)
-        assert told.recv(500).startswith(b"READY=1")
+        starting = []
+        while not (text := told.recv(500)).startswith(b"READY=1"):
+            starting.append(text)
+        # a start that compiles the solver takes longer than the unit's TimeoutStartSec
+        assert starting[0] == b"EXTEND_TIMEOUT_USEC=15000000"
+        assert any(text.startswith(b"STATUS=starting") for text in starting)
         # in real time, from ticks that met their deadline
         while told.recv(500) != b"WATCHDOG=1":
             pass
@@ -202,3 +209,50 @@ def test_a_port_serves_one_daemon(shell: Shell) -> None:
     finally:
         os.close(master)
         os.close(slave)
+
+
+def test_a_rig_that_comes_after_its_daemon_is_found(shell: Shell, tmp_path: Path) -> None:
+    rig = (ROOT / "config" / "rig.yaml").read_text()
+    rig = rig.replace("channel: auto", f"channel: {tmp_path}/can").replace(
+        "port: auto", f"port: {tmp_path}/hall"
+    )
+    (shell.folder / "rig.yaml").write_text(rig)
+    with shell.start("daemon", "--config", "rig.yaml", "--socket", "here.sock") as daemon:
+        line = wait_for_line(daemon, lambda line: "no rig yet" in line)
+        assert f"there is no {tmp_path}/can" in line
+        wait_for_line(daemon, lambda line: "ready" in line)
+        told = shell.run("status", "--socket", "here.sock")
+        assert told.returncode == 0
+        assert f"there is no {tmp_path}/can" in told.stdout
+        bench = subprocess.Popen(
+            [sys.executable, "-m", "needle_rig.simulation.bench", "--ports", str(tmp_path)],
+            cwd=shell.folder,
+            env=shell.environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+        )
+        try:
+            wait_for_line(daemon, lambda line: "the rig answers" in line)
+            done = shell.run("jog", "--by", "1", "--socket", "here.sock")
+            assert done.returncode == 0, done.stderr
+        finally:
+            bench.kill()
+            bench.communicate()
+
+
+def test_term_ends_a_daemon_whose_bench_is_still_starting(shell: Shell) -> None:
+    # a cache of its own: the bench compiles for a quarter of a minute
+    environment = {**shell.environment, "NUMBA_CACHE_DIR": str(shell.folder / "cache")}
+    process = subprocess.Popen(
+        [*PROGRAM, "daemon"], cwd=shell.folder, env=environment, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        time.sleep(4.0)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=8.0)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert "ended" in said
+    assert "ready" not in said
+    all_gone(shell.processes(), within_s=5.0)

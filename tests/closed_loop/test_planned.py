@@ -13,6 +13,7 @@ from needle_rig.control.planning import effort as effort_module
 from needle_rig.control.planning.belief import first_belief, needles
 from needle_rig.control.planning.effort import CALL_SOLVES, Effort, Spent
 from needle_rig.control.planning.search import Aim, carry_out, cheapest, likeliest_plans, rate
+from needle_rig.control.strategies import planned as planned_module
 from needle_rig.control.strategies.planned import PLAN_SOLVES, Planned
 from needle_rig.control.strategy import Reason, Strategy, Task, Trust, Waypoint, make_strategy
 from needle_rig.errors import BadInput, SolverError
@@ -298,6 +299,25 @@ def test_a_needle_that_snaps_too_often_is_left_to_reed2008(monkeypatch: pytest.M
     assert any("snaps too often to be planned with" in note for note in run.notes)
     assert [motion.name for motion in run.history[-4:]] == ["overshoot", "back", "forward", "final"]
     assert {motion.reason for motion in run.history[-4:]} == {Reason.EFFORT_SPENT}
+
+
+def test_what_is_said_when_the_effort_is_spent_is_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = load_parameters("rig_elastic")
+    task = _task(plant)
+    history = run_settled(plant, make_strategy("none", {}), task, np.random.default_rng(0), NO_NOISE).history
+    turned = (history[0], dataclasses.replace(history[1], reason=Reason.EFFORT_SPENT))
+    with monkeypatch.context() as hurried:
+        hurried.setattr(planned_module, "PLAN_SOLVES", 10.0)
+        first, second = Planned().next(task, turned[:1]), Planned().next(task, turned)
+    assert first is not None
+    assert (first.name, first.reason) == ("rotate", Reason.EFFORT_SPENT)
+    assert first.note.endswith("turning to the target first, as reed2008 does, and planning again from there")
+    after_it = Planned().next(task, turned)
+    assert after_it is not None
+    assert after_it.reason is Reason.STRATEGY
+    assert second is not None
+    assert second.note.endswith("going on as reed2008")
+    assert second.reason is Reason.EFFORT_SPENT
 
 
 def test_a_sequence_that_takes_too_many_solves_counts_as_bad(monkeypatch: pytest.MonkeyPatch) -> None:

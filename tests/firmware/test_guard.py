@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from needle_rig.control.limits import DRIVE_SENTENCES
 from needle_rig.firmware.host import HostNodes
-from needle_rig.records import DriveFault, DriveState
+from needle_rig.records import COMMAND_AGE_S, DriveFault, DriveState
 from tests.firmware.harness import Guard
 
 EDGE = (-1000, -100, -10, -2, -1, 0, 1, 2, 10, 100, 1000)
@@ -21,6 +22,11 @@ def test_boots_silent_and_obeys_nothing(nodes: HostNodes) -> None:
         assert guard.tick() == 0
         assert guard.state is DriveState.SILENT
     assert guard.faults == DriveFault.NONE
+
+
+def test_the_host_tells_people_the_age_at_which_the_drive_stops(nodes: HostNodes) -> None:
+    assert nodes.lib.nr_drive_defaults.guard.command_age_us == round(COMMAND_AGE_S * 1e6)
+    assert "for 50 ms;" in DRIVE_SENTENCES[DriveFault.COMMAND_AGE]
 
 
 def test_first_command_after_boot_only_sets_the_counter(nodes: HostNodes) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-from needle_rig.numerics import forward_jacobian
+from needle_rig.numerics import forward_jacobian, rounded
 
 SLOPES = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 4.0]])
 
@@ -55,3 +57,13 @@ def test_no_point_is_asked_outside_the_bounds(low, high, goes_to):
 def test_every_parameter_has_its_own_bounds():
     _, points = asked(lambda at: at, np.zeros(2), 1.0, np.array([-9.0, -9.0]), np.array([9.0, 0.5]))
     assert points == pytest.approx(np.array([[1.0, 0.0], [0.0, -1.0]]))
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf, -math.inf])
+def test_what_json_has_no_number_for_becomes_null(value: float | None) -> None:
+    assert rounded(value, 4) is None
+
+
+def test_a_number_for_json_is_rounded_to_its_decimals() -> None:
+    assert rounded(26.04999, 2) == 26.05
+    assert rounded(-12.3456, 1) == -12.3

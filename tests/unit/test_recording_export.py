@@ -35,6 +35,7 @@ def test_runs_are_listed(runs, capsys):
     header, line = capsys.readouterr().out.splitlines()
     assert header.split() == [
         "run",
+        "rig",
         "time",
         "(UTC)",
         "target",

@@ -16,10 +16,12 @@ from needle_rig.errors import NeedleRigError
 from needle_rig.workbench.parallel import Processes, Work
 
 INTERRUPTED = """
+import signal
 import time
 from needle_rig.workbench.parallel import Processes
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background has it ignored
     with Processes(2) as work:
         work.share(0.0)
         work.run(time.sleep, [()] * 4)

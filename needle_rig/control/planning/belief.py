@@ -14,20 +14,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.planning.replay import READ, replayed
 from needle_rig.control.strategy import History, Task
 from needle_rig.errors import SolverError
-from needle_rig.numerics import forward_jacobian
+from needle_rig.numerics import Array, forward_jacobian
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import nm, rad
-
-Array = npt.NDArray[np.float64]
 
 ELEMENT_LENGTH_M = 5e-3
 """Coarse enough for a thousand sequences in half a second; against 0.5 mm it moves no angle by 0.01°."""

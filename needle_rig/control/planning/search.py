@@ -8,18 +8,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.control.lag import effective_length_m, tissue_length_m
 from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.strategy import Task
 from needle_rig.errors import SolverError
-from needle_rig.numerics import forward_jacobian
+from needle_rig.numerics import Array, forward_jacobian
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import rad
-
-Array = npt.NDArray[np.float64]
 
 TORQUE_WEIGHT = 0.2
 """Of the lag that the torque left stands for, beside the worst angle error."""

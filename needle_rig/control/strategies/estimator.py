@@ -6,20 +6,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.control.lag import tissue_length_m
 from needle_rig.control.planning.replay import replayed
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.solver import RodState
 from needle_rig.units import nm, rad
-
-Array = npt.NDArray[np.float64]
 
 STIFFNESS_NMM_PER_RAD_PER_100MM = 0.45
 """Middle, in the logarithm, of what soft phantoms have (PVC, gelatin: 0.1 to 2)."""

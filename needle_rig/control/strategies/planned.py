@@ -37,9 +37,10 @@ SAMPLES = 8
 MOST_AHEAD = 5
 PLAN_SOLVES = 350_000.0
 """What one plan may spend, belief and all: half a second of a core that does nothing else."""
-TOO_MANY_SOLVES = (
-    f"the model snaps too often to be planned with in {PLAN_SOLVES:.0f} solves, going on as reed2008"
-)
+TOO_MANY_SOLVES = f"the model snaps too often to be planned with in {PLAN_SOLVES:.0f} solves"
+GOING_ON = "going on as reed2008"
+TURNING_FIRST = "turning to the target first, as reed2008 does, and planning again from there"
+"""For the first motion: it is no correction, so the next one may be planned (see `doubted_at`)."""
 CORRECTION_SHARE, LIKELY_SHARE = 0.4, 0.55
 """What correcting the belief may take of it, and the search in the likeliest needle of what is then left."""
 FRICTION_SIGMA = 1.64
@@ -125,7 +126,8 @@ class Planned(Strategy):
                 return None
             plan, note = self.plan(task, history, belief, effort)
         except (Spent, SolverError):
-            return reed_remaining(task, history, len(history) - 1, Reason.EFFORT_SPENT, TOO_MANY_SOLVES)
+            note = f"{TOO_MANY_SOLVES}, {TURNING_FIRST if len(history) == 1 else GOING_ON}"
+            return reed_remaining(task, history, len(history) - 1, Reason.EFFORT_SPENT, note)
         if not plan.angles_rad:
             return None
         last = len(plan.angles_rad) == 1
@@ -153,7 +155,7 @@ class Planned(Strategy):
         sigma, told = misfit(belief, task, history, Errors(), effort)
         if sigma <= self.doubt_sigma:
             return ""
-        return f"{told}, {sigma:.0f}σ: the model does not hold here, going on as reed2008"
+        return f"{told}, {sigma:.0f}σ: the model does not hold here, {GOING_ON}"
 
     def plan(self, task: Task, history: History, belief: Belief, effort: Effort) -> tuple[Plan, str]:
         """The best rest of the sequence (angles may be none), and what is expected of it.

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needle_rig.physics.effect import Array, Effect, Reading, parameter
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect, Reading, parameter
 
 KG_M2_PER_G_CM2 = 1e-7
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needle_rig.physics.effect import Array, Effect, Reading, parameter
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect, Reading, parameter
 
 S_PER_MS = 1e-3
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needle_rig.physics.effect import Array, Effect, Trial, parameter
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect, Trial, parameter
 from needle_rig.units import rad
 
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
@@ -22,8 +22,6 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.noise import measure_noise, with_replicate_scatter
 from needle_rig.workbench.policy import POLICY
-
-Array = npt.NDArray[np.float64]
 
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 COARSE_M = 4e-3

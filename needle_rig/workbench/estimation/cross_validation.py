@@ -7,17 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import LOOSE, Fit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Point, Problem
-
-Array = npt.NDArray[np.float64]
 
 NEAR = 1.0
 """Steps of less than one standard deviation are taken as the derivatives say, without looking."""

@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import DatasetTrial, denoised_base, encoder_noise
 from needle_rig.errors import SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import predict_batch
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.multistart import FINE_SHAPE_STEPS, SHAPE_STEPS, over_shapes
@@ -17,8 +17,6 @@ from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import driven_by_samples, sample_weights
 from needle_rig.workbench.policy import POLICY
-
-Array = npt.NDArray[np.float64]
 
 FINER = 8.0
 DRAWS = 16

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import null_space
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.posterior import LEVEL
 from needle_rig.workbench.estimation.problem import Problem
@@ -32,7 +33,6 @@ from needle_rig.workbench.policy import POLICY
 if TYPE_CHECKING:
     from needle_rig.workbench.estimation.map_fit import Fit
 
-Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]
 
 UNSEEN = 1e-3

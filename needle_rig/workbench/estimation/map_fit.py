@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.parameters import Coordinate
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import Point, Problem
-
-Array = npt.NDArray[np.float64]
 
 ENOUGH = 0.05
 """A fit ends when the next step would lower the objective by less than this,"""

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import ENOUGH, Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import Point, Problem
-
-Array = npt.NDArray[np.float64]
 
 MOST_WALKS = 4
 """How often a fit goes on from a lower place along its least certain direction."""

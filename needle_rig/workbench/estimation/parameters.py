@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, ParameterInfo
 from needle_rig.physics.rod import Layout
-
-Array = npt.NDArray[np.float64]
 
 WIDE = 10.0
 """Prior standard deviation of a strength whose effect's file states none: ten typical sizes."""

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.parameters import Coordinate, held_means
 from needle_rig.workbench.estimation.problem import Point, Problem
 from needle_rig.workbench.policy import POLICY
-
-Array = npt.NDArray[np.float64]
 
 STEP = 0.003
 MOST_SOLVES = 150.0

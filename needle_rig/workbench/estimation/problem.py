@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
@@ -18,8 +18,6 @@ from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, 
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Noise, Whitener, replicate_groups, whitener
-
-Array = npt.NDArray[np.float64]
 
 FRICTION_SCALE_N = 1e-3
 

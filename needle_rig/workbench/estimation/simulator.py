@@ -7,16 +7,15 @@ from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import Solution, solve_batch
 from needle_rig.workbench.observations.binning import BinnedTrial
 
-Array = npt.NDArray[np.float64]
 Key = tuple[tuple[Effect, ...], float, float, float, int]
 """(effects that move the needle, torsional rigidity, friction, element length, identity of the trial)"""
 

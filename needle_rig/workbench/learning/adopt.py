@@ -1,32 +1,22 @@
-"""Adding an effect to a model file, and taking the step back."""
+"""Adding effects to a model, from a diagnosis or by name, and taking the step back."""
 
 from __future__ import annotations
 
 import dataclasses
-import datetime
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-import numpy.typing as npt
-
-from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.model import ChannelErrors, HistoryEntry, SavedModel
+from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
-from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
-from needle_rig.units import deg, nmm
-from needle_rig.workbench.estimation.baseline import Prepared, as_compared, null_model, prepare
-from needle_rig.workbench.estimation.cross_validation import HeldOut
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.observations.noise import covariance
-from needle_rig.workbench.selection.evidence import foretells
-from needle_rig.workbench.selection.search import try_effect
+from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, step
+from needle_rig.workbench.learning.observations import Observations
+from needle_rig.workbench.selection.answer import left_out_error
+from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS, Explanation
 
-Array = npt.NDArray[np.float64]
-
-IN_NOISE_UNITS = "noise_units"
-"""Name of the errors over all channels, in units of the noise."""
+AGREES = 1.05
+"""Ratio up to which the error of one simulation is that of the fit: trials that a fit drove by every sample
+are driven by bins here. The tests' hidden pair and reed2008 stay below it."""
 
 
 class Refused(NeedleRigError):
@@ -36,7 +26,7 @@ class Refused(NeedleRigError):
 
 
 def adopt(
-    dataset: Dataset,
+    observed: Observations,
     effect: str,
     library: Mapping[str, type[Effect]],
     saved: SavedModel | None = None,
@@ -50,44 +40,39 @@ def adopt(
     Raises Refused when the held-out error does not fall and `force` is not given, BadInput for an effect
     that is unknown or in the model already.
     """
+    model = saved.model if saved else None
     if effect not in library:
         raise BadInput(f"{effect}: no such effect; there are {', '.join(sorted(library))}")
-    present = saved.model if saved else null_model(dataset)
-    if effect in {e.name() for e in present.effects}:
-        raise BadInput(f"{effect} is in the model {present.name} already; take it back with adopt --undo")
-    prepared = prepare(dataset, saved.model if saved else None, library)
-    candidate = try_effect(prepared.problem, prepared.present, effect)
-    found, held = candidate.fit, candidate.held
-    if found is None or held is None:
-        raise Refused(f"{effect} could not be fitted to {dataset.name}: the model cannot be solved with it")
-    before, after = prepared.held, held
-    foretold = foretells(prepared.present, before, found, after)
-    if not foretold and not force:
-        raise Refused(
-            f"{effect} does not lower the error on commands left out"
-            f" ({before.error:.3f} → {after.error:.3f} × the noise);"
-            " it was not added. Add it all the same with --force."
-        )
-    problem, found, held = as_compared(prepared, prepared.problem, found, held)
-    model = dataclasses.replace(
-        problem.model(found.axes, found.point),
-        name=name or (present.name if saved else dataset.name),
-        element_length_m=present.element_length_m,
+    if model is not None and effect in {e.name() for e in model.effects}:
+        raise BadInput(f"{effect} is in the model {model.name} already; take it back with adopt --undo")
+    found = observed.explain(library, model, effect)
+    if found is None:
+        raise Refused(f"{effect} could not be fitted to {observed.name}: the model cannot be solved with it")
+    _refuse_what_foretells_nothing(found, force)
+    return step(
+        found, observed.name, saved, name=name or (model.name if model else observed.name), today=today
     )
-    entry = HistoryEntry(
-        added=(effect,),
-        dataset=dataset.name,
-        date=today or datetime.datetime.now(datetime.UTC).date().isoformat(),
-        errors=ladder_errors(prepared, found, held),
-        values_before=_values(prepared),
-        note="" if foretold else "added by force: the error on commands left out did not fall",
-    )
-    return SavedModel(
-        model=model,
-        starts_from=saved.starts_from if saved else "null",
-        uncertainties=uncertainties(found),
-        history=(*(saved.history if saved else ()), entry),
-    )
+
+
+def adopt_diagnosis(
+    kept: KeptDiagnosis,
+    observed: Observations | None = None,
+    *,
+    effects: Sequence[str] = (),
+    force: bool = False,
+    name: str | None = None,
+    today: str | None = None,
+) -> SavedModel:
+    """The model that a diagnosis began at with all effects that it names, as they were fitted, in one step.
+
+    With `observed` the data must be those of the diagnosis, and one simulation must leave the error that was
+    stated. `effects` chooses among ties. Raises BadInput, Refused, SolverError.
+    """
+    found, model = _chosen(kept, effects)
+    if observed is not None:
+        _verify(kept, found, observed)
+    _refuse_what_foretells_nothing(found, force)
+    return step(found, kept.dataset, _before(model), name=name or model.model.name, today=today)
 
 
 def undo(saved: SavedModel) -> SavedModel:
@@ -103,84 +88,57 @@ def undo(saved: SavedModel) -> SavedModel:
     return SavedModel(model, saved.starts_from, {}, saved.history[:-1])
 
 
-def uncertainties(found: Fit) -> dict[str, float]:
-    """Standard deviations by parameter name, in the units of files."""
-    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    known = {
-        FRICTION: float(spread[0] * np.exp(found.point.log_friction) * 100),
-        TORSIONAL_RIGIDITY: float(spread[1] * np.exp(found.point.log_rigidity) * 1e6),
-    }
-    for axis, at, error in zip(found.axes, found.point.positions, found.position_error, strict=True):
-        low, high = (axis.value(float(np.clip(at + s * error, *axis.bounds))) for s in (-1, 1))
-        size = abs(high - low) / 2
-        if np.isfinite(size):
-            known[f"{axis.effect}.{axis.name}"] = size
-    return known
+def _before(model: SavedModel) -> SavedModel:
+    """What a step is added to: where the model started, and the steps before its last."""
+    return dataclasses.replace(model, history=model.history[:-1])
 
 
-def ladder_errors(prepared: Prepared, found: Fit, held: HeldOut) -> dict[str, ChannelErrors]:
-    """Errors of bin means before and after, by channel and over all; each channel's floor."""
-    problem = prepared.problem
-    before, after = _training(problem, prepared.present), _training(problem, found)
-    held_before, held_after = _rms(problem, prepared.held.residuals), _rms(problem, held.residuals)
-    floor = _floors(problem, found)
-    errors = {}
-    for c, name in enumerate(channel_names(prepared.dataset)):
-        factor = nmm(1.0) if c == 0 else deg(1.0)
-        errors[name] = ChannelErrors(
-            training_before=factor * before[c],
-            training_after=factor * after[c],
-            held_out_before=_known(factor * held_before[c]),
-            held_out_after=_known(factor * held_after[c]),
-            floor=factor * floor[c],
+def _chosen(kept: KeptDiagnosis, effects: Sequence[str]) -> tuple[Explanation, SavedModel]:
+    """The one explanation with all of `effects`. Raises BadInput where there is none, or more than one."""
+    if not kept.explanations:
+        raise BadInput(
+            f"{kept.place}: its verdict is {kept.verdict}, it names no effect; there is nothing to adopt"
         )
-    errors[IN_NOISE_UNITS] = ChannelErrors(
-        training_before=float(np.sqrt(prepared.present.chi2 / problem.size)),
-        training_after=float(np.sqrt(found.chi2 / problem.size)),
-        held_out_before=_known(prepared.held.error),
-        held_out_after=_known(held.error),
-        floor=1.0,
+    pairs = list(zip(kept.explanations, kept.models, strict=True))
+    able = [pair for pair in pairs if set(effects) <= set(pair[0].added)]
+    if len(able) == 1:
+        return able[0]
+    sets = "; ".join(" and ".join(found.added) for found, _ in able or pairs)
+    if not able:
+        raise BadInput(f"{kept.place}: --effect {' --effect '.join(effects)} is not in it; it has {sets}")
+    options = " or ".join(" ".join(f"--effect {e}" for e in found.added) for found, _ in able)
+    raise BadInput(f"{kept.place}: these cannot be told apart: {sets}; choose with {options}")
+
+
+def _verify(kept: KeptDiagnosis, found: Explanation, observed: Observations) -> None:
+    """Raises BadInput where the data are others, or the model is not what it was when it was fitted."""
+    digest = observed.sha256()
+    if digest != kept.sha256:
+        raise BadInput(
+            f"{kept.place}: is of other data ({kept.dataset}, sha256 {kept.sha256[:8]}…) than"
+            f" {observed.name} ({digest[:8]}…); name those, or diagnose {observed.name}"
+        )
+    errors = observed.errors(found)
+    ratios = {
+        name: error / stated
+        for name, error in errors.items()
+        if (stated := found.errors[name].training_after)
+    }
+    worst = max(ratios, key=lambda name: ratios[name] if math.isfinite(ratios[name]) else math.inf)
+    if not ratios[worst] <= AGREES:
+        raise BadInput(
+            f"{kept.place}: {worst}: its model leaves {ratios[worst]:.3g} times the error that is stated,"
+            f" limit {AGREES:g}; an effect's file or the program has changed since;"
+            f" diagnose {observed.name} again"
+        )
+
+
+def _refuse_what_foretells_nothing(found: Explanation, force: bool) -> None:
+    if found.improves or force:
+        return
+    errors = found.errors[IN_NOISE_UNITS]
+    before, after = left_out_error(errors.held_out_before), left_out_error(errors.held_out_after)
+    raise Refused(
+        f"{' and '.join(found.added)} does not lower the error left out ({before} → {after} × the noise);"
+        " it was not added. Add it all the same with --force."
     )
-    return errors
-
-
-def channel_names(dataset: Dataset) -> list[str]:
-    """Channels with their unit in the name."""
-    return ["torque_nmm", *(f"{s}_deg" for s in dataset.sensor_names)]
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _values(prepared: Prepared) -> dict[str, float]:
-    found = prepared.present
-    return prepared.problem.model(found.axes, found.point).values()
-
-
-def _training(problem: Problem, found: Fit) -> Array:
-    readings = problem.predict(found.axes, found.point)
-    return _rms(problem, tuple(b.mean - r for b, r in zip(problem.trials, readings, strict=True)))
-
-
-def _rms(problem: Problem, residuals: tuple[Array, ...]) -> Array:
-    count = problem.trials[0].mean.shape[0]
-    if any(r.shape[:1] != (count,) for r in residuals):
-        return np.full(count, np.inf)
-    joined = np.hstack(residuals)
-    return np.asarray(np.sqrt(np.nanmean(joined**2, axis=1)), dtype=np.float64)
-
-
-def _floors(problem: Problem, found: Fit) -> Array:
-    """What noise and the scatter of the trials alone leave in bin means of trials not seen, by channel."""
-    count = problem.trials[0].mean.shape[0]
-    total, number = np.zeros(count), np.zeros(count)
-    for t, (binned, whiten) in enumerate(zip(problem.trials, problem.whiteners, strict=True)):
-        for c in range(count):
-            use, matrix = covariance(problem.noise, binned, c)
-            if not use.size:
-                continue
-            own = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
-            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(own @ own)
-            number[c] += use.size
-    return np.sqrt(total / np.maximum(number, 1))

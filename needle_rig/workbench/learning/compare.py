@@ -8,15 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import Prepared, prepare
-
-Array = npt.NDArray[np.float64]
+from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
 
 WORST = 8
 NOISE_LIMIT = 3.0
@@ -65,17 +64,51 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """The answer to `needle-rig compare`."""
+class TraceComparison:
+    """The answer to `needle-rig compare` on traces."""
 
     prepared: Prepared = field(repr=False)
-    places: tuple[Place, ...]
+    every_place: tuple[Place, ...]
     """Every channel × motion × state × direction."""
     worst: tuple[Place, ...]
     channels: dict[str, dict[str, Any]]
     free_parameters: dict[str, Any]
     reduced_chi2: float
     held_out_error: float
+
+    def headline(self) -> tuple[str, str]:
+        """The dataset's name, and what is said of it."""
+        return self.prepared.dataset.name, (
+            f"against the model {self.prepared.problem.base.name}: error on commands left out"
+            f" {left_out_error(self.held_out_error)} × the noise, reduced χ² {self.reduced_chi2:.2f}"
+        )
+
+    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Headings of the table by channel, and its rows."""
+        rows: list[tuple[str, ...]] = []
+        for name, of in self.channels.items():
+            whitened = "—" if of["whitened"] is None else f"{of['whitened']:.3g}"
+            rows.append((name, f"{of['rmse']} {of['unit']}", f"{of['noise']} {of['unit']}", whitened))
+        return ("channel", "rmse", "noise", "in units of the noise"), rows
+
+    def sentences(self) -> list[str]:
+        """The worst places, fitted parameters and notes."""
+        worst = ["Worst places:"] if self.worst else ["No place is above 3 × its noise."]
+        worst += [f"  {place.sigmas:6.0f}σ  {place.words}" for place in self.worst]
+        return [*worst, *fitted_sentences(self.free_parameters), *(f"note: {n}" for n in self.notes)]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Of the dataset, and of how it was prepared."""
+        return *self.prepared.dataset.notes, *self.prepared.notes
+
+    def places(self) -> list[dict[str, Any]]:
+        """Every channel × motion × state × direction."""
+        return [p.as_json() for p in self.every_place]
+
+    def traces(self) -> TraceComparison:
+        """What can be drawn: all of it."""
+        return self
 
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""
@@ -88,7 +121,7 @@ class Comparison:
             "reduced_chi2": _finite(self.reduced_chi2),
             "channels": self.channels,
             "worst": [p.as_json() for p in self.worst],
-            "notes": [*self.prepared.dataset.notes, *self.prepared.notes],
+            "notes": list(self.notes),
         }
 
 
@@ -98,12 +131,12 @@ def _finite(value: float) -> float | None:
 
 def compare(
     dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
-) -> Comparison:
+) -> TraceComparison:
     """Fit the model to the dataset and look where it still fails. Raises BadInput, SolverError."""
     return compared(prepare(dataset, model, library))
 
 
-def compared(prepared: Prepared) -> Comparison:
+def compared(prepared: Prepared) -> TraceComparison:
     """The comparison of a model that is fitted already."""
     problem, found = prepared.problem, prepared.present
     readings = problem.predict(found.axes, found.point)
@@ -130,9 +163,9 @@ def compared(prepared: Prepared) -> Comparison:
             "value": float(f"{axis.value(float(at)):.6g}"),
             "unit": axis.info.unit,
         }
-    return Comparison(
+    return TraceComparison(
         prepared=prepared,
-        places=tuple(places),
+        every_place=tuple(places),
         worst=tuple(shown),
         channels=_channels(prepared, readings, names, places),
         free_parameters=free,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from needle_rig.model import ChannelErrors, SavedModel
-from needle_rig.workbench.learning.adopt import IN_NOISE_UNITS
+from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,12 @@ from needle_rig.dataset import Dataset
 from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import Prepared, prepare
-from needle_rig.workbench.learning.adopt import Refused, adopt, ladder_errors, uncertainties
+from needle_rig.workbench.learning.adopt import Refused, adopt, adopt_diagnosis
+from needle_rig.workbench.learning.diagnosis_file import keep
+from needle_rig.workbench.learning.observations import Traces
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
+from needle_rig.workbench.selection.explanation import errors_by_channel, uncertainties
 
 
 @dataclass(frozen=True)
@@ -33,22 +36,22 @@ def learn(
     work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Lesson:
-    """Diagnose `dataset` from the null model and adopt the effects that are named, strongest first.
+    """Diagnose `dataset` from the null model and adopt the effects that are named, together.
 
-    An effect that foretells no better is left out, as `adopt` refuses it. Raises BadInput, SolverError.
+    Of effects that tie, the first is taken. What improves no cross-validation is left out, as `adopt` refuses
+    it. Raises BadInput, SolverError.
     """
     found = diagnose(dataset, library, max_effects=max_effects, work=work, say=say)
     before = fitted(found)
-    saved, adopted = None, []
-    for effect in found.effects:
-        say(f"adopting {effect}")
-        try:
-            saved = adopt(dataset, effect, library, saved, name=dataset.name)
-        except Refused as refusal:
-            say(str(refusal))
-            continue
-        adopted.append(effect)
-    return Lesson(before, saved or before, found, tuple(adopted))
+    if not found.effects:
+        return Lesson(before, before, found, ())
+    say(f"adopting {' and '.join(found.effects)}")
+    try:
+        after = adopt_diagnosis(keep(found, Traces(dataset)), effects=found.effects)
+    except Refused as refusal:
+        say(str(refusal))
+        return Lesson(before, before, found, ())
+    return Lesson(before, after, found, after.history[-1].added)
 
 
 def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Sequence[str]) -> SavedModel:
@@ -57,7 +60,7 @@ def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Se
         return _saved(prepare(dataset, None, library))
     saved = None
     for effect in effects:
-        saved = adopt(dataset, effect, library, saved, force=True, name=dataset.name)
+        saved = adopt(Traces(dataset), effect, library, saved, force=True, name=dataset.name)
     assert saved is not None
     return saved
 
@@ -72,7 +75,7 @@ def _saved(prepared: Prepared) -> SavedModel:
     entry = HistoryEntry(
         dataset=prepared.dataset.name,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
-        errors=ladder_errors(prepared, present, prepared.held),
+        errors=errors_by_channel(prepared, present, prepared.held),
         note="fitted as it is",
     )
     model = prepared.problem.model(present.axes, present.point)

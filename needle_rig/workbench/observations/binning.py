@@ -15,11 +15,10 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from needle_rig.dataset import DatasetTrial
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.units import rad
 from needle_rig.workbench.policy import POLICY
-
-Array = npt.NDArray[np.float64]
 
 MOVING_BINS = 14
 MOVING_BLOCKS = 42

@@ -17,11 +17,11 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from needle_rig.dataset import DatasetTrial
+from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, channels, motions_of, set_aside
 from needle_rig.workbench.policy import POLICY
 
-Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]
 
 CORRELATION_TIMES_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.config.schema import SimulationSection
 from needle_rig.control.lag import effective_length_m, tissue_length_m
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.effect_text import parse_effects
 from needle_rig.physics.library import find_effects
@@ -25,8 +25,6 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.plant import Plant
 from needle_rig.units import nmm, per_100mm
-
-Array = npt.NDArray[np.float64]
 
 TICK_S = 0.02
 RATES_RAD_S = (0.04, 0.08, 0.12)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from needle_rig.dataset.settled import SettledData, SettledValue
+from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.workbench.published.fit import held_out_error
 from needle_rig.workbench.published.search import settled_problem
+from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
 
 NOISE_LIMIT = 3.0
 
@@ -54,7 +56,7 @@ class SettledComparison:
 
     dataset: str
     model: str
-    rows: tuple[Compared, ...]
+    values: tuple[Compared, ...]
     free_parameters: dict[str, Any]
     reduced_chi2: float
     held_out_error: float
@@ -63,7 +65,38 @@ class SettledComparison:
     def worst(self) -> list[Compared]:
         """Rows beyond 3 standard errors, worst first."""
         return sorted(
-            (r for r in self.rows if (r.sigmas or 0.0) > NOISE_LIMIT), key=lambda r: -(r.sigmas or 0.0)
+            (r for r in self.values if (r.sigmas or 0.0) > NOISE_LIMIT), key=lambda r: -(r.sigmas or 0.0)
+        )
+
+    def headline(self) -> tuple[str, str]:
+        """The data's name, and what is said of them."""
+        return self.dataset, (
+            f"against the model {self.model}: error on motions left out"
+            f" {left_out_error(self.held_out_error)} × the scatter, reduced χ² {self.reduced_chi2:.2f}"
+        )
+
+    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Headings of the table by value, and its rows."""
+        rows: list[tuple[str, ...]] = []
+        for row in self.values:
+            error, of = row.measured.standard_error, row.measured.of
+            apart = "not weighed" if row.sigmas is None else f"{row.sigmas:.1f}σ"
+            scatter = "" if error is None else f" ± {error:g}"
+            rows.append((row.words, f"{row.measured.value:g}{scatter} {of.unit}", f"{row.model:.3g}", apart))
+        return ("value", "measured", "model", "apart"), rows
+
+    def sentences(self) -> list[str]:
+        """The fitted parameters."""
+        return fitted_sentences(self.free_parameters)
+
+    def places(self) -> list[dict[str, Any]]:
+        """Every value."""
+        return [r.as_json() | {"direction": ""} for r in self.values]
+
+    def traces(self) -> NoReturn:
+        """Raises BadInput: there are none."""
+        raise BadInput(
+            f"{self.dataset} has settled values only, no traces to draw; leave out --html and --png, and plot"
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -75,16 +108,18 @@ class SettledComparison:
             "held_out_error": round(self.held_out_error, 4) if np.isfinite(self.held_out_error) else None,
             "noise_floor": 1.0,
             "reduced_chi2": round(self.reduced_chi2, 4),
-            "channels": self._channels(),
+            "channels": self.channels,
             "worst": [r.as_json() for r in self.worst],
-            "values": [r.as_json() for r in self.rows],
+            "values": [r.as_json() for r in self.values],
             "notes": [],
         }
 
-    def _channels(self) -> dict[str, Any]:
+    @property
+    def channels(self) -> dict[str, Any]:
+        """By quantity: rmse, noise, unit, whitened (the error in standard errors), by_phase."""
         found: dict[str, Any] = {}
-        for name in dict.fromkeys(r.measured.of.quantity for r in self.rows):
-            rows = [r for r in self.rows if r.measured.of.quantity == name]
+        for name in dict.fromkeys(r.measured.of.quantity for r in self.values):
+            rows = [r for r in self.values if r.measured.of.quantity == name]
             errors = [r.measured.standard_error for r in rows if r.measured.standard_error is not None]
             found[name] = {
                 "rmse": round(_rms([r.measured.value - r.model for r in rows]), 5),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.design import next_experiment
+from needle_rig.workbench.published.explanation import explanation, scatter_by_quantity
 from needle_rig.workbench.published.fit import (
     SIGMAS_95,
     SettledFit,
@@ -33,6 +35,7 @@ from needle_rig.workbench.published.search import (
 )
 from needle_rig.workbench.selection.answer import Answer, Decision, Ranked, Say, Value
 from needle_rig.workbench.selection.decisions import decision_at
+from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern
 from needle_rig.workbench.selection.verdict import Reason, Verdict
 
@@ -42,10 +45,26 @@ MISSED = 2.0
 """Values further than this from the model, in standard errors, are told as left over."""
 
 
+@dataclass(frozen=True)
 class SettledAnswer(Answer):
-    """The answer on settled values."""
+    """The answer on settled values, with the fits behind it."""
 
     left_out = "motions"
+
+    problem: SettledProblem = field(repr=False)
+    root: SettledFit = field(repr=False)
+    """The current model's."""
+    tied: tuple[SettledFit, ...] = field(repr=False)
+    """Of what can be the answer, most plausible first."""
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard error of a value, by quantity, in the unit that its name ends in."""
+        return scatter_by_quantity(self.problem)
+
+    def explanations(self) -> tuple[Explanation, ...]:
+        """What can be adopted: the named effect, then each tie in its place; none without an effect."""
+        return tuple(explanation(self.problem, self.root, found) for found in self.tied)
 
 
 def diagnose_settled(
@@ -54,7 +73,7 @@ def diagnose_settled(
     model: NeedleModel | None = None,
     *,
     say: Say = lambda _: None,
-) -> Answer:
+) -> SettledAnswer:
     """Hold the present model against settled values and look for the one effect that is missing.
 
     Raises BadInput, with file and line, for a sequence that cannot be run.
@@ -92,6 +111,9 @@ def diagnose_settled(
         if len(tied) > 1
         else None,
         notes=tuple(_notes(problem, best, tried, tied)),
+        problem=problem,
+        root=root,
+        tied=tuple(fits_of(tied)),
     )
 
 

@@ -14,22 +14,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from needle_rig.control.strategy import History, Strategy, Task, make_strategy
 from needle_rig.dataset.settled import Seen, SettledData, SettledValue
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.numerics import forward_jacobian
+from needle_rig.numerics import Array, forward_jacobian
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
-
-Array = npt.NDArray[np.float64]
 
 STEP = 0.01
 """Of a derivative: 1 % of friction, rigidity or an effect's typical size; dry friction makes less jagged."""

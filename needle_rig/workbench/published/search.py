@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtrc
 
 from needle_rig.dataset.settled import SettledData
@@ -23,8 +22,6 @@ from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -68,6 +65,24 @@ def settled_problem(
     present = model or NeedleModel(
         "null", data.layout, data.needle.torsional_rigidity_nm2, FRICTIONS_N[2], element_length_m=0.5e-3
     )
+    problem = values_to_meet(data, library, present)
+    effects = tuple(e.name() for e in present.effects)
+    start = None
+    if effects:
+        at = positions_of(problem.axes(effects), present.effects)
+        start = [np.r_[np.log(f), 0.0, at] for f in (present.friction_n, *FRICTIONS_N)]
+    found = fit_settled(problem, effects, start)
+    if found is None:
+        raise BadInput(
+            f"{data.name}: the present model cannot be solved on these sequences; check the layout"
+        )
+    return problem, found
+
+
+def values_to_meet(
+    data: SettledData, library: Mapping[str, type[Effect]], present: NeedleModel
+) -> SettledProblem:
+    """The weighed values, to be met by a model that begins as `present`. Raises BadInput."""
     if len(present.layout.sensor_positions_m) != len(data.sensor_names):
         raise BadInput(
             f"{data.name} has {len(data.sensor_names)} Hall sensors and the model {present.name}"
@@ -81,17 +96,7 @@ def settled_problem(
         element_length_m=element_length(present),
     )
     effects = {e.name(): type(e) for e in present.effects}
-    problem = SettledProblem(data, base, {**library, **effects}, data.weighed)
-    start = None
-    if effects:
-        at = positions_of(problem.axes(tuple(effects)), present.effects)
-        start = [np.r_[np.log(f), 0.0, at] for f in (present.friction_n, *FRICTIONS_N)]
-    found = fit_settled(problem, tuple(effects), start)
-    if found is None:
-        raise BadInput(
-            f"{data.name}: the present model cannot be solved on these sequences; check the layout"
-        )
-    return problem, found
+    return SettledProblem(data, base, {**library, **effects}, data.weighed)
 
 
 def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: int) -> Candidate:

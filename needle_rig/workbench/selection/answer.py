@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import Leftover
 from needle_rig.workbench.selection.verdict import Reason, Verdict
@@ -125,6 +127,38 @@ class Answer:
     next_experiment: dict[str, Any] | None
     notes: tuple[str, ...]
 
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of a reading, by channel, in the unit that its name ends in."""
+        raise NotImplementedError
+
+    def explanations(self) -> tuple[Explanation, ...]:
+        """What can be adopted: the named effects, then each tie in their place; none without an effect.
+
+        Raises SolverError.
+        """
+        raise NotImplementedError
+
+    @property
+    def ties(self) -> tuple[str, ...]:
+        """Effects that cannot be told apart from the named ones."""
+        named = self.ranking[: len(self.effects)]
+        return tuple(sorted({r for row in named for r in row.indistinguishable_from}))
+
+    def sentence(self) -> str:
+        """The verdict in words."""
+        if self.verdict == "none":
+            return "nothing is missing beyond the noise and the scatter of the trials."
+        if self.verdict == "unknown":
+            return "something is missing that no effect of the library explains."
+        named = f"{' and '.join(self.effects)} missing"
+        return named + (f"; cannot be told apart from {', '.join(self.ties)}." if self.ties else ".")
+
+    def errors_sentence(self) -> str:
+        """The error left out, before and after."""
+        before, after = (left_out_error(e) for e in (self.held_out_error_before, self.held_out_error_after))
+        return f"Error on {self.left_out} left out: {before} → {after} (noise is {self.noise_floor:.2f})"
+
     def left_in_words(self) -> list[str]:
         """What is left: patterns, and what replicates share beyond how they differ."""
         lack = self.lack_after
@@ -154,6 +188,20 @@ class Answer:
             "notes": list(self.notes),
             "policy": POLICY.as_json(),
         }
+
+
+def left_out_error(error: float | None) -> str:
+    """An error of cross-validation, or a dash where there was only one command."""
+    return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
+
+
+def fitted_sentences(free_parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What was fitted, a sentence each."""
+    said = []
+    for name, of in free_parameters.items():
+        pull = f" ({of['pull_sigma']:+.1f}σ from what is stated)" if "pull_sigma" in of else ""
+        said.append(f"fitted: {name} = {of['value']:g} {of.get('unit', '')}{pull}")
+    return said
 
 
 def _plain(value: float | None) -> float | str | None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from needle_rig.dataset import DatasetTrial, TrialCommand
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.simulation.base_drive import base_path, phases
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
@@ -23,7 +24,6 @@ from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.virtual.dataset import planned_motions
 from needle_rig.workbench.virtual.noise import NO_NOISE
 
-Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.int64]
 
 RATE_HZ = 50.0

@@ -10,20 +10,23 @@ import numpy as np
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.units import per_100mm
+from needle_rig.units import deg, nmm, per_100mm
 from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prepare
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
+from needle_rig.workbench.selection.evidence import foretells
+from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
 from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_leftover
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
-from needle_rig.workbench.selection.search import SearchTrace, search
+from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
 from needle_rig.workbench.selection.verdict import Findings, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
@@ -34,6 +37,37 @@ class Diagnosis(Answer):
 
     prepared: Prepared = field(repr=False)
     search: SearchTrace = field(repr=False)
+    concluded: tuple[Problem, Fit, HeldOut] = field(repr=False)
+    """The fit of what is named, as a comparison with its model sees it."""
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of a reading, by channel, in the unit that its name ends in."""
+        noise = self.prepared.problem.noise
+        factors = (nmm(1.0), *(deg(1.0) for _ in self.prepared.dataset.sensor_names))
+        spread = np.hypot(noise.white, noise.correlated)
+        names = channel_names(self.prepared.dataset)
+        return {name: factor * float(s) for name, factor, s in zip(names, factors, spread, strict=True)}
+
+    def explanations(self) -> tuple[Explanation, ...]:
+        """What can be adopted: the named effects, then each tie in their place; none without an effect.
+
+        Raises SolverError.
+        """
+        if self.verdict != "effect":
+            return ()
+        best = self.search.best
+        named = self.ranking[: len(self.effects)]
+        ties = [best - {row.effect} | {r} for row in named for r in row.indistinguishable_from]
+        first = explanation(self.prepared, *self.concluded, improves=self._improves(best))
+        return (first, *(self._in_its_place(key) for key in dict.fromkeys(ties)))
+
+    def _improves(self, key: EffectSet) -> bool:
+        return foretells(self.search.root, self.search.root_held, *self.search.fits[key])
+
+    def _in_its_place(self, key: EffectSet) -> Explanation:
+        compared = as_compared(self.prepared, self.search.problem, *self.search.fits[key])
+        return explanation(self.prepared, *compared, improves=self._improves(key))
 
 
 def diagnose(
@@ -119,6 +153,7 @@ def _conclude(
         ),
         prepared=prepared,
         search=search,
+        concluded=(problem, best, held),
     )
 
 

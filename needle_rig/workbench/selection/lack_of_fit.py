@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
+from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
@@ -27,7 +27,6 @@ from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Whitener
 from needle_rig.workbench.policy import POLICY
 
-Array = npt.NDArray[np.float64]
 Key = tuple[int, int, bool]
 """(channel, motion, moving) of one fact."""
 

@@ -12,17 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import Coordinate, against_mean
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Point, Problem
 from needle_rig.workbench.policy import POLICY
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

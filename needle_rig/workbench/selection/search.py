@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
 from needle_rig.workbench.estimation.map_fit import LOOSE, Fit, fit
 from needle_rig.workbench.estimation.multistart import fit_without_derivatives, through_valleys
@@ -31,9 +31,6 @@ from needle_rig.workbench.selection.evidence import (
     size_of,
 )
 from needle_rig.workbench.selection.screening import Preview, Start, beside, preview
-
-Array = npt.NDArray[np.float64]
-
 
 EffectSet = frozenset[str]
 

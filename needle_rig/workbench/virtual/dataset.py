@@ -6,7 +6,6 @@ import dataclasses
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.control.strategy import Task, Waypoint, make_strategy
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, denoised_base
@@ -20,8 +19,6 @@ from needle_rig.simulation.protocol import Protocol
 from needle_rig.units import nm, rad
 from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import WINDOW_S, Turn, carried_out
-
-Array = npt.NDArray[np.float64]
 
 REST_S = 0.5
 SAMPLES_LIMIT = 1_000_000

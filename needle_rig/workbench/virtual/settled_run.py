@@ -13,19 +13,17 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.control.compensation import DITHER_FADE_S
 from needle_rig.control.reports import SettledMotion, settled_motion
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import RigFault
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import nm, rad
 from needle_rig.workbench.virtual.noise import Noise
-
-Array = npt.NDArray[np.float64]
 
 WINDOW_S = 0.5
 """Length over which the sensors are averaged."""

@@ -47,7 +47,7 @@ def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, set
         latched=False,
         released=False,
     )
-    rig = report.rig_document(CONFIG)
+    rig = report.rig_document(CONFIG, simulated=True)
     return {"type": "phase", "rig": rig, "run": None, "last": None, **report.state_document(state)}
 
 
@@ -145,7 +145,7 @@ def test_what_the_daemon_tells_is_always_json(value: float) -> None:
 def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
     out = io.StringIO()
     ended = {
-        "result": {"status": "not_aligned", "run": "runs/1.h5"},
+        "result": {"status": "not_aligned", "simulated": True, "run": "runs/1.h5"},
         "text": "not aligned: the tip lags 12°",
         "conditions": [
             {"name": "8b", "text": "no torque", "value": 0.044, "limit": 0.02, "unit": "N·mm", "met": False}
@@ -158,7 +158,7 @@ def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
         "rotate",
         "26.3",
         "✗ 8b  no torque: 0.044 N·mm, limit 0.02 N·mm",
-        "Not aligned: the tip lags 12°.",
+        "Simulated: not aligned: the tip lags 12°.",
         "run:     runs/1.h5",
         "picture: runs/1.png",
     ):

@@ -9,7 +9,7 @@ import pytest
 
 from needle_rig.service.notify import Notify
 
-UNIT = Path(__file__).parents[3] / "scripts" / "needle-rig.service"
+UNIT = Path(__file__).parents[3] / "config" / "service" / "needle-rig.service"
 
 
 @pytest.fixture

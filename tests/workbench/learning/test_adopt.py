@@ -12,8 +12,10 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import load_model
 from needle_rig.workbench.estimation import discretisation_error as own_error_module
 from needle_rig.workbench.estimation.discretisation_error import solver_error
-from needle_rig.workbench.learning.adopt import IN_NOISE_UNITS, Refused, adopt, undo
+from needle_rig.workbench.learning.adopt import Refused, adopt, undo
 from needle_rig.workbench.learning.history import ladder
+from needle_rig.workbench.learning.observations import Traces
+from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 from tests.workbench.hidden import dataset, effect, few
 
 TWO = (
@@ -23,7 +25,7 @@ TWO = (
 
 
 def test_the_error_falls_step_by_step_and_steps_can_be_taken_back():
-    data = dataset(*TWO)
+    data = Traces(dataset(*TWO))
     one = adopt(data, "tissue_elasticity", few(), today="2026-01-01", name="mine")
     two = adopt(data, "torque_bias", few(), one, today="2026-01-02")
     steps = ladder(two)
@@ -47,7 +49,7 @@ def test_the_error_falls_step_by_step_and_steps_can_be_taken_back():
 
 
 def test_an_effect_that_foretells_nothing_is_refused():
-    data = dataset(seed=5)
+    data = Traces(dataset(seed=5))
     with pytest.raises(Refused, match="--force"):
         adopt(data, "torque_bias", few())
     forced = adopt(data, "torque_bias", few(), force=True)
@@ -64,14 +66,14 @@ def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeyp
         return solved[0]
 
     monkeypatch.setattr(own_error_module, "solver_error", once)
-    one = adopt(dataset(*TWO[:1]), "tissue_elasticity", few("tissue_elasticity"))
+    one = adopt(Traces(dataset(*TWO[:1])), "tissue_elasticity", few("tissue_elasticity"))
     stiffness = one.model.values()["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
     assert stiffness == pytest.approx(0.45, abs=0.01)
     assert one.history[0].errors[IN_NOISE_UNITS].held_out_after < 1.1
 
 
 def test_unknown_and_double_effects_are_refused():
-    data = dataset(*TWO)
+    data = Traces(dataset(*TWO))
     with pytest.raises(BadInput, match="no such effect"):
         adopt(data, "glue", few())
     one = adopt(data, "tissue_elasticity", few())

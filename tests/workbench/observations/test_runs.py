@@ -10,6 +10,7 @@ import pytest
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.recording import RunFile, RunWriter, run_tables
+from needle_rig.workbench.learning.observations import SettledValues, Traces
 from needle_rig.workbench.observations.sources import read_measurements
 
 
@@ -38,13 +39,15 @@ def test_runs_and_folders_of_one_rig_are_one_series(tmp_path, run_path):
 
 
 def test_commands_take_runs_and_names_of_datasets(tmp_path, run_path):
-    from needle_rig.cli._workbench import read_data, read_settled_values
+    from needle_rig.cli._workbench import read_data, read_observations
 
     assert len(read_data((run_path,)).trials) == 1
-    assert read_settled_values((run_path,)) is None
-    assert read_settled_values((Path("reed2008"),)).name == "reed2008"
+    assert isinstance(read_observations((run_path,)), Traces)
+    settled = read_observations((Path("reed2008"),))
+    assert isinstance(settled, SettledValues)
+    assert settled.name == "reed2008"
     with pytest.raises(BadInput, match="holds settled values; give it alone"):
-        read_settled_values((run_path, Path("reed2008")))
+        read_observations((run_path, Path("reed2008")))
     with pytest.raises(BadInput, match="there is no such folder"):
         read_data((Path("nowhere"),))
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from needle_rig.cli.adopt import command as adopt
 from needle_rig.cli.compare import command as compare
 from needle_rig.cli.diagnose import command as diagnose
+from needle_rig.cli.experiment import command as experiment
 from needle_rig.dataset.settled import Seen, SettledData, SettledValue, read_settled, shipped_datasets
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
@@ -213,7 +213,8 @@ def test_compare_puts_the_values_beside_the_null_model(tmp_path):
 
 
 def test_commands_that_need_traces_say_so(tmp_path):
-    result = CliRunner().invoke(adopt, ["reed2008", "tissue_elasticity", "--out", str(tmp_path / "m.yaml")])
+    words = ["reed2008", "--between", "tissue_elasticity", "torque_gain", "--out", str(tmp_path / "p.yaml")]
+    result = CliRunner().invoke(experiment, words)
     assert isinstance(result.exception, BadInput)
     assert "only settled values" in str(result.exception)
 

@@ -1,0 +1,184 @@
+"""needle-rig import: recordings of any laboratory, as a dataset."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from needle_rig.dataset import Dataset
+    from needle_rig.importing import Mapping
+
+MAPPING = "import.yaml"
+PICTURE = "import.png"
+
+
+@click.command("import")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE…")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Dataset to write; must be new.")
+@click.option("--guess", "guessing", is_flag=True, help="Propose the mapping from the files themselves.")
+@click.option(
+    "--layout",
+    type=click.Path(path_type=Path),
+    help="What the shaft looks like: a YAML file with the keys of `rig`, a rig file, or a dataset.",
+)
+@click.option("--yes", is_flag=True, help="Take the guess as it is, doubts included.")
+def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | None, yes: bool) -> None:
+    """Import recordings: text with columns, spreadsheets, MATLAB, HDF5, MCAP, ROS 2 bags, NumPy.
+
+    A mapping (YAML) among FILE says what is what; further files then take the place of those it names.
+    Without one, --guess proposes it: what it can see it takes, what it doubts it asks, and without a terminal
+    it writes OUT.yaml and OUT.png and says which lines to confirm. The mapping that was used is kept in the
+    dataset as import.yaml, with the files' hashes; with it the import can be repeated.
+
+    \b
+    needle-rig import log.csv --guess --layout shaft.yaml --out data/mine
+    needle-rig import data/mine.yaml --out data/mine
+    """
+    from needle_rig.errors import BadInput
+    from needle_rig.importing import dataset_of
+
+    if os.path.lexists(out):
+        raise BadInput(f"{out}: exists already; name another folder with --out or remove it first")
+    named = [file for file in files if file.suffix.lower() in (".yaml", ".yml") and not file.is_dir()]
+    others = [file for file in files if file not in named]
+    if len(named) > 1:
+        raise BadInput(f"{named[1]}: a second mapping; give one")
+    if named and guessing:
+        raise BadInput(f"{named[0]}: is a mapping already; leave --guess out")
+    if not named and not guessing:
+        raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
+    if named:
+        mapping, folder = _given(named[0], others, layout)
+    else:
+        mapping, folder = _guessed(others, out, layout), Path()
+        _tell(mapping)
+    waiting = mapping.doubts()
+    if not yes and waiting and not mapping.lacks() and guessing and sys.stdin.isatty():
+        waiting = [doubt for doubt in waiting if not click.confirm(f"{doubt}. Is the line right?")]
+    if mapping.lacks() or (waiting and not yes):
+        raise BadInput(_to_confirm(mapping, folder, None if named else out, waiting))
+    for doubt in waiting:
+        click.echo(f"taken as it is: {doubt}", err=True)
+    mapping = _confirmed(mapping)
+    try:
+        dataset = dataset_of(mapping, folder)
+        left_out = _write(mapping, folder, dataset, out)
+    except BadInput as error:
+        if named:
+            raise
+        place = _keep(mapping, folder, out)
+        raise BadInput(f"{error}\nThe mapping is in {place}; correct it there and import it") from None
+    samples = sum(len(trial.trial.time_s) for trial in dataset.trials)
+    for note in (*dataset.notes, *left_out):
+        click.echo(note, err=True)
+    click.echo(
+        f"{out}: {len(dataset.trials)} trials, {len(dataset.replicates)} commands, {samples} samples; "
+        f"see {out / PICTURE}"
+    )
+
+
+def _given(path: Path, others: list[Path], layout: Path | None) -> tuple[Mapping, Path]:
+    from needle_rig.errors import BadInput
+    from needle_rig.importing import read_mapping
+    from needle_rig.importing.mapping import FilePart
+    from needle_rig.importing.shaft import read_rig
+
+    mapping, _ = read_mapping(path)
+    if layout is not None:
+        mapping = mapping.model_copy(update={"rig": read_rig(layout)})
+    if others:
+        if len({f.path for clock in mapping.clocks.values() for f in clock.files[:1]}) > 1:
+            raise BadInput(f"{path}: has files of several kinds; write the others into a copy of it")
+        parts = tuple(FilePart(path=os.path.relpath(file, path.parent)) for file in others)
+        clocks = {name: clock.model_copy(update={"files": parts}) for name, clock in mapping.clocks.items()}
+        mapping = mapping.model_copy(update={"clocks": clocks})
+    return mapping, path.parent
+
+
+def _guessed(files: list[Path], out: Path, layout: Path | None) -> Mapping:
+    from needle_rig.importing import guess, read_recording
+    from needle_rig.importing.shaft import read_rig
+
+    rig = None if layout is None else read_rig(layout)
+    return guess([read_recording(file) for file in files], out.resolve().name, rig, Path())
+
+
+def _tell(mapping: Mapping) -> None:
+    """Every line of a guess with its reason."""
+    for name, clock in mapping.clocks.items():
+        source = clock.source or (f"{clock.rate_hz:g} Hz" if clock.rate_hz else "?")
+        click.echo(f"clock {name}: {source} {clock.unit or ''} ({clock.why or 'not known'})")
+    for channel in mapping.channels:
+        sign = "−" if channel.sign < 0 else ""
+        click.echo(f"{channel.role}: {sign}{channel.source}, {channel.unit or 'unit ?'} ({channel.why})")
+    if mapping.not_used:
+        click.echo(f"not used: {', '.join(mapping.not_used)}")
+
+
+def _to_confirm(mapping: Mapping, folder: Path, out: Path | None, waiting: list[str]) -> str:
+    lines = [*mapping.lacks(), *waiting]
+    if out is None:
+        next_step = "correct these lines, remove `doubt` from those that are right, and import again"
+    else:
+        place = _keep(mapping, folder, out)
+        next_step = f"confirm or correct these lines in {place} (remove `doubt`), then import it"
+    return "\n".join([*lines, next_step])
+
+
+def _keep(mapping: Mapping, folder: Path, out: Path) -> Path:
+    """Write the mapping and its picture beside the dataset that is to be."""
+    from needle_rig.importing import write_mapping
+
+    place = out.with_name(out.name + ".yaml")
+    place.parent.mkdir(parents=True, exist_ok=True)
+    write_mapping(mapping, place, folder)
+    _draw(mapping, folder, out.with_name(out.name + ".png"))
+    return place
+
+
+def _confirmed(mapping: Mapping) -> Mapping:
+    """The mapping as it is taken; its doubts become a part of the reasons."""
+
+    def taken(why: str, doubt: str) -> dict[str, str]:
+        return {"doubt": "", "why": "; ".join(filter(None, (why, doubt and f"confirmed: {doubt}")))}
+
+    return mapping.model_copy(
+        update={
+            "clocks": {n: c.model_copy(update=taken(c.why, c.doubt)) for n, c in mapping.clocks.items()},
+            "channels": tuple(c.model_copy(update=taken(c.why, c.doubt)) for c in mapping.channels),
+            "trials": mapping.trials.model_copy(update=taken(mapping.trials.why, mapping.trials.doubt)),
+        }
+    )
+
+
+def _write(mapping: Mapping, folder: Path, dataset: Dataset, out: Path) -> list[str]:
+    """The dataset, its mapping and its picture; which trials its reader leaves out, a sentence each.
+
+    What cannot be read back is removed. Raises BadInput.
+    """
+    from needle_rig.dataset import read_dataset, write_dataset
+    from needle_rig.importing import write_mapping
+
+    try:
+        write_dataset(dataset, out)
+        left_out = [note for note in read_dataset(out).notes if "left out" in note]
+        write_mapping(mapping, out / MAPPING, folder)
+        _draw(mapping, folder, out / PICTURE)
+    except BaseException:
+        shutil.rmtree(out, ignore_errors=True)
+        raise
+    return left_out
+
+
+def _draw(mapping: Mapping, folder: Path, path: Path) -> None:
+    from needle_rig.figures.importing import Drawn, draw_import
+    from needle_rig.importing.preview import preview
+
+    shown, loop = preview(mapping, folder)
+    draw_import([Drawn(f"{s.role} ← {s.source}", s.unit, s.time_s, s.values) for s in shown], loop, path)

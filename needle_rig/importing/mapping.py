@@ -1,0 +1,220 @@
+"""The mapping: what of a recording is what. One YAML file, a line a channel; it repeats an import."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from needle_rig.config.check import validate
+from needle_rig.config.places import Places, read_yaml, write_yaml
+from needle_rig.dataset.description import RigPart, layout_of
+from needle_rig.errors import BadInput
+from needle_rig.importing.unit_text import UNITS, Unit, unit_of
+
+FORMAT = "needle-rig-import/1"
+BASE, TORQUE = "base_angle", "base_torque"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FilePart(_Part):
+    """One file; `offset_s` is added to its clock."""
+
+    path: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
+    offset_s: float = 0.0
+
+
+class ClockPart(_Part):
+    """Where the times of channels come from: a column, or a rate. Its n-th file is of the n-th recording."""
+
+    files: tuple[FilePart, ...]
+    source: str | None = None
+    unit: str | None = None
+    rate_hz: Annotated[float, Field(gt=0)] | None = None
+    why: str = ""
+    doubt: str = ""
+
+
+class ChannelPart(_Part):
+    """One channel: sign · scale · (source − zero) is in `unit`; zero `start` is what it shows at rest."""
+
+    role: str
+    clock: str
+    source: str
+    unit: str | None = None
+    sign: Literal[1, -1] = 1
+    scale: Annotated[float, Field(gt=0)] = 1.0
+    zero: float | Literal["start"] = 0.0
+    why: str = ""
+    doubt: str = ""
+
+
+class TrialsPart(_Part):
+    """How a recording is cut: at rests of the base, where a column changes, at times, or not at all."""
+
+    at: Literal["whole", "rests", "column", "times"] = "whole"
+    clock: str | None = None
+    source: str | None = None
+    times_s: tuple[tuple[float, float], ...] = ()
+    why: str = ""
+    doubt: str = ""
+
+
+class Mapping(_Part):
+    """A whole mapping file."""
+
+    format: Literal["needle-rig-import/1"] = "needle-rig-import/1"
+    name: str
+    clocks: dict[str, ClockPart]
+    channels: tuple[ChannelPart, ...]
+    trials: TrialsPart = TrialsPart()
+    rate_hz: Annotated[float, Field(gt=0)] | None = None
+    """Samples a second of the dataset; channels that are faster are averaged."""
+    not_used: tuple[str, ...] = ()
+    rig: RigPart | None = None
+
+    def doubts(self) -> list[str]:
+        """What is to be confirmed, a sentence for each line that has a doubt."""
+        found = [f"clocks.{name}: {clock.doubt}" for name, clock in self.clocks.items() if clock.doubt]
+        found += [f"{c.role} ({c.source}): {c.doubt}" for c in self.channels if c.doubt]
+        if self.trials.doubt:
+            found.append(f"trials: {self.trials.doubt}")
+        return found
+
+    def lacks(self) -> list[str]:
+        """What no guess can give and an import needs, a sentence each."""
+        found = [
+            f"{c.role} ({c.source}): its unit is not known; write `unit`, and `scale` where one count is "
+            "not one of it"
+            for c in self.channels
+            if c.unit is None
+        ]
+        for name, clock in self.clocks.items():
+            if clock.rate_hz is None and (clock.source is None or clock.unit is None):
+                found.append(f"clocks.{name}: neither a column with its unit nor rate_hz is known; write one")
+        if not any(c.role == BASE for c in self.channels):
+            found.append(f"channels: no {BASE}; it drives the model")
+        if all(c.role == BASE for c in self.channels):
+            found.append("channels: neither torque nor an angle of the needle; there is nothing to compare")
+        if self.rig is None:
+            found.append("rig: what the shaft looks like is not known; give --layout FILE or write `rig`")
+        return found
+
+
+def read_mapping(path: Path) -> tuple[Mapping, Places]:
+    """The mapping at `path`, its files relative to its folder, and its places. Raises BadInput."""
+    data, places = read_yaml(path)
+    if data.get("format") != FORMAT:
+        raise places.error(("format",), f"{data.get('format')!r} is not {FORMAT}; is it a mapping?")
+    mapping = validate(Mapping, data, places)
+    _check(mapping, places)
+    return mapping, places
+
+
+def _check(mapping: Mapping, places: Places) -> None:
+    if not mapping.clocks:
+        raise places.error(("clocks",), "no clock; name at least one with its files")
+    counts = {name: len(clock.files) for name, clock in mapping.clocks.items()}
+    for name, count in counts.items():
+        if count != max(counts.values()) or not count:
+            raise places.error(
+                ("clocks", name, "files"),
+                f"{count} files where another clock has {max(counts.values())}; list one for each recording",
+            )
+        clock = mapping.clocks[name]
+        if clock.unit is not None:
+            _unit(clock.unit, ("time",), places, ("clocks", name, "unit"))
+    roles: set[str] = set()
+    sensors = {s.name for s in mapping.rig.hall_sensors} if mapping.rig else None
+    for k, channel in enumerate(mapping.channels):
+        if channel.clock not in mapping.clocks:
+            known = ", ".join(mapping.clocks)
+            raise places.error(
+                ("channels", k, "clock"), f"{channel.clock} is no clock of this file; it has {known}"
+            )
+        if channel.role in roles:
+            raise places.error(("channels", k, "role"), f"{channel.role} is given twice; keep one")
+        roles.add(channel.role)
+        known_role = channel.role in (BASE, TORQUE) or sensors is None or channel.role in sensors
+        if not known_role:
+            choices = ", ".join([BASE, TORQUE, *sorted(sensors or ())])
+            raise places.error(("channels", k, "role"), f"{channel.role} is none of {choices}")
+        if channel.unit is not None:
+            _unit(channel.unit, (dimension_of(channel.role),), places, ("channels", k, "unit"))
+    trials = mapping.trials
+    if trials.at == "column" and (trials.source is None or trials.clock not in mapping.clocks):
+        raise places.error(("trials",), "cut at a column: write its `source` and `clock`")
+    if trials.at == "times" and not trials.times_s:
+        raise places.error(("trials",), "cut at times: write `times_s`, a list of [begin, end]")
+    for k, (begin, end) in enumerate(trials.times_s):
+        if not begin < end:
+            raise places.error(
+                ("trials", "times_s", k), f"ends at {end:g} s, not after its begin {begin:g} s"
+            )
+    if mapping.rig is not None:
+        layout_of(mapping.rig, places)
+
+
+def _unit(text: str, dimensions: tuple[str, ...], places: Places, path: tuple[str | int, ...]) -> Unit:
+    unit = unit_of(text)
+    if unit is None or unit.dimension not in dimensions:
+        known = ", ".join(u.text for u in UNITS.values() if u.dimension in dimensions)
+        raise places.error(
+            path, f"{text!r} is no unit of {' or '.join(dimensions)} known here; it has {known}"
+        )
+    return unit
+
+
+def dimension_of(role: str) -> str:
+    """What a role measures: torque or angle."""
+    return "torque" if role == TORQUE else "angle"
+
+
+def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:
+    """Write the mapping; its files, relative to `folder`, become relative to the folder of `path`."""
+    clocks = {
+        name: clock.model_copy(
+            update={
+                "files": tuple(
+                    f.model_copy(update={"path": os.path.relpath(folder / f.path, path.parent)})
+                    for f in clock.files
+                )
+            }
+        )
+        for name, clock in mapping.clocks.items()
+    }
+    told = mapping.model_copy(update={"clocks": clocks}).model_dump(
+        mode="json", exclude_none=False, exclude_defaults=False
+    )
+    path.write_text(write_yaml(_short(told)), encoding="utf-8")
+
+
+def _short(told: dict[str, object]) -> dict[str, object]:
+    """Without keys that say nothing; a unit that is not known stays, as null, to be filled in."""
+    keep = {"unit", "format", "name"}
+
+    def clean(value: object) -> object:
+        if isinstance(value, dict):
+            return {k: clean(v) for k, v in value.items() if k in keep or v not in (None, "", [], {})}
+        if isinstance(value, list):
+            return [clean(v) for v in value]
+        return value
+
+    result = clean(told)
+    assert isinstance(result, dict)
+    return result
+
+
+def found_file(part: FilePart, sha256: str, place: str) -> None:
+    """Raise BadInput when the file is not the one that the mapping was made for."""
+    if part.sha256 is not None and part.sha256 != sha256:
+        raise BadInput(
+            f"{place}: {part.path} is not the file that this mapping was made for (its SHA-256 differs); "
+            "remove the line sha256 if this one is meant"
+        )

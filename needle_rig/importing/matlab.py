@@ -1,0 +1,57 @@
+"""MATLAB files: v5 to v7.2 by scipy; v7.3, which is HDF5, by `hdf5`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from needle_rig.errors import BadInput
+from needle_rig.importing.arrays import Leaf, columns_of, text_of
+from needle_rig.importing.recording import Column
+
+UNIT_FIELDS = ("unit", "units", "Unit", "Units")
+DEEPEST = 12
+
+
+def read_matlab(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+    """Dialect in words, columns and rates of a file of version 5 to 7.2. Raises BadInput."""
+    import scipy.io
+
+    try:
+        content = scipy.io.loadmat(str(path), simplify_cells=True)
+    except Exception as error:  # noqa: BLE001 - damaged files raise anything, down to zlib's and struct's errors
+        raise BadInput(
+            f"{shown}: cannot be read as a MATLAB file: {str(error)[:200]}; save it again"
+        ) from None
+    opaque = [k for k, v in content.items() if type(v).__name__ == "MatlabOpaque"]
+    leaves: dict[str, Leaf] = {}
+    flatten({k: v for k, v in content.items() if not k.startswith("__") and k not in opaque}, "", leaves)
+    if not leaves and opaque:
+        raise BadInput(
+            f"{shown}: {opaque[0]} is an object of MATLAB that other programs cannot read; "
+            "save it as arrays, with table2struct(…, 'ToScalar', true)"
+        )
+    columns, rates = columns_of(leaves, shown)
+    return "MATLAB v5", columns, rates
+
+
+def flatten(node: Any, path: str, leaves: dict[str, Leaf], unit: str = "", depth: int = 0) -> None:
+    """Arrays below `node` by path; units from a field `units` beside them, one text or one for each name."""
+    if depth > DEEPEST:
+        return
+    if isinstance(node, Mapping):
+        told = next((node[k] for k in UNIT_FIELDS if k in node), "")
+        for key, value in node.items():
+            if key in UNIT_FIELDS:
+                continue
+            own = text_of(told.get(key, "")) if isinstance(told, Mapping) else text_of(told)
+            flatten(value, f"{path}/{key}" if path else str(key), leaves, own or unit, depth + 1)
+    elif isinstance(node, list) or (isinstance(node, np.ndarray) and node.dtype == object):
+        for k, item in enumerate(node):
+            label = text_of(item.get("label", item.get("name", ""))) if isinstance(item, Mapping) else ""
+            flatten(item, f"{path}/{label or k + 1}", leaves, unit, depth + 1)
+    elif isinstance(node, np.ndarray | int | float | np.number) and not isinstance(node, bool):
+        leaves[path] = (np.asarray(node), unit)

@@ -1,0 +1,145 @@
+"""What no needle does: each a sentence that says which line of the mapping to look at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from needle_rig.dataset.records import DatasetTrial, Needle
+from needle_rig.importing import signals
+from needle_rig.importing.guess import (
+    CLEAR_LAG,
+    CLEAR_WORK,
+    FASTEST_DEG_S,
+    LEAST_FOLLOWED,
+    MOST_FOLLOWED,
+    expected_torque_nm,
+)
+from needle_rig.numerics import Array
+from needle_rig.physics.rod import Layout
+
+SLOWEST_IN_TRIAL_DEG_S = 0.05
+LARGEST_IN_TRIAL_DEG = 3600.0
+TORQUE_WITHIN = 30.0
+"""Factor between the torque and what the twist asks for: friction, a second support and an inexact modulus
+make a few; a wrong prefix makes a thousand, N·cm for N·mm ten, which this cannot tell."""
+
+
+def impossible(
+    trials: Sequence[DatasetTrial], sensors: Sequence[str], layout: Layout, needle: Needle
+) -> list[str]:
+    """A sentence for everything that no needle does, over all trials; empty when there is nothing."""
+    base = [t.trial.base_angle_rad - t.trial.base_angle_rad[0] for t in trials]
+    found = list(_base(trials, base))
+    torque = [_from_start(t.torque_nm, b) for t, b in zip(trials, base, strict=True)]
+    if any(np.isfinite(x).any() for x in torque):
+        work = _weighed([signals.work_share(b, x) for b, x in zip(base, torque, strict=True)], base)
+        if work < -CLEAR_WORK:
+            found.append(
+                f"base_torque falls while the base winds up: the needle would give {-work:.0%} of the work "
+                "back; turn its sign, or are base_angle and base_torque swapped?"
+            )
+    for k, name in enumerate(sensors):
+        angle = [_from_start(t.hall_rad[:, k], b) for t, b in zip(trials, base, strict=True)]
+        if any(np.isfinite(x).sum() > 10 for x in angle):
+            found += _sensor(name, base, angle)
+    found += _torque_size(base, torque, trials, layout, needle)
+    return found
+
+
+def _base(trials: Sequence[DatasetTrial], base: Sequence[Array]) -> Iterator[str]:
+    rate = math.degrees(max(signals.peak_rate(t.trial.time_s, b) for t, b in zip(trials, base, strict=True)))
+    reach = math.degrees(max(float(np.abs(b).max()) for b in base))
+    if reach == 0.0:
+        yield "base_angle never changes; nothing drives the needle: is it the right column?"
+    elif reach > LARGEST_IN_TRIAL_DEG or rate > FASTEST_DEG_S:
+        yield (
+            f"base_angle reaches {reach:.4g}° at {rate:.4g}°/s, limits are {LARGEST_IN_TRIAL_DEG:g}° and "
+            f"{FASTEST_DEG_S:g}°/s: is it in degrees where the mapping says radians (57.3 times too large), "
+            "or is its clock in milliseconds?"
+        )
+    elif rate < SLOWEST_IN_TRIAL_DEG_S:
+        yield (
+            f"base_angle turns at {rate:.2g}°/s at most, limit {SLOWEST_IN_TRIAL_DEG_S:g}°/s: is it in "
+            "radians where the mapping says degrees, or its clock in seconds where it counts milliseconds?"
+        )
+
+
+def _from_start(values: Array, base: Array) -> Array:
+    begin = values[: signals.rest_before_motion(base)]
+    known = begin[np.isfinite(begin)]
+    return values - (known.mean() if len(known) else 0.0)
+
+
+def _weighed(shares: Sequence[float], base: Sequence[Array]) -> float:
+    """Mean over trials, each by the way of its base."""
+    ways = [float(np.abs(np.diff(b)).sum()) for b in base]
+    return float(np.average(shares, weights=ways)) if sum(ways) > 0 else 0.0
+
+
+def _sensor(name: str, base: Sequence[Array], angle: Sequence[Array]) -> Iterator[str]:
+    travel = max(float(np.ptp(b)) for b in base)
+    span = max(float(np.ptp(a[np.isfinite(a)])) if np.isfinite(a).any() else 0.0 for a in angle)
+    follow = _weighed([signals.follow_sign(b, a) for b, a in zip(base, angle, strict=True)], base)
+    lag = _weighed([signals.lag_share(b, _filled(a)) for b, a in zip(base, angle, strict=True)], base)
+    share = span / travel if travel else 0.0
+    if share > MOST_FOLLOWED:
+        yield (
+            f"{name} turns {share:.3g} times as far as the base: is it in degrees where the mapping says "
+            "radians (57.3 times), or is another column the base?"
+        )
+    elif share < LEAST_FOLLOWED and share > 0:
+        yield (
+            f"{name} turns {share:.2g} of what the base does: is it in radians where the mapping says "
+            "degrees, or no angle of the needle?"
+        )
+    elif follow < -0.5:
+        yield f"{name} turns against the base; turn its sign"
+    elif lag < -CLEAR_LAG:
+        yield (
+            f"{name} moves before the base, which lags it by {-lag:.2g} of a loop: are the columns swapped, "
+            "or the clocks off (offset_s)?"
+        )
+
+
+def _filled(values: Array) -> Array:
+    known = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), known, values[known]) if len(known) else values
+
+
+def _torque_size(
+    base: Sequence[Array],
+    torque: Sequence[Array],
+    trials: Sequence[DatasetTrial],
+    layout: Layout,
+    needle: Needle,
+) -> Iterator[str]:
+    seen = max((float(np.ptp(x[np.isfinite(x)])) for x in torque if np.isfinite(x).any()), default=0.0)
+    if seen == 0.0 or not layout.tissue_sections_m:
+        return
+    rigidity = needle.torsional_rigidity_nm2
+    first = layout.tissue_sections_m[0][0]
+    travel = max(float(np.ptp(b)) for b in base)
+    if first > 0:
+        most = expected_torque_nm(travel, first, rigidity)
+        if seen > TORQUE_WITHIN * most:
+            yield (
+                f"base_torque spans {seen * 1e3:.3g} N·mm, where a needle held at its first tissue gives "
+                f"{most * 1e3:.2g} N·mm: is it in N·mm where the mapping says N·m, or the rigidity wrong?"
+            )
+            return
+    if not layout.sensor_positions_m or min(layout.sensor_positions_m) <= 0:
+        return
+    nearest = int(np.argmin(layout.sensor_positions_m))
+    twists = [b - _from_start(t.hall_rad[:, nearest], b) for b, t in zip(base, trials, strict=True)]
+    twist = max((float(np.ptp(x[np.isfinite(x)])) for x in twists if np.isfinite(x).any()), default=0.0)
+    if twist < math.radians(3.0):
+        return
+    least = expected_torque_nm(twist, layout.sensor_positions_m[nearest], rigidity)
+    if seen < least / TORQUE_WITHIN:
+        yield (
+            f"base_torque spans {seen * 1e3:.3g} N·mm, where the twist asks for {least * 1e3:.2g} N·mm: is "
+            "it in N·m where the mapping says N·mm, or the rigidity wrong?"
+        )

@@ -1,0 +1,93 @@
+"""Files of any format to recordings: the format is told by the first bytes, not by the name."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import tempfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+from needle_rig.config.places import show_path
+from needle_rig.config.regular_file import open_regular
+from needle_rig.errors import BadInput
+from needle_rig.importing.delimited import read_delimited
+from needle_rig.importing.recording import LIMIT_BYTES, Column, Recording, sha256_of
+
+Read = tuple[str, tuple[Column, ...], dict[str, float]]
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def read_recording(path: Path) -> Recording:
+    """The file at `path` (a ROS 2 bag may be a folder). Raises BadInput with file and, in text, line."""
+    shown = show_path(path)
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            raise BadInput(f"{shown}: is a folder without metadata.yaml, so no ROS 2 bag; name files")
+        head = b""
+    else:
+        with open_regular(path, shown, LIMIT_BYTES) as file:
+            head = file.read(512)
+            file.seek(512)
+            user_block = file.read(8)
+        if not head:
+            raise BadInput(f"{shown}: the file is empty; record again")
+        if user_block == _HDF5:
+            head = _HDF5
+    if head.startswith(b"\x1f\x8b"):
+        return _unpacked(path, shown)
+    dialect, columns, rates = _reader(path, head)(path, shown)
+    return Recording(path, sha256_of(path), dialect, columns, rates)
+
+
+def _reader(path: Path, head: bytes) -> Callable[[Path, str], Read]:
+    if path.is_dir() or head.startswith((b"SQLite format 3\0", b"#ROSBAG")):
+        from needle_rig.importing.messages import read_bag
+
+        return read_bag
+    if head.startswith(_HDF5):
+        from needle_rig.importing.hdf5 import read_hdf5
+
+        return read_hdf5
+    if head.startswith(b"\x89MCAP0\r\n"):
+        from needle_rig.importing.messages import read_mcap
+
+        return read_mcap
+    if head.startswith(b"\x93NUMPY") or (head.startswith(b"PK") and path.suffix.lower() == ".npz"):
+        from needle_rig.importing.numpy_file import read_numpy
+
+        return read_numpy
+    if head.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
+        from needle_rig.importing.spreadsheet import read_spreadsheet
+
+        return read_spreadsheet
+    if head.startswith(b"MATLAB ") or path.suffix.lower() == ".mat":
+        from needle_rig.importing.matlab import read_matlab
+
+        return read_matlab
+    return read_delimited
+
+
+def _unpacked(path: Path, shown: str) -> Recording:
+    """What gzip packed; the hash is that of the packed file."""
+    with tempfile.TemporaryDirectory(prefix="needle-rig-import-") as folder:
+        plain = Path(folder) / path.stem
+        try:
+            with gzip.open(path, "rb") as packed, plain.open("wb") as out:
+                left = LIMIT_BYTES
+                while block := packed.read(1 << 22):
+                    left -= len(block)
+                    if left < 0:
+                        raise BadInput(
+                            f"{shown}: unpacks to more than {LIMIT_BYTES / 1e9:g} GB; is it the right file?"
+                        )
+                    out.write(block)
+        except (OSError, EOFError, zlib.error) as error:
+            raise BadInput(f"{shown}: cannot be unpacked: {error}; copy it again") from None
+        try:
+            inner = read_recording(plain)
+        except BadInput as error:
+            raise BadInput(str(error).replace(show_path(plain), shown)) from None
+    return dataclasses.replace(inner, path=path, sha256=sha256_of(path), dialect=f"{inner.dialect}, gzip")

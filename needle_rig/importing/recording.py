@@ -1,0 +1,66 @@
+"""What a foreign file holds once it is read: columns with their names and units as they are written there."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from needle_rig.numerics import Array
+
+LIMIT_BYTES = 4_000_000_000
+"""A hundred million rows of four columns; what is larger does not fit into a laptop's memory as numbers."""
+MAX_COLUMNS = 1000
+"""As in datasets: far above any rig's sensors, and columns are compared with each other."""
+HASH_BYTES = 1 << 22
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a file. Columns of one `table` have a row in common, and therefore a clock."""
+
+    name: str
+    """Unique in its file."""
+    unit: str
+    """As written in the file, empty where it says none."""
+    values: Array
+    """(rows,), NaN where there is no number; of a column of words, their places in `labels`."""
+    table: str = ""
+    labels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One file: its columns, and how it was understood."""
+
+    path: Path
+    sha256: str
+    dialect: str
+    """Format and separators, in words."""
+    columns: tuple[Column, ...]
+    rates_hz: dict[str, float] = field(default_factory=dict)
+    """Samples a second by table, where the file says so."""
+
+    def column(self, name: str) -> Column | None:
+        """The column of that name, None without one."""
+        return next((c for c in self.columns if c.name == name), None)
+
+    def tables(self) -> dict[str, list[Column]]:
+        """Columns by table, in the order of the file."""
+        found: dict[str, list[Column]] = {}
+        for column in self.columns:
+            found.setdefault(column.table, []).append(column)
+        return found
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file in hexadecimal digits; of a folder, over the names and contents of its files."""
+    digest = hashlib.sha256()
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        if path.is_dir():
+            digest.update(file.name.encode())
+        with file.open("rb") as stream:
+            while block := stream.read(HASH_BYTES):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,220 @@
+"""The steps that set up the service of a rig, and those that take it away."""
+
+from __future__ import annotations
+
+import functools
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from needle_rig.config.files import shipped_file
+from needle_rig.errors import BadInput
+from needle_rig.service.installation import Installation
+from needle_rig.service.steps import MakeLink, Remove, Rename, Run, Step, WriteFile
+from needle_rig.service.systemd import UNIT
+
+ACCOUNT = "needle-rig"
+"""The service's user, and the group whose members may use its rig."""
+_IN_UNIT = "/opt/needle-rig/bin"
+
+_UDEV_RULES = """\
+# Serial adapters of the rig's nodes: for the group dialout, and FTDI's do not hold bytes back for 16 ms
+SUBSYSTEM=="tty", SUBSYSTEMS=="usb", KERNEL=="ttyACM[0-9]*|ttyUSB[0-9]*", GROUP="dialout", MODE="0660"
+ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"
+"""
+_NETWORK = """\
+# Brought up whenever the adapter is there; back on the bus 100 ms after a bus-off
+[Match]
+Name={interface}
+
+[Link]
+RequiredForOnline=no
+
+[CAN]
+BitRate={bit_s}
+RestartSec=100ms
+"""
+_VIRTUAL_NETWORK = """\
+[Match]
+Name={interface}
+
+[Link]
+RequiredForOnline=no
+"""
+_VIRTUAL_DEVICE = """\
+# A bus without wires, for a simulated rig: needle-rig bench --can {interface}
+[NetDev]
+Name={interface}
+Kind=vcan
+"""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the service shall be: the text of its rig file, who may use it, and what it is run with."""
+
+    rig_file: str
+    network_interface: str | None
+    bitrate_kbit_s: int
+    members: tuple[str, ...]
+    program: Path
+    """Of the installed needle-rig."""
+    start: bool = True
+
+
+def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
+    """The steps in order. Those that only a running system can take are left out below another root."""
+    live = place.root == Path("/")
+    steps: list[Step] = [
+        WriteFile(place.sysusers, _sysusers(place, wanted.members)),
+        Run(
+            ["systemd-sysusers", *_at(place), place.sysusers.name],
+            functools.partial(_has_accounts, place, wanted.members),
+        ),
+    ]
+    if not place.rig_file.exists():
+        steps.append(WriteFile(place.rig_file, wanted.rig_file))
+    steps += _changed(WriteFile(place.udev_rules, _UDEV_RULES), live, ["udevadm", "control", "--reload"])
+    if wanted.network_interface is not None:
+        steps += _network_steps(place, wanted.network_interface, wanted.bitrate_kbit_s, live)
+    steps.append(MakeLink(place.link, wanted.program))
+    unit = WriteFile(place.unit, unit_text(wanted.program))
+    steps += _changed(unit, live, ["systemctl", "daemon-reload"])
+    steps.append(Run(["systemctl", *_at(place), "enable", UNIT], functools.partial(_is_enabled, place, UNIT)))
+    if live and wanted.start:
+        steps.append(Run(["systemctl", "start", "--no-block", UNIT], is_active))
+    return steps
+
+
+def removal_steps(place: Installation) -> list[Step]:
+    """What takes the service away: all but the runs, and the rig file under another name."""
+    live = place.root == Path("/")
+    steps: list[Step] = []
+    if live:
+        steps.append(Run(["systemctl", "stop", UNIT], lambda: not is_active()))
+    enabled = functools.partial(_is_enabled, place, UNIT)
+    steps.append(Run(["systemctl", *_at(place), "disable", UNIT], lambda: not enabled()))
+    reload = live and place.unit.exists()
+    steps += [Remove(path) for path in (place.unit, *place.networks(), place.udev_rules)]
+    if reload:
+        steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
+    if place.link.is_symlink():  # a program that was installed there is not ours
+        steps.append(Remove(place.link))
+    steps.append(Rename(place.rig_file, place.rig_file.with_suffix(".yaml.removed")))
+    prefix = [] if live else [f"--prefix={place.root}"]
+    for command, file in (("userdel", "etc/passwd"), ("groupdel", "etc/group")):
+        # where a user is of this group alone, userdel takes it along
+        steps.append(
+            Run([command, *prefix, ACCOUNT], functools.partial(_is_without_account, place.root / file))
+        )
+    steps.append(Remove(place.sysusers))
+    return steps
+
+
+def refuse_unable(user_id: int, systemd: Path = Path("/run/systemd/system")) -> None:
+    """Raise BadInput where a service cannot be set up or taken away, before anything is done."""
+    if not systemd.is_dir():
+        raise BadInput("systemd does not run here, and a service needs it; start by hand: needle-rig daemon")
+    if user_id != 0:
+        raise BadInput("only root may set up a service: sudo needle-rig install-service")
+
+
+def unit_text(program: Path) -> str:
+    """The shipped unit with the folder of `program` in its PATH."""
+    text = shipped_file(f"service/{UNIT}").read_text(encoding="utf-8")
+    return text.replace(_IN_UNIT, str(program.parent))
+
+
+def installed_program() -> Path:
+    """The `needle-rig` of this Python. Raises BadInput where a service could not run it."""
+    program = Path(sys.prefix) / "bin" / "needle-rig"
+    if not program.is_file():
+        raise BadInput(
+            f"{program}: is not there; install needle-rig first: {sys.executable} -m pip install ."
+        )
+    for hidden in ("home", "root", "tmp"):
+        if program.is_relative_to(Path("/", hidden)):
+            raise BadInput(
+                f"{program}: a service does not see /{hidden}; install needle-rig in /opt/needle-rig:"
+                " sudo python3 -m venv /opt/needle-rig && sudo /opt/needle-rig/bin/pip install ."
+            )
+    return program
+
+
+def _network_steps(place: Installation, interface: str, bitrate_kbit_s: int, live: bool) -> list[Step]:
+    steps: list[Step] = []
+    if interface.startswith("vcan"):
+        steps += _changed(
+            WriteFile(place.device(interface), _VIRTUAL_DEVICE.format(interface=interface)), False
+        )
+        text = _VIRTUAL_NETWORK.format(interface=interface)
+    else:
+        text = _NETWORK.format(interface=interface, bit_s=bitrate_kbit_s * 1000)
+    network = WriteFile(place.network(interface), text)
+    on = functools.partial(_is_enabled, place, "systemd-networkd.service")
+    steps.append(network)
+    if not on():
+        steps.append(Run(["systemctl", *_at(place), "enable", "systemd-networkd.service"], on))
+        # a computer whose network is somebody else's would wait for networkd's at every boot
+        waits = functools.partial(
+            _is_enabled, place, "systemd-networkd-wait-online.service", "network-online.target.wants"
+        )
+        command = ["systemctl", *_at(place), "disable", "systemd-networkd-wait-online.service"]
+        steps.append(Run(command, lambda: not waits()))
+        if live:
+            steps.append(Run(["systemctl", "start", "systemd-networkd.service"], lambda: False))
+    elif live and not network.is_done():
+        steps.append(Run(["networkctl", "reload"], lambda: False))
+    return steps
+
+
+def _changed(file: WriteFile, live: bool, *commands: list[str]) -> list[Step]:
+    """The file, and what the system must be told when it is new."""
+    told = live and not file.is_done()
+    return [file, *(Run(command, lambda: False) for command in commands if told)]
+
+
+def _sysusers(place: Installation, members: tuple[str, ...]) -> str:
+    """Who is declared already stays declared."""
+    try:
+        before = re.findall(rf"(?m)^m (\S+) {ACCOUNT}$", place.sysusers.read_text(encoding="utf-8"))
+    except OSError:
+        before = []
+    lines = [
+        f'u {ACCOUNT} - "needle-rig daemon" /var/lib/needle-rig',
+        f"m {ACCOUNT} dialout",
+        *(f"m {member} {ACCOUNT}" for member in dict.fromkeys([*before, *members])),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _is_without_account(file: Path) -> bool:
+    try:
+        return not re.search(rf"(?m)^{ACCOUNT}:", file.read_text(encoding="utf-8"))
+    except OSError:
+        return True
+
+
+def _has_accounts(place: Installation, members: tuple[str, ...]) -> bool:
+    if _is_without_account(place.root / "etc/passwd"):
+        return False
+    groups = (place.root / "etc/group").read_text(encoding="utf-8")
+    group = re.search(rf"(?m)^{ACCOUNT}:[^:]*:\d+:(.*)$", groups)
+    return group is not None and set(members) <= set(group[1].split(","))
+
+
+def _is_enabled(place: Installation, unit: str, target: str = "multi-user.target.wants") -> bool:
+    return (place.root / "etc/systemd/system" / target / unit).is_symlink()
+
+
+def is_active() -> bool:
+    """Whether the service runs, or is about to."""
+    from needle_rig.service.systemd import unit_standing
+
+    standing = unit_standing()
+    return standing is not None and standing.state in ("active", "activating", "reloading")
+
+
+def _at(place: Installation) -> list[str]:
+    return [] if place.root == Path("/") else [f"--root={place.root}"]

@@ -1,0 +1,99 @@
+"""Where the service of a rig keeps its things, and whether a rig is set up on this computer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.service.endpoint import sockets_for_client
+from needle_rig.service.systemd import UNIT, unit_standing
+
+_NETWORK_PREFIX = "60-needle-rig-"
+
+
+@dataclass(frozen=True)
+class Installation:
+    """The places of a service, below `root`."""
+
+    root: Path = Path("/")
+
+    @property
+    def unit(self) -> Path:
+        """The systemd unit."""
+        return self.root / "etc/systemd/system" / UNIT
+
+    @property
+    def rig_file(self) -> Path:
+        """The rig file that the unit names."""
+        return self.root / "etc/needle-rig/rig.yaml"
+
+    @property
+    def runs(self) -> Path:
+        """Folder of the runs."""
+        return self.root / "var/lib/needle-rig"
+
+    @property
+    def udev_rules(self) -> Path:
+        """What the adapters of the nodes are given."""
+        return self.root / "etc/udev/rules.d/70-needle-rig.rules"
+
+    @property
+    def sysusers(self) -> Path:
+        """The user, the group and its members."""
+        return self.root / "etc/sysusers.d/needle-rig.conf"
+
+    @property
+    def link(self) -> Path:
+        """Where everybody's shell finds needle-rig."""
+        return self.root / "usr/local/bin/needle-rig"
+
+    @property
+    def calibration(self) -> Path:
+        """What `needle-rig calibrate` wrote for this rig's nodes."""
+        return self.root / "etc/needle-rig/calibration"
+
+    def network(self, interface: str) -> Path:
+        """What brings the CAN interface up."""
+        return self.root / f"etc/systemd/network/{_NETWORK_PREFIX}{interface}.network"
+
+    def device(self, interface: str) -> Path:
+        """What makes a virtual CAN interface."""
+        return self.network(interface).with_suffix(".netdev")
+
+    def networks(self) -> list[Path]:
+        """Every such file that is there."""
+        return sorted((self.root / "etc/systemd/network").glob(f"{_NETWORK_PREFIX}*"))
+
+    def signs(self, environment: Mapping[str, str] = os.environ) -> list[Path]:
+        """What shows that a rig is set up here: a unit, a rig file, a socket even when nobody listens."""
+        sockets = [self.root / path.relative_to("/") for path in sockets_for_client(environment)]
+        return [path for path in (self.unit, self.rig_file, *sockets) if os.path.lexists(path)]
+
+    def runs_directory(self) -> Path | None:
+        """Where the service keeps its runs; None where none is installed, BadInput for a bad rig file."""
+        if not os.path.lexists(self.rig_file):
+            return self.runs if self.runs.is_dir() else None
+        from needle_rig.config.loader import load_rig_config
+
+        # one that is not absolute would depend on the unit's working folder: the unit gives its own place
+        return self.runs / load_rig_config(self.rig_file).recording.directory
+
+
+HERE = Installation()
+"""This computer."""
+
+
+def nobody_answers(places: list[Path]) -> NeedleRigError:
+    """What to tell a person for whom no daemon answers at `places`."""
+    where = " or ".join(str(place) for place in places)
+    signs = HERE.signs()
+    if not signs:
+        return RigFault(f"no daemon answers at {where}; start one: needle-rig daemon")
+    standing = unit_standing() if HERE.unit in signs else None
+    next_step = (
+        f"start it: needle-rig daemon --config {HERE.rig_file}" if standing is None else standing.sentence
+    )
+    return RigFault(f"a rig is set up here ({signs[0]}), but no daemon answers at {where}: {next_step}")

@@ -1,0 +1,230 @@
+"""What was measured of a needle, traces or settled values, to whoever compares, diagnoses and adopts."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.dataset import Dataset
+from needle_rig.dataset.settled import SettledData
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.estimation.baseline import as_compared, prepare
+from needle_rig.workbench.learning.compare import TraceComparison, compare
+from needle_rig.workbench.observations.sources import read_observed
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.published.compare import compare_settled
+from needle_rig.workbench.published.diagnose import diagnose_settled
+from needle_rig.workbench.published.explanation import by_quantity
+from needle_rig.workbench.published.explanation import explanation as settled_explanation
+from needle_rig.workbench.published.search import settled_problem, values_to_meet
+from needle_rig.workbench.published.search import try_effect as try_settled
+from needle_rig.workbench.selection.answer import Answer, Say
+from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.evidence import foretells
+from needle_rig.workbench.selection.explanation import Explanation, explanation, training_errors
+from needle_rig.workbench.selection.search import try_effect
+
+Library = Mapping[str, type[Effect]]
+
+
+class Comparison(Protocol):
+    """Where a model fails, as it is told."""
+
+    @property
+    def held_out_error(self) -> float:
+        """Error of cross-validation in units of the noise; not finite where nothing could be left out."""
+
+    @property
+    def channels(self) -> dict[str, Any]:
+        """By channel: rmse, noise, unit, whitened (the error in units of the noise), by_phase."""
+
+    def headline(self) -> tuple[str, str]:
+        """The data's name, and what is said of it."""
+
+    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Headings of the table, and its rows."""
+
+    def sentences(self) -> list[str]:
+        """What stands below the table."""
+
+    def places(self) -> list[dict[str, Any]]:
+        """All that was compared: channel, motion, state, direction, model, measured, error, noise, unit."""
+
+    def traces(self) -> TraceComparison:
+        """What can be drawn. Raises BadInput where there are settled values only."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The stated form of the answer."""
+
+
+class Observations(Protocol):
+    """What was measured of one rig."""
+
+    @property
+    def name(self) -> str:
+        """As a person called it."""
+
+    def sha256(self) -> str:
+        """Of everything that was measured and what the rig was told; the name is no part of it."""
+
+    def compare(self, library: Library, model: NeedleModel | None) -> Comparison:
+        """Fit the model (default: the null model) and look where it fails. Raises BadInput, SolverError."""
+
+    def diagnose(
+        self,
+        library: Library,
+        model: NeedleModel | None,
+        *,
+        max_effects: int = 3,
+        seed: int = 0,
+        work: Work | None = None,
+        say: Say = lambda _: None,
+    ) -> Answer:
+        """Which effect is missing from the model. Raises BadInput, SolverError."""
+
+    def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
+        """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
+
+    def errors(self, found: Explanation) -> dict[str, float]:
+        """Root mean square error of a fitted model by channel, from one simulation, in the channel's unit.
+
+        Raises BadInput, SolverError.
+        """
+
+
+@dataclass(frozen=True)
+class Traces:
+    """Time series of torque and angles."""
+
+    data: Dataset
+
+    @property
+    def name(self) -> str:
+        """As the dataset is called."""
+        return self.data.name
+
+    def sha256(self) -> str:
+        """Of layout, needle, commands and readings."""
+        data = self.data
+        stated = [asdict(data.layout), asdict(data.needle), data.sensor_names]
+        told = [[t.trial.start_s, asdict(t.command)] for t in data.trials]
+        phases = [t.phase.tolist() for t in data.trials]
+        read = [
+            part
+            for t in data.trials
+            for part in (t.trial.time_s, t.base_measured_rad, t.torque_nm, t.hall_rad)
+        ]
+        return _sha256([stated, told, phases], read)
+
+    def compare(self, library: Library, model: NeedleModel | None) -> TraceComparison:
+        """Fit the model (default: the null model) and look where it fails. Raises BadInput, SolverError."""
+        return compare(self.data, library, model)
+
+    def diagnose(
+        self,
+        library: Library,
+        model: NeedleModel | None,
+        *,
+        max_effects: int = 3,
+        seed: int = 0,
+        work: Work | None = None,
+        say: Say = lambda _: None,
+    ) -> Answer:
+        """Which effect is missing from the model. Raises BadInput, SolverError."""
+        return diagnose(self.data, library, model, max_effects=max_effects, seed=seed, work=work, say=say)
+
+    def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
+        """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
+        prepared = prepare(self.data, model, library)
+        tried = try_effect(prepared.problem, prepared.present, effect)
+        if tried.fit is None or tried.held is None:
+            return None
+        improves = foretells(prepared.present, prepared.held, tried.fit, tried.held)
+        compared = as_compared(prepared, prepared.problem, tried.fit, tried.held)
+        return explanation(prepared, *compared, improves=improves)
+
+    def errors(self, found: Explanation) -> dict[str, float]:
+        """Of bin means, each trial at its own friction, from one simulation of every trial.
+
+        Raises BadInput where the trials are others than those of the fit, SolverError.
+        """
+        return training_errors(self.data, found)
+
+
+@dataclass(frozen=True)
+class SettledValues:
+    """What sensors showed when motions had settled."""
+
+    data: SettledData
+
+    @property
+    def name(self) -> str:
+        """As the data are called."""
+        return self.data.name
+
+    def sha256(self) -> str:
+        """Of layout, needle, sequences and values; where they stand in their file is no part of it."""
+        data = self.data
+        stated = [asdict(data.layout), asdict(data.needle), data.sensor_names, data.zeroed_at_rest]
+        sequences = [{k: v for k, v in asdict(s).items() if k != "place"} for s in data.sequences]
+        return _sha256([stated, sequences, [asdict(v) for v in data.values]], [])
+
+    def compare(self, library: Library, model: NeedleModel | None) -> Comparison:
+        """Fit the model (default: the null model) and show every value beside it. Raises BadInput."""
+        return compare_settled(self.data, library, model)
+
+    def diagnose(
+        self,
+        library: Library,
+        model: NeedleModel | None,
+        *,
+        max_effects: int = 3,  # noqa: ARG002 one effect at a time is tried
+        seed: int = 0,  # noqa: ARG002 nothing is drawn
+        work: Work | None = None,
+        say: Say = lambda _: None,
+    ) -> Answer:
+        """Which one effect is missing from the model. Raises BadInput."""
+        with work or Work():  # a few seconds' work: none is handed out
+            return diagnose_settled(self.data, library, model, say=say)
+
+    def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
+        """The model with `effect`, fitted; None where it changes none of the values. Raises BadInput."""
+        problem, root = settled_problem(self.data, library, model)
+        found = try_settled(problem, root, effect, 1).fit
+        return None if found is None else settled_explanation(problem, root, found)
+
+    def errors(self, found: Explanation) -> dict[str, float]:
+        """Of the weighed values, from one run of each sequence. Raises BadInput, SolverError."""
+        problem = values_to_meet(self.data, {}, found.model)
+        model = dataclasses.replace(
+            found.model, layout=problem.base.layout, element_length_m=problem.base.element_length_m
+        )
+        return by_quantity(problem, problem.predict(model))
+
+
+def observations(data: Dataset | SettledData) -> Observations:
+    """Either kind, to be asked the same questions."""
+    return SettledValues(data) if isinstance(data, SettledData) else Traces(data)
+
+
+def read_observations(paths: Sequence[str | os.PathLike[str]]) -> Observations:
+    """What a person names as DATA; see `read_observed`. Raises BadInput."""
+    return observations(read_observed(paths))
+
+
+def _sha256(stated: Any, read: Sequence[npt.NDArray[np.float64]]) -> str:
+    digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode())
+    for part in read:
+        # one NaN for all, and no −0, so that equal readings are equal bytes
+        numbers = np.where(np.isnan(part), np.nan, part + 0.0)
+        digest.update(np.asarray(numbers, dtype="<f8").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,178 @@
+"""What adopting takes over from a diagnosis: the current model with effects more, fitted, and its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needle_rig.dataset import Dataset
+from needle_rig.errors import BadInput
+from needle_rig.model import ChannelErrors
+from needle_rig.numerics import Array
+from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
+from needle_rig.physics.trial_friction import FrictionOfTrial
+from needle_rig.units import deg, nmm, per_100mm
+from needle_rig.workbench.estimation.baseline import Prepared, element_length
+from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.parameters import Coordinate
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.simulator import Simulator
+from needle_rig.workbench.observations.binning import bin_trial
+from needle_rig.workbench.observations.noise import covariance
+
+IN_NOISE_UNITS = "noise_units"
+"""Name of the errors over all channels, in units of the noise."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Effects that the current model lacks, with the fit of the model that has them."""
+
+    added: tuple[str, ...]
+    model: NeedleModel
+    uncertainties: Mapping[str, float]
+    """Standard deviations by parameter name, in the units of files."""
+    values_before: Mapping[str, float]
+    """Of the current model, fitted to the same data."""
+    errors: Mapping[str, ChannelErrors]
+    """Before and after, by channel and over all (`IN_NOISE_UNITS`)."""
+    improves: bool
+    """Whether cross-validation speaks for the effects."""
+    trial_friction: tuple[float, ...] = ()
+    """Each trial's friction over the common one; none where the data have no trials."""
+
+
+def explanation(
+    prepared: Prepared, problem: Problem, found: Fit, held: HeldOut, *, improves: bool
+) -> Explanation:
+    """A fit to traces with everything that it adds to the current model, however small.
+
+    `problem`, `found` and `held` are those of a comparison with its model (`as_compared`).
+    """
+    present = prepared.present
+    model = problem.model(found.axes, found.point)
+    return Explanation(
+        added=tuple(e for e in found.effects if e not in present.effects),
+        model=dataclasses.replace(model, element_length_m=prepared.fine_m),
+        uncertainties=uncertainties(found),
+        values_before=prepared.problem.model(present.axes, present.point).values(),
+        errors=errors_by_channel(prepared, found, held),
+        improves=improves,
+        trial_friction=tuple(float(f) for f in np.exp(found.point.trial_friction)),
+    )
+
+
+def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
+    """Root mean square error of bin means by channel, from one simulation of each trial at its own friction.
+
+    Raises BadInput where there are more or fewer trials than were fitted, SolverError.
+    """
+    if len(dataset.trials) != len(found.trial_friction):
+        raise BadInput(
+            f"{dataset.name} has {len(dataset.trials)} trials, {len(found.trial_friction)} were fitted;"
+            " name the data that were fitted"
+        )
+    model = dataclasses.replace(
+        found.model, layout=dataset.layout, element_length_m=element_length(found.model)
+    )
+    binned = [bin_trial(t) for t in dataset.trials]
+    models = [model.with_effects(FrictionOfTrial(factor)) for factor in found.trial_friction]
+    readings = Simulator().readings(models, binned)
+    left = np.hstack([b.mean - r for b, r in zip(binned, readings, strict=True)])
+    rms = np.sqrt(np.nanmean(left**2, axis=1))
+    names = channel_names(dataset)
+    factors = (nmm(1.0), *(deg(1.0) for _ in dataset.sensor_names))
+    return {name: factor * float(e) for name, factor, e in zip(names, factors, rms, strict=True)}
+
+
+def uncertainties(found: Fit) -> dict[str, float]:
+    """Standard deviations by parameter name, in the units of files."""
+    point = found.point
+    return spread_of_values(
+        found.axes, np.r_[point.log_friction, point.log_rigidity, point.positions], found.covariance
+    )
+
+
+def spread_of_values(axes: Sequence[Coordinate], x: Array, covariance: Array) -> dict[str, float]:
+    """Standard deviations by parameter name, in the units of files, of the parameter vector x.
+
+    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,) on `axes`.
+    """
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = {
+        FRICTION: per_100mm(float(spread[0] * np.exp(x[0]))),
+        TORSIONAL_RIGIDITY: float(spread[1] * np.exp(x[1]) * NMM2_PER_NM2),
+    }
+    for axis, at, error in zip(axes, x[2:], spread[2:], strict=True):
+        low, high = (axis.value(float(np.clip(at + s * error, *axis.bounds))) for s in (-1, 1))
+        size = abs(high - low) / 2
+        if np.isfinite(size):
+            known[f"{axis.effect}.{axis.name}"] = size
+    return known
+
+
+def errors_by_channel(prepared: Prepared, found: Fit, held: HeldOut) -> dict[str, ChannelErrors]:
+    """Errors of bin means before and after, by channel and over all; each channel's floor."""
+    problem = prepared.problem
+    before, after = _training(problem, prepared.present), _training(problem, found)
+    held_before, held_after = _rms(problem, prepared.held.residuals), _rms(problem, held.residuals)
+    floor = _floors(problem, found)
+    errors = {}
+    for c, name in enumerate(channel_names(prepared.dataset)):
+        factor = nmm(1.0) if c == 0 else deg(1.0)
+        errors[name] = ChannelErrors(
+            training_before=factor * before[c],
+            training_after=factor * after[c],
+            held_out_before=_known(factor * held_before[c]),
+            held_out_after=_known(factor * held_after[c]),
+            floor=factor * floor[c],
+        )
+    errors[IN_NOISE_UNITS] = ChannelErrors(
+        training_before=float(np.sqrt(prepared.present.chi2 / problem.size)),
+        training_after=float(np.sqrt(found.chi2 / problem.size)),
+        held_out_before=_known(prepared.held.error),
+        held_out_after=_known(held.error),
+        floor=1.0,
+    )
+    return errors
+
+
+def channel_names(dataset: Dataset) -> list[str]:
+    """Channels with their unit in the name."""
+    return ["torque_nmm", *(f"{s}_deg" for s in dataset.sensor_names)]
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _training(problem: Problem, found: Fit) -> Array:
+    readings = problem.predict(found.axes, found.point)
+    return _rms(problem, tuple(b.mean - r for b, r in zip(problem.trials, readings, strict=True)))
+
+
+def _rms(problem: Problem, residuals: tuple[Array, ...]) -> Array:
+    count = problem.trials[0].mean.shape[0]
+    if any(r.shape[:1] != (count,) for r in residuals):
+        return np.full(count, np.inf)
+    joined = np.hstack(residuals)
+    return np.asarray(np.sqrt(np.nanmean(joined**2, axis=1)), dtype=np.float64)
+
+
+def _floors(problem: Problem, found: Fit) -> Array:
+    """What noise and the scatter of the trials alone leave in bin means of trials not seen, by channel."""
+    count = problem.trials[0].mean.shape[0]
+    total, number = np.zeros(count), np.zeros(count)
+    for t, (binned, whiten) in enumerate(zip(problem.trials, problem.whiteners, strict=True)):
+        for c in range(count):
+            use, matrix = covariance(problem.noise, binned, c)
+            if not use.size:
+                continue
+            own = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
+            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(own @ own)
+            number[c] += use.size
+    return np.sqrt(total / np.maximum(number, 1))

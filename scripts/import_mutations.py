@@ -1,0 +1,226 @@
+"""Damages recordings as laboratories do: wrong units in names, swapped columns, rows cut off, other decimal
+signs."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from import_kinds import FACTORS, Truth
+
+UNCHANGED = "as it was"
+TEXT = (".csv", ".txt", ".tsv", ".dat", ".log", ".lvm", ".asc")
+
+
+def moved(truth: Truth, old: Path, new: Path) -> Truth:
+    """The truth of a copy of the files in another folder."""
+    return dataclasses.replace(truth, files=tuple(new / f.relative_to(old) for f in truth.files))
+
+
+def mutated(truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """Damages one file in place; the kind of damage, and what is true of the file then."""
+    files = [
+        f
+        for t in truth.files
+        for f in ([t] if t.is_file() else sorted(p for p in t.iterdir() if p.is_file()))
+    ]
+    path = rng.choice(files)
+    kinds: list[Callable[[Path, Truth, random.Random], tuple[str, Truth]]] = [_cut, _bits, _emptied, _joined]
+    if path.suffix in TEXT and not path.read_bytes().startswith(b"\xff\xfe"):
+        kinds = [*kinds[:2], *[_unit_word, _scaled] * 3, *[_swapped_names] * 2]
+        kinds += [_lost_field, _word, _decimal, _reversed_time, _second_header]
+    for _ in range(20):
+        kind, then = rng.choice(kinds)(path, truth, rng)
+        if kind != UNCHANGED:
+            return kind, then
+    return UNCHANGED, truth
+
+
+def _cut(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    data = path.read_bytes()
+    path.write_bytes(data[: rng.randrange(len(data) // 10, len(data))])
+    return "cut off", truth
+
+
+def _bits(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    data = bytearray(path.read_bytes())
+    for _ in range(5):
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    path.write_bytes(bytes(data))
+    return "bits", truth
+
+
+def _emptied(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    data = bytearray(path.read_bytes())
+    start = rng.randrange(len(data))
+    data[start : start + len(data) // 20] = bytes(len(data[start : start + len(data) // 20]))
+    path.write_bytes(bytes(data))
+    return "zeros", truth
+
+
+def _joined(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    data = path.read_bytes()
+    path.write_bytes(data + data)
+    return "twice", truth
+
+
+def _lines(path: Path) -> tuple[list[bytes], bytes]:
+    data = path.read_bytes()
+    end = b"\r\n" if b"\r\n" in data else b"\n"
+    return data.split(end), end
+
+
+def _body(lines: list[bytes]) -> int:
+    """First line of the table."""
+    number = re.compile(rb"^[\s\"]*[-+]?[\d:.,eE+-]+[\s;,|\t\"]")
+    return next(
+        k for k in range(len(lines) - 2) if all(number.match(b" " + x + b" ") for x in lines[k : k + 3])
+    )
+
+
+def _unit_word(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """Another unit is written than the numbers are in."""
+    lines, end = _lines(path)
+    body = _body(lines)
+    head = end.join(lines[:body])
+    words = [(rb"deg", b"rad"), (b"\xb0", b"rad"), ("°".encode(), b"rad"), (rb"rad", b"deg")]
+    words += [(rb"N.?mm|Nmm|mNm|nmm", b"Nm"), (rb"N.m\b|Nm\b", b"Nmm")]
+    words += [(rb"\(s\)|\[s\]", b"[ms]"), (rb"\(ms\)|\[ms\]|_ms", b"[s]")]
+    there = [(p, w) for p, w in words if re.search(p, head)]
+    if not there:
+        return UNCHANGED, truth
+    pattern, word = rng.choice(there)
+    once = rng.random() < 0.5
+    new = re.sub(pattern, word, head, count=1 if once else 0)
+    path.write_bytes(new + end + end.join(lines[body:]))
+    renamed = {}
+    for role, (name, factor, sign) in truth.channels.items():
+        for text in (pattern,):
+            changed = re.sub(text, word, name.encode("utf-8"), count=1 if once else 0).decode()
+            renamed[role] = (changed if changed.encode() in new else name, factor, sign)
+    return "another unit is written", dataclasses.replace(truth, channels=renamed)
+
+
+def _delimiter(lines: list[bytes], body: int) -> bytes:
+    return next((by for by in (b"\t", b";") if lines[body].count(by) > 1), b",")
+
+
+def _scaled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """One column's numbers in another unit than is written."""
+    lines, end = _lines(path)
+    body = _body(lines)
+    by = _delimiter(lines, body)
+    comma = by != b"," and b"," in lines[body]
+    width = lines[body].count(by) + 1
+    place = rng.randrange(0, max(1, min(width, 1 + len(truth.channels))))
+    names = list(truth.channels)
+    if place < 1 or place - 1 >= len(names) or by not in lines[body]:
+        return UNCHANGED, truth
+    role = names[place - 1]
+    old, factor, sign = truth.channels[role]
+    if role == "base_torque":
+        by_factor = rng.choice([1e3, 1e-3])
+    else:
+        by_factor = 57.29577951308232 if factor == FACTORS["rad"] else 1 / 57.29577951308232
+    for k in range(body, len(lines)):
+        cells = lines[k].split(by)
+        if len(cells) != width:
+            continue
+        try:
+            value = float(cells[place].replace(b",", b".") if comma else cells[place]) * by_factor
+        except ValueError:
+            continue
+        text = f"{value:.9f}".encode()
+        cells[place] = text.replace(b".", b",") if comma else text
+        lines[k] = by.join(cells)
+    path.write_bytes(end.join(lines))
+    channels = {**truth.channels, role: (old, factor / by_factor, sign)}
+    return f"{'torque' if role == 'base_torque' else 'angle'} in another unit", dataclasses.replace(
+        truth, channels=channels
+    )
+
+
+def _lost_field(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    lines, end = _lines(path)
+    body = _body(lines)
+    by = _delimiter(lines, body)
+    k = rng.randrange(body + 5, len(lines) - 3)
+    cells = lines[k].split(by)
+    del cells[rng.randrange(len(cells))]
+    lines[k] = by.join(cells)
+    path.write_bytes(end.join(lines))
+    return "a field is lost", truth
+
+
+def _word(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    lines, end = _lines(path)
+    body = _body(lines)
+    by = _delimiter(lines, body)
+    k = rng.randrange(body + 5, len(lines) - 3)
+    cells = lines[k].split(by)
+    cells[rng.randrange(len(cells))] = rng.choice([b"overrun", b"12.3.4", b"#REF!", b"\xff\xfe"])
+    lines[k] = by.join(cells)
+    path.write_bytes(end.join(lines))
+    return "a word among numbers", truth
+
+
+def _decimal(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    data = path.read_bytes()
+    lines, _ = _lines(path)
+    if b"," in lines[_body(lines)] and _delimiter(lines, _body(lines)) == b",":
+        path.write_bytes(data.replace(b".", b","))
+        return "decimal comma among commas", truth
+    return UNCHANGED, truth
+
+
+def _swapped_names(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """The header names two columns the wrong way round; what is in them stays."""
+    lines, end = _lines(path)
+    body = _body(lines)
+    by = _delimiter(lines, body)
+    at = next((k for k in range(body - 1, -1, -1) if lines[k].count(by) >= 2), None)
+    roles = list(truth.channels)
+    if at is None or len(roles) < 3 or len(truth.files) > 1:
+        return UNCHANGED, truth
+    if (
+        at > 0
+        and lines[at - 1].count(by) == lines[at].count(by)
+        and not any(
+            n[0].encode("utf-8") in lines[at] or n[0].encode("cp1252", "replace") in lines[at]
+            for n in truth.channels.values()
+        )
+    ):
+        at -= 1
+    cells = lines[at].split(by)
+    one, other = rng.sample(range(1, min(len(cells), 1 + len(roles))), 2)
+    cells[one], cells[other] = cells[other], cells[one]
+    lines[at] = by.join(cells)
+    path.write_bytes(end.join(lines))
+    a, b = roles[one - 1], roles[other - 1]
+    channels = dict(truth.channels)
+    channels[a] = (truth.channels[b][0], truth.channels[a][1], truth.channels[a][2])
+    channels[b] = (truth.channels[a][0], truth.channels[b][1], truth.channels[b][2])
+    kinds = {("base_angle" in (a, b)): "base's", ("base_torque" in (a, b)): "torque's"}
+    kind = kinds.get(True, "two sensors'")
+    return f"{kind} name swapped", dataclasses.replace(truth, channels=channels)
+
+
+def _reversed_time(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    lines, end = _lines(path)
+    body = _body(lines)
+    at = rng.randrange(body + 20, len(lines) - 20)
+    lines[body:] = lines[at:] + lines[body:at]
+    path.write_bytes(end.join(line for line in lines if line))
+    return "halves exchanged", truth
+
+
+def _second_header(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    lines, end = _lines(path)
+    body = _body(lines)
+    at = rng.randrange(body + 20, len(lines) - 20)
+    lines[at:at] = lines[max(0, body - 1) : body] or [b"new run"]
+    path.write_bytes(end.join(lines))
+    return "a second header", truth

@@ -1,0 +1,349 @@
+"""Recordings of other laboratories: read, mapped, refused where no needle does what they show."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needle_rig.cli.main import run as command
+from needle_rig.config.places import write_yaml
+from needle_rig.dataset import read_dataset
+from needle_rig.dataset.description import RigPart, read_description
+from needle_rig.errors import BadInput
+from needle_rig.importing import (
+    Mapping,
+    dataset_of,
+    guess,
+    read_mapping,
+    read_recording,
+    signals,
+    write_mapping,
+)
+from needle_rig.importing.extra import needed
+from needle_rig.importing.unit_text import split_name, unit_of
+
+pytest.importorskip("polars")
+
+ROOT = Path(__file__).parents[2]
+PRACTICE = ROOT / "tests/data/practice/elastic"
+DAVINCI = ROOT / "tests/data/real/davinci.yaml"
+NAMES = ("time_s", "motor_deg", "torque_nmm", "hall_1_deg", "hall_2_deg", "hall_3_deg", "hall_4_deg")
+
+
+@pytest.fixture(scope="module")
+def rig() -> RigPart:
+    return read_description(PRACTICE)[0].rig
+
+
+@pytest.fixture(scope="module")
+def table() -> np.ndarray:
+    """Time s, base °, torque N·mm, four angles °: a trial of another code's needle."""
+    trial = read_dataset(PRACTICE).trials[0]
+    angles = np.degrees(np.column_stack((trial.base_measured_rad, trial.hall_rad)))
+    return np.column_stack((trial.trial.time_s, angles[:, 0], trial.torque_nm * 1e3, angles[:, 1:]))
+
+
+def written(path: Path, table: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.6f")
+    return path
+
+
+def mapped(path: Path, rig: RigPart | None) -> Mapping:
+    return guess([read_recording(path)], "mine", rig, Path())
+
+
+def with_channel(mapping: Mapping, role: str, **changes: object) -> Mapping:
+    channels = tuple(c.model_copy(update=changes) if c.role == role else c for c in mapping.channels)
+    return mapping.model_copy(update={"channels": channels})
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("[deg]", "deg"), ("°", "deg"), ("N·mm", "N·mm"), ("Nmm", "N·mm"), ("mNm", "mN·m"), ("N-m", "N·m"),
+        ("uNm", "µN·m"), ("oz-in", "ozf·in"), ("usec", "µs"), ("rev", "turn"),
+        ("MNm", None), ("grad", None), ("NM·M", None), ("counts?", None),
+    ],
+)  # fmt: skip
+def test_a_unit_is_read_as_people_write_it_and_never_by_halves(text: str, meant: str | None) -> None:
+    unit = unit_of(text)
+    assert (None if unit is None else unit.text) == meant
+
+
+def test_units_of_torque_have_their_size() -> None:
+    sizes = {
+        text: unit.si for text in ("N·m", "N·cm", "mN·m", "N·mm", "µN·m", "oz-in") if (unit := unit_of(text))
+    }
+    assert sizes == pytest.approx(
+        {"N·m": 1.0, "N·cm": 1e-2, "mN·m": 1e-3, "N·mm": 1e-3, "µN·m": 1e-6, "oz-in": 0.00706155}, rel=1e-6
+    )
+
+
+def test_a_letter_at_the_end_of_a_name_is_no_unit() -> None:
+    assert split_name("hall_A") == ("hall_A", "")
+    assert split_name("Torque (N·mm)") == ("Torque", "N·mm")
+
+
+def test_a_recording_becomes_the_dataset_it_was_written_from(
+    tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    made = table.copy()
+    made[:, 2] *= -1.0
+    mapping = mapped(written(tmp_path / "log.csv", made), rig)
+    assert mapping.doubts() == []
+    assert next(c.sign for c in mapping.channels if c.role == "base_torque") == -1
+    trial = dataset_of(mapping, Path()).trials[0]
+    assert np.degrees(trial.base_measured_rad) == pytest.approx(table[:, 1] - table[:20, 1].mean(), abs=0.05)
+    assert trial.torque_nm * 1e3 == pytest.approx(table[:, 2] - table[:20, 2].mean(), abs=3e-4)
+
+
+def test_an_import_from_its_mapping_alone_is_the_same_bit_for_bit(tmp_path: Path, table: np.ndarray) -> None:
+    log = written(tmp_path / "log.csv", table)
+    line = ["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(tmp_path / "one")]
+    assert command(line) == 0
+    assert command(["import", str(tmp_path / "one/import.yaml"), "--out", str(tmp_path / "deep/two")]) == 0
+    for name in ("trials/01.csv",):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "deep/two" / name).read_bytes()
+    assert (tmp_path / "one/import.png").stat().st_size > 10_000
+    mapping, _ = read_mapping(tmp_path / "deep/two/import.yaml")
+    part = next(iter(mapping.clocks.values())).files[0]
+    assert (tmp_path / "deep/two" / part.path).resolve() == log.resolve()
+    assert part.sha256 is not None
+
+
+def test_a_file_that_changed_since_the_mapping_is_refused(
+    tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table), rig)
+    written(tmp_path / "log.csv", table[:-1])
+    with pytest.raises(BadInput, match="SHA-256 differs"):
+        dataset_of(mapping, Path())
+
+
+@pytest.mark.parametrize(
+    ("role", "changes", "said"),
+    [
+        ("base_torque", {"sign": -1}, "falls while the base winds up"),
+        ("hall_1", {"unit": "rad"}, "57.3 times"),
+        ("hall_1", {"scale": 1 / 57.3}, "in radians where the mapping says degrees"),
+        ("base_angle", {"unit": "rad"}, "57.3 times too large"),
+        ("hall_2", {"sign": -1}, "turns against the base"),
+        ("base_torque", {"unit": "N·m"}, "base_torque spans"),
+        ("base_torque", {"unit": "µN·m"}, "base_torque spans"),
+    ],
+)
+def test_what_no_needle_does_is_a_sentence(
+    role: str, changes: dict[str, object], said: str, tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping = with_channel(mapped(written(tmp_path / "log.csv", table), rig), role, **changes)
+    with pytest.raises(BadInput, match=said):
+        dataset_of(mapping, Path())
+
+
+def test_a_base_that_lags_its_needle_is_refused(tmp_path: Path, rig: RigPart, table: np.ndarray) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table), rig)
+    mapping = with_channel(mapping, "base_angle", source="hall_1_deg")
+    mapping = with_channel(mapping, "hall_1", source="motor_deg")
+    with pytest.raises(BadInput, match=r"hall_1 (moves before the base|turns 1)"):
+        dataset_of(mapping, Path())
+
+
+@pytest.mark.parametrize(("column", "factor"), [(1, math.pi / 180), (2, 1e-3), (3, math.pi / 180), (0, 1e3)])
+def test_a_unit_that_the_name_gets_wrong_is_asked(
+    column: int, factor: float, tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    wrong = table.copy()
+    wrong[:, column] *= factor
+    assert mapped(written(tmp_path / "log.csv", wrong), rig).doubts()
+
+
+def test_a_unit_that_nothing_tells_is_not_guessed(tmp_path: Path, table: np.ndarray) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table[:, :3], ("t", "q1", "Mz")), None)
+    torque = next(c for c in mapping.channels if c.role == "base_torque")
+    assert torque.unit is None
+    assert any("Mz" in lack for lack in mapping.lacks())
+
+
+def test_what_is_doubted_is_written_to_a_file_and_taken_once_confirmed(
+    tmp_path: Path, table: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = table.copy()
+    wrong[:, 3] *= math.pi / 180
+    log = written(tmp_path / "log.csv", wrong)
+    out = tmp_path / "mine"
+    line = ["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out)]
+    assert command(line) == 2
+    assert "hall_1" in capsys.readouterr().err
+    assert not out.exists()
+    assert (tmp_path / "mine.png").exists()
+    assert command(["import", str(tmp_path / "mine.yaml"), "--out", str(out)]) == 2
+    mapping, _ = read_mapping(tmp_path / "mine.yaml")
+    sure = with_channel(mapping, "hall_1", doubt="")
+    write_mapping(sure, tmp_path / "mine.yaml", tmp_path)
+    assert command(["import", str(tmp_path / "mine.yaml"), "--out", str(out)]) == 0
+    assert np.ptp(read_dataset(out).trials[0].hall_rad[:, 0]) == pytest.approx(
+        np.radians(np.ptp(table[:, 3])), rel=0.02
+    )
+
+
+def test_two_files_with_clocks_of_their_own_are_brought_together(
+    tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    daq = written(tmp_path / "daq.csv", table[:, :3], NAMES[:3])
+    camera = table[::5][:, [0, 1, 3, 4, 5, 6]].copy()
+    camera[:, 0] -= 2.75
+    seen = written(tmp_path / "camera.csv", camera, ("time_s", "chuck_deg", *NAMES[3:]))
+    mapping = guess([read_recording(daq), read_recording(seen)], "mine", rig, Path())
+    assert mapping.doubts() == []
+    assert mapping.clocks["camera"].files[0].offset_s == pytest.approx(2.75, abs=0.01)
+    trial = dataset_of(mapping, Path()).trials[0]
+    known = np.isfinite(trial.hall_rad[:, 0])
+    assert np.count_nonzero(known) == pytest.approx(len(camera), abs=2)
+    assert np.isfinite(trial.torque_nm).all()
+
+
+def test_one_long_recording_is_cut_where_the_shaft_is_as_it_was(tmp_path: Path, rig: RigPart) -> None:
+    rows, begin_s = [], 0.0
+    for trial in read_dataset(PRACTICE).trials[:3]:
+        time_s = trial.trial.time_s
+        rest = np.zeros((100, 7))
+        rest[:, 0] = begin_s + 0.02 * np.arange(100)
+        rest[:, 1] = 0.02 * np.sin(np.arange(100) * 7.0)
+        angles = np.degrees(np.column_stack((trial.base_measured_rad, trial.hall_rad)))
+        told = np.column_stack(
+            (time_s + rest[-1, 0] + 0.02, angles[:, 0], trial.torque_nm * 1e3, angles[:, 1:])
+        )
+        rows += [rest, told]
+        begin_s = float(told[-1, 0]) + 0.02
+    mapping = mapped(written(tmp_path / "long.csv", np.concatenate(rows)), rig)
+    dataset = dataset_of(mapping, Path())
+    assert len(dataset.trials) == 3
+    assert [len(places) for places in dataset.replicates.values()] == [2, 1]
+
+
+def test_a_faster_recording_is_averaged_down(tmp_path: Path, rig: RigPart, table: np.ndarray) -> None:
+    time_s = np.arange(0.0, table[-1, 0], 5e-4)
+    fine = np.column_stack([time_s, *(np.interp(time_s, table[:, 0], c) for c in table.T[1:])])
+    mapping = mapped(written(tmp_path / "fast.csv", fine), rig)
+    assert mapping.rate_hz is not None
+    trial = dataset_of(mapping, Path()).trials[0]
+    assert len(trial.trial.time_s) <= 20_000
+    assert np.ptp(trial.base_measured_rad) == pytest.approx(np.radians(np.ptp(table[:, 1])), rel=0.01)
+
+
+def test_a_row_that_lost_a_field_does_not_shift_the_others(tmp_path: Path, table: np.ndarray) -> None:
+    path = written(tmp_path / "log.csv", table)
+    lines = path.read_text().splitlines()
+    lines[40] = lines[40].replace(",", "", 1)
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(BadInput, match=r"log\.csv:41: 6 fields where the table has 7"):
+        read_recording(path)
+
+
+def test_a_guess_taken_with_its_doubts_says_so_and_keeps_them(
+    tmp_path: Path, table: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = table.copy()
+    wrong[:, 3] *= math.pi / 180
+    log = written(tmp_path / "log.csv", wrong)
+    out = tmp_path / "mine"
+    assert (
+        command(["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out), "--yes"]) == 0
+    )
+    assert "taken as it is: hall_1" in capsys.readouterr().err
+    mapping, _ = read_mapping(out / "import.yaml")
+    assert "confirmed: in deg it would turn" in next(c.why for c in mapping.channels if c.role == "hall_1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"rate_hz": 1e9}, "is more than the"),
+        ({"trials": {"at": "times", "times_s": [[900, 950]]}}, "lies outside"),
+    ],
+)
+def test_a_mapping_that_asks_for_what_is_not_there_is_refused(
+    changes: dict[str, object], said: str, tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table), rig)
+    asked = Mapping.model_validate({**mapping.model_dump(), **changes})
+    with pytest.raises(BadInput, match=said):
+        dataset_of(asked, Path())
+
+
+def test_a_library_that_is_not_installed_is_a_sentence() -> None:
+    with pytest.raises(BadInput, match=r"pip install 'needle-rig\[import\]'"):
+        needed("no_such_reader", "a file")
+
+
+def test_a_real_machine_is_imported_by_the_mapping_in_the_repository(tmp_path: Path) -> None:
+    mapping, places = read_mapping(DAVINCI)
+    trial = dataset_of(mapping, DAVINCI.parent, places).trials[0]
+    assert math.degrees(np.ptp(trial.base_measured_rad)) == pytest.approx(58.1, abs=0.2)
+    assert np.ptp(trial.torque_nm) == pytest.approx(0.135, abs=0.003)
+    recording = read_recording(DAVINCI.parent / mapping.clocks["log"].files[0].path)
+    doubts = " ".join(guess([recording], "davinci", None, Path()).doubts())
+    assert "written as ms, which makes 1e+06 samples a second" in doubts
+    assert "counts" in doubts
+
+
+def test_work_and_loop_tell_what_drives() -> None:
+    t = np.linspace(0.0, 4 * math.pi, 400)
+    base, late = np.sin(t), 0.7 * np.sin(t - 0.2)
+    assert signals.lag_share(base, late) > 0.0 > signals.lag_share(late, base)
+    assert signals.lag_share(base, -late) > 0.0
+    torque = np.sign(np.gradient(base))
+    assert signals.work_share(base, torque) == pytest.approx(1.0)
+    assert signals.work_share(base, -torque) == pytest.approx(-1.0)
+
+
+def test_a_mapping_with_a_mistake_says_where(tmp_path: Path, rig: RigPart, table: np.ndarray) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table), rig)
+    told = mapping.model_dump(mode="json")
+    for change, said in (
+        ({"unit": "furlong"}, "is no unit of angle"),
+        ({"clock": "wall"}, "wall is no clock of this file"),
+        ({"role": "hall_9"}, "hall_9 is none of"),
+        ({"colour": "red"}, "unknown key"),
+    ):
+        broken = {**told, "channels": [{**told["channels"][0], **change}, *told["channels"][1:]]}
+        (tmp_path / "m.yaml").write_text(write_yaml(broken), encoding="utf-8")
+        with pytest.raises(BadInput, match=said):
+            read_mapping(tmp_path / "m.yaml")
+
+
+def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wrong() -> None:
+    for module in ("pandas", "openpyxl", "rosbags", "python_calamine"):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"{module} writes the files")
+    line = [
+        sys.executable,
+        str(ROOT / "scripts/import_files"),
+        "--share",
+        "0.2",
+        "--mutations",
+        "100",
+        "--seed",
+        "2",
+    ]
+    done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=200)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "BAD" not in done.stdout
+    assert "8 files: " in done.stdout
+
+
+def test_a_recording_keeps_its_columns_apart_from_its_tables(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["daq/t"], file["daq/q"] = np.arange(50.0), np.arange(50.0)
+        file["camera/t"], file["camera/x"] = np.arange(20.0), np.arange(20.0)
+    tables = read_recording(tmp_path / "run.h5").tables()
+    assert {table: len(columns) for table, columns in tables.items()} == {"daq": 2, "camera": 2}
+    assert dataclasses.is_dataclass(tables["daq"][0])

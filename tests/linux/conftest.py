@@ -1,0 +1,142 @@
+"""A rig that is set up in the guest: the service on vcan0, and the bench as the rig at the other end."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from needle_rig.errors import NeedleRigError
+from needle_rig.service.client import DaemonClient
+
+PROGRAM = "/opt/needle-rig/bin/needle-rig"
+BENCH = Path(__file__).with_name("bench.yaml")
+PORTS = Path("/run/bench")
+SOCKET = Path("/run/needle-rig/daemon.sock")
+RUNS = Path("/var/lib/needle-rig")
+RIG_FILE = Path("/etc/needle-rig/rig.yaml")
+START_S = 120.0
+"""The service's first start, on one emulated core."""
+
+
+def shell(command: str, *, check: bool = True, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=timeout_s)
+    assert not check or done.returncode == 0, f"{command}: {done.returncode}\n{done.stdout}{done.stderr}"
+    return done
+
+
+def as_user(user: str, *command: str) -> list[str]:
+    return ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", "--reset-env", *command]
+
+
+def needle_rig(*arguments: str, user: str = "tech") -> subprocess.CompletedProcess[str]:
+    """`needle-rig` as a person types it at the rig's computer."""
+    command = as_user(user, PROGRAM, *arguments)
+    return subprocess.run(command, cwd=f"/home/{user}", capture_output=True, text=True, timeout=180)
+
+
+def status() -> dict[str, Any]:
+    """What the daemon says; asked from here, since an interpreter for each look would starve the rig."""
+    try:
+        return dict(DaemonClient(SOCKET).state())
+    except NeedleRigError:
+        return {}
+
+
+def until(true: Callable[[], bool], what: str, within_s: float = 60.0) -> None:
+    end_s = time.monotonic() + within_s
+    while not true():
+        assert time.monotonic() < end_s, f"not within {within_s:g} s: {what}; {journal()}"
+        time.sleep(0.5)
+
+
+def journal() -> str:
+    return shell("journalctl -u needle-rig --no-pager -n 30 -o cat").stdout
+
+
+def active() -> bool:
+    return shell("systemctl is-active needle-rig", check=False).stdout.strip() == "active"
+
+
+class Rig:
+    """The bench, which is switched on and off like a rig."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def switch_on(self) -> None:
+        PORTS.mkdir(exist_ok=True)
+        config = PORTS / "bench.yaml"
+        text = BENCH.read_text()
+        config.write_text(text)
+        command = [sys.executable, "-m", "needle_rig.simulation.bench", "--can", "vcan0"]
+        self._process = subprocess.Popen(
+            [*command, "--config", str(config), "--ports", str(PORTS)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self._process.stdout is not None
+        said = json.loads(self._process.stdout.readline())
+        assert "error" not in said, said
+        # a serial adapter would belong to dialout, by the udev rule
+        os.chmod((PORTS / "hall").resolve(), 0o666)
+
+    def switch_off(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+
+@pytest.fixture(scope="session")
+def users() -> None:
+    for name in ("tech", "guest"):
+        shell(f"useradd --create-home {name}")
+
+
+@pytest.fixture(scope="session")
+def installed(users: None) -> None:
+    """The service as one command sets it up, with limits that one busy emulated core can keep."""
+    shell(
+        f"{PROGRAM} install-service --name guest --can vcan0 --hall {PORTS}/hall --member tech --no-start",
+        timeout_s=180,
+    )
+    text = RIG_FILE.read_text().replace("tick_hz: 200", "tick_hz: 100")
+    RIG_FILE.write_text(text.replace("_age_limit_ms: 50", "_age_limit_ms: 500"))
+
+
+@pytest.fixture(scope="session")
+def service(installed: None) -> None:
+    shell("systemctl start needle-rig", timeout_s=START_S)
+
+
+@pytest.fixture(scope="session")
+def the_rig() -> Iterator[Rig]:
+    rig = Rig()
+    yield rig
+    rig.switch_off()
+
+
+@pytest.fixture
+def rig(service: None, the_rig: Rig) -> Rig:
+    """The rig, on, referenced and at rest behind a running service."""
+    if the_rig._process is None:
+        the_rig.switch_on()
+    until(lambda: active() and status().get("sensors") is not None, "the service runs")
+    until(at_rest, "every link is young", 60)
+    needle_rig("clear")
+    done = needle_rig("home", "--by", "hall")
+    assert done.returncode == 0, done.stderr
+    return the_rig
+
+
+def at_rest() -> bool:
+    ages = (status().get("sensors") or {}).get("age_ms", {"none": None})
+    return all(age is not None and age < 400 for age in ages.values())

@@ -1,0 +1,219 @@
+"""The service of a real rig: installed, started without its rig, used, broken, and taken away."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.linux.conftest import (
+    BENCH,
+    PROGRAM,
+    RIG_FILE,
+    RUNS,
+    Rig,
+    active,
+    as_user,
+    journal,
+    needle_rig,
+    shell,
+    status,
+    until,
+)
+
+pytestmark = pytest.mark.linux
+
+MOVE = ("compensate", "--target", "30", "--settle", "1", "--no-picture")
+
+
+def main_pid() -> int:
+    return int(shell("systemctl show needle-rig -p MainPID --value").stdout)
+
+
+def begun(process: subprocess.Popen[str]) -> None:
+    """Wait until the base turns."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "overshoot" in line and "moving" in line:
+            return
+    raise AssertionError(f"it ended (exit {process.wait()})")
+
+
+def started_run() -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        as_user("tech", PROGRAM, *MOVE),
+        cwd="/home/tech",
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_it_is_set_up_by_one_command_and_twice_changes_nothing(installed: None) -> None:
+    again = shell(f"{PROGRAM} install-service --no-start").stdout
+    assert "nothing was changed" in again
+    assert "vcan0" in shell("ip -brief link show type vcan").stdout
+    assert shell("systemd-analyze verify needle-rig.service").stdout == ""
+    assert "needle-rig" in shell("id -nG tech").stdout
+
+
+def test_where_the_service_is_down_nobody_gets_a_simulated_rig(installed: None) -> None:
+    done = needle_rig(*MOVE)
+    assert done.returncode == 3
+    assert "a rig is set up here" in done.stderr
+    assert "sudo systemctl start needle-rig" in done.stderr
+    assert not Path("/home/tech/runs").exists()
+
+
+def test_it_starts_without_its_rig_and_says_what_is_missing(service: None) -> None:
+    assert active()
+    until(lambda: status().get("fault") is not None, "a fault is told")
+    assert "/run/bench/hall" in status()["fault"]
+    done = needle_rig(*MOVE)
+    assert done.returncode == 3
+    assert "/run/bench/hall" in done.stderr
+
+
+def test_a_rig_that_is_switched_on_later_is_found(rig: Rig) -> None:
+    assert status()["fault"] is None
+    assert needle_rig("status").returncode == 0
+
+
+def test_a_technician_turns_the_needle_and_finds_the_run(rig: Rig) -> None:
+    done = needle_rig(*MOVE, "--json")
+    assert done.returncode == 0, done.stderr + journal()
+    result = json.loads(done.stdout)
+    assert Path(result["run"]).parent == RUNS
+    listed = json.loads(needle_rig("runs", "--json").stdout)
+    assert listed[-1]["path"] == result["run"]
+    exported = needle_rig("export", "last", "--csv", "--out", "/home/tech/out")
+    assert exported.returncode == 0, exported.stderr
+
+
+def test_who_is_not_in_the_group_may_not_talk_to_it(rig: Rig) -> None:
+    done = needle_rig("status", user="guest")
+    assert done.returncode == 2
+    assert "join the socket's group" in done.stderr
+
+
+def test_an_interface_that_goes_down_is_named_and_comes_back_without_a_restart(rig: Rig) -> None:
+    pid = main_pid()
+    shell("ip link set vcan0 down")
+    try:
+        until(lambda: "vcan0 is down" in (status().get("fault") or ""), "the interface is named")
+    finally:
+        shell("ip link set vcan0 up")
+    until(lambda: status().get("fault") is None, "it works again")
+    assert main_pid() == pid
+
+
+def test_an_interface_that_is_deleted_and_made_anew_is_used_again(rig: Rig) -> None:
+    pid = main_pid()
+    before = len(journal().splitlines())
+    shell("ip link del vcan0")
+    try:
+        until(lambda: "no interface vcan0" in (status().get("fault") or ""), "the interface is named")
+        time.sleep(10)
+    finally:
+        shell("ip link add vcan0 type vcan && ip link set vcan0 up")
+    until(lambda: status().get("fault") is None, "it works again", 60)
+    assert main_pid() == pid
+    assert len(journal().splitlines()) - before < 8, journal()
+
+
+def test_a_killed_daemon_starts_again_tells_it_and_its_run_is_closed(rig: Rig) -> None:
+    process = started_run()
+    begun(process)
+    shell(f"kill -KILL {main_pid()}")
+    assert process.wait(60) == 3
+    process.communicate()
+    until(active, "it starts again", 60)
+    until(lambda: "killed (signal KILL)" in (status().get("before") or ""), "how it ended is told")
+    until(
+        lambda: bool(status().get("unfinished", [{}])[0].get("text")), "the run that was cut off is told", 60
+    )
+    last = json.loads(needle_rig("runs", "--json").stdout)[-1]
+    assert last["status"] == "cut off"
+    assert not list(RUNS.glob("*.journal"))
+
+
+def test_a_daemon_that_hangs_is_ended_by_its_watchdog(rig: Rig) -> None:
+    pid = main_pid()
+    shell(f"kill -STOP {pid}")
+    until(lambda: main_pid() not in (0, pid) and active(), "it starts again", 60)
+    until(lambda: "watchdog" in (status().get("before") or ""), "the watchdog is told")
+
+
+def test_a_stop_in_mid_run_ends_the_run_in_order(rig: Rig) -> None:
+    process = started_run()
+    begun(process)
+    shell("systemctl stop needle-rig", timeout_s=60)
+    assert process.wait(60) == 4
+    process.communicate()
+    shell("systemctl start needle-rig", timeout_s=120)
+    last = json.loads(needle_rig("runs", "--json").stdout)[-1]
+    assert (last["status"], last["complete"]) == ("aborted", True)
+    until(lambda: "told to end" in (status().get("before") or ""), "how it ended is told")
+
+
+def test_a_rig_file_that_cannot_be_used_is_told_and_not_tried_again(rig: Rig) -> None:
+    good = RIG_FILE.read_text()
+    shell("systemctl stop needle-rig")
+    RIG_FILE.write_text(good.replace("tick_hz: 100", "tick_hz: fast"))
+    try:
+        shell("systemctl start needle-rig", check=False)
+        until(lambda: "failed" in shell("systemctl is-failed needle-rig", check=False).stdout, "it fails")
+        assert "tick_hz" in journal()
+        done = needle_rig("status")
+        assert done.returncode == 3
+        assert "its service failed" in done.stderr
+    finally:
+        RIG_FILE.write_text(good)
+    shell("systemctl restart needle-rig", timeout_s=120)
+
+
+def test_term_is_obeyed_while_the_first_start_compiles(rig: Rig, tmp_path: Path) -> None:
+    environment = f"NUMBA_CACHE_DIR={tmp_path} XDG_RUNTIME_DIR={tmp_path}"
+    process = subprocess.Popen(
+        f"exec env {environment} {PROGRAM} daemon --config {BENCH} --out {tmp_path}",
+        shell=True,
+        stderr=subprocess.PIPE,
+    )
+    time.sleep(8)
+    process.send_signal(signal.SIGTERM)
+    begun_s = time.monotonic()
+    process.communicate(timeout=60)
+    assert time.monotonic() - begun_s < 5
+
+
+def test_check_finds_nothing_that_fails_and_shows_directions_by_a_move(rig: Rig) -> None:
+    done = needle_rig("check", "--move", "20", "--json")
+    told = json.loads(done.stdout)
+    failed = [finding for finding in told["findings"] if finding["verdict"] == "fail"]
+    assert (done.returncode, failed) == (0, []), done.stdout
+    names = {finding["name"] for finding in told["findings"]}
+    assert {"CAN", "bus load", "torque node", "hall node", "drive node", "encoder", "torque cell"} <= names
+    assert told["simulated"] is False
+
+
+def test_check_names_what_fails_when_the_rig_is_off(rig: Rig) -> None:
+    rig.switch_off()
+    until(lambda: status().get("fault") is not None, "a fault is told")
+    done = needle_rig("check")
+    assert done.returncode == 1
+    assert "fail  torque node: " in done.stdout
+    assert "fail  Hall port: there is no /run/bench/hall" in done.stdout
+
+
+def test_it_is_taken_away_and_leaves_the_runs(rig: Rig) -> None:
+    runs = sorted(path.name for path in RUNS.glob("*.h5"))
+    assert runs
+    shell(f"{PROGRAM} install-service --remove", timeout_s=120)
+    assert shell("systemctl cat needle-rig", check=False).returncode != 0
+    assert shell("getent passwd needle-rig", check=False).returncode == 2
+    assert not RIG_FILE.exists()
+    assert sorted(path.name for path in RUNS.glob("*.h5")) == runs
