@@ -135,6 +135,8 @@ class Rod:
     tip: int
     sensors: Indices
     laws: tuple[TorqueLaw, ...] = ()
+    mount_compliance_rad_per_nm: float = 0.0
+    """Turn of everything that touches the needle, as one body, per torque of the base."""
 
     @cached_property
     def coefficients(self) -> Array:
@@ -184,9 +186,10 @@ class Rod:
             raise BadInput(
                 f"rod.stiffness_nm_per_rad must be {nodes - 1} finite numbers above 0, one for each element"
             )
-        compliance = self.base_compliance_rad_per_nm
-        if not (math.isfinite(compliance) and compliance >= 0):
-            raise BadInput(f"rod.base_compliance_rad_per_nm is {compliance:g}; it must be 0 or more")
+        for name in ("base_compliance_rad_per_nm", "mount_compliance_rad_per_nm"):
+            compliance = getattr(self, name)
+            if not (math.isfinite(compliance) and compliance >= 0):
+                raise BadInput(f"rod.{name} is {compliance:g}; it must be 0 or more")
         if ((packed[3] == 0) & (packed[4] == 0)).any():
             raise BadInput("creep with neither stiffness nor viscosity holds nothing; give one of them")
         has_memory = bool(packed[6].any() or packed[7].any())

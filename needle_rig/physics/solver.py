@@ -173,6 +173,9 @@ def _run(
         raise BadInput(f"tolerance {tolerance_rad} rad and longest step {longest_step_s} s must be above 0")
     packed = _relaxed_rows(rod, 0.0) if state is None else _packed_state(rod, state)
     packed[layout.STATUS, 0] = layout.STUCK
+    mount = rod.mount_compliance_rad_per_nm
+    if mount:
+        _turn(packed, -mount * _base_torque_nm(rod, packed))
     laws, keep = _packed_laws(rod)
     creeps, viscous, memory = rod.depends_on_rate
     by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
@@ -180,7 +183,8 @@ def _run(
     dry = by_rate and bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
     has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, dry)
     settings = layout.Settings(
-        base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm,
+        # seen from the mount, the base stays behind by the mount's turn as by that of a spring of its own
+        base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm + mount,
         stribeck_rate_rad_s=rod.stribeck_rate_rad_s,
         weakening_rad=rod.weakening_rad,
         ageing_time_s=rod.ageing_time_s,
@@ -236,6 +240,12 @@ def _run(
             f"angles stopped being finite at {time[sample]:g} s near node {node}"
             f" ({rod.position_m[node] * 1e3:g} mm from the base); check the torque laws there"
         )
+    if mount:
+        turned_rad = mount * output.torque_nm
+        output.tip_rad[:] += turned_rad
+        for angles_rad in (output.sensor_rad, output.shaft_rad):
+            angles_rad += turned_rad[: len(angles_rad), np.newaxis]
+        _turn(packed, turned_rad[-1])
     return Solution(
         time_s=time,
         torque_nm=output.torque_nm,
@@ -246,6 +256,16 @@ def _run(
         steps=int(counts[layout.STEPS]),
         solves=int(counts[layout.SOLVES]),
     )
+
+
+def _base_torque_nm(rod: Rod, packed: Array) -> float:
+    return float(rod.stiffness_nm_per_rad[0] * (packed[0, 0] - packed[0, 1]))
+
+
+def _turn(packed: Array, by_rad: float) -> None:
+    """Turn the needle and what holds it, but not the base's drive, in place."""
+    packed[0] += by_rad
+    packed[1, 1:] += by_rad
 
 
 def _packed_state(rod: Rod, state: RodState) -> Array:
