@@ -22,6 +22,8 @@ DEFAULT_TOLERANCE_RAD = 6e-4
 LONGEST_STEP_S = 60.0
 SHORTEST_STEP_S = 1e-6
 SHORTEST_SNAP_S = 1e-4
+LEAST_RESOLVED_SLIP_RAD = math.radians(0.1)
+"""Over shorter slips a static excess breaks down at once: the error of the angles alone sets the steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +188,7 @@ def _run(
         # seen from the mount, the base stays behind by the mount's turn as by that of a spring of its own
         base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm + mount,
         stribeck_rate_rad_s=rod.stribeck_rate_rad_s,
+        stribeck_exponent=rod.stribeck_exponent,
         weakening_rad=rod.weakening_rad,
         ageing_time_s=rod.ageing_time_s,
         # angles show an error of the slip limits only later, when the limits are reached
@@ -194,7 +197,9 @@ def _run(
         # a snap to a lower limit takes no time: shorter steps do not resolve it better
         shortest_step_s=SHORTEST_SNAP_S if memory else SHORTEST_STEP_S,
         # over a slip of the weakening length the static excess breaks down, while an age only halves
-        longest_slip_rad=rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0),
+        longest_slip_rad=max(
+            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0), LEAST_RESOLVED_SLIP_RAD
+        ),
         most_solves=most_solves,
     )
     sensors = np.ascontiguousarray(rod.sensors, dtype=np.int64)
