@@ -159,7 +159,7 @@ class Plant:
         if not self._timeless or any(abs(angle - start) > UNNOTICED_RAD for _, angle in self._path):
             self._solve()
         else:
-            del self._path[1:]
+            del self._path[1:-1]
         self._sense()
         if over_index(self.motor.angle_rad) and not was_over:
             self._index_rad = self._base_rad()

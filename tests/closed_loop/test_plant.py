@@ -77,6 +77,18 @@ def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path
     assert plant.shaft_rad()[-1] == pytest.approx(whole.tip_rad[-1], abs=rad(0.02))
 
 
+def test_a_base_that_creeps_winds_the_needle_up_as_a_quick_one_does(config, elastic):
+    quick, creeping = Plant(elastic, config.simulation), Plant(elastic, config.simulation)
+    for plant, velocity_deg_s, ticks in ((quick, 20.0, 10), (creeping, 0.04, 5000)):
+        for _ in range(ticks):
+            plant.turn_by_hand(rad(velocity_deg_s), 0.005)
+        for _ in range(200):
+            plant.turn_by_hand(0.0, 0.005)
+    assert nmm(quick.torque_nm) > 0.002
+    assert deg(creeping.true_base_rad) == pytest.approx(1.0, abs=0.05)
+    assert nmm(creeping.torque_nm) == pytest.approx(nmm(quick.torque_nm), rel=0.1)
+
+
 def test_sensors_are_quantised_and_as_noisy_as_stated(config, elastic):
     settings = config.simulation
     plant = Plant(elastic, settings)
