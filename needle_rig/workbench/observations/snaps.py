@@ -16,17 +16,10 @@ import numpy.typing as npt
 
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.units import deg
+from needle_rig.workbench.policy import POLICY
 
 Array = npt.NDArray[np.float64]
 
-SPAN_S = 0.06
-"""Time over which turns are compared: three samples at the 50 Hz of the practice datasets. A snap ends in it,
-while at 45°/s the base turns 2.7°."""
-SENSOR_GAIN = 1.25
-"""A sensor may show this much more than what turned: `hall_gain` and `hall_eccentricity` at five times the
-size that is usual. `test_no_effect_that_only_resists_looks_like_a_snap` notices when it is too small."""
-SIGMAS = 6.0
-"""Of some 30,000 comparisons in a dataset of eight trials noise exceeds this in one of 30,000 datasets."""
 MEDIAN_OF_THREE = 0.67
 """Standard deviation of the median of three normal numbers."""
 NORMAL_MEDIAN = 0.6745
@@ -35,7 +28,7 @@ NORMAL_MEDIAN = 0.6745
 
 @dataclass(frozen=True)
 class Snap:
-    """The largest one of a motion at one sensor, in degrees over `SPAN_S`."""
+    """The largest one of a motion at one sensor, in degrees over `POLICY.snaps.span_s`."""
 
     file: str
     motion: str
@@ -62,7 +55,7 @@ def sentence(found: Sequence[Snap]) -> str:
     return (
         f"the needle snaps (stick-slip) in {motions} motion{'s' if motions > 1 else ''}: at"
         f" {largest.time_s:.1f} s of {largest.file} {largest.sensor} turned {abs(largest.turned_deg):.1f}°"
-        f" within {SPAN_S:g} s, the base at most {largest.base_deg:.1f}°"
+        f" within {POLICY.snaps.span_s:g} s, the base at most {largest.base_deg:.1f}°"
     )
 
 
@@ -77,7 +70,7 @@ def _noise(dataset: Dataset) -> Array:
 def _of_trial(trial: DatasetTrial, names: Sequence[str], noise_rad: Array) -> list[Snap]:
     time_s, base_rad = trial.trial.time_s, trial.trial.base_angle_rad
     sample_s = float(np.median(np.diff(time_s)))
-    apart = max(3, round(SPAN_S / sample_s))
+    apart = max(3, round(POLICY.snaps.span_s / sample_s))
     if len(time_s) < apart + 3:
         return []
     # medians of three, so that one wild sample is none
@@ -85,7 +78,8 @@ def _of_trial(trial: DatasetTrial, names: Sequence[str], noise_rad: Array) -> li
     turned = angle[apart:] - angle[:-apart]
     widest = apart + 2
     base = float(np.abs(base_rad[widest:] - base_rad[:-widest]).max())
-    beyond = np.abs(turned) - SENSOR_GAIN * base - SIGMAS * np.sqrt(2.0) * MEDIAN_OF_THREE * noise_rad
+    difference_rad = np.sqrt(2.0) * MEDIAN_OF_THREE * noise_rad
+    beyond = np.abs(turned) - POLICY.snaps.sensor_gain * base - POLICY.snaps.sigmas * difference_rad
     middle = np.arange(len(turned)) + (apart + 2) // 2
     regular = np.abs(time_s[widest:] - time_s[:-widest] - widest * sample_s) < 0.5 * sample_s
     phase, found = trial.phase[middle], []

@@ -150,6 +150,8 @@ class Answer:
         if self.verdict == "none":
             return "nothing is missing beyond the noise and the scatter of the trials."
         if self.verdict == "unknown":
+            if any(r.rule == "stick_slip" for r in self.reasons):
+                return "the needle sticks and slips, and no effect of the library foretells it."
             return "something is missing that no effect of the library explains."
         named = f"{' and '.join(self.effects)} missing"
         return named + (f"; cannot be told apart from {', '.join(self.ties)}." if self.ties else ".")

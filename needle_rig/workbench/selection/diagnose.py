@@ -15,6 +15,7 @@ from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prep
 from needle_rig.workbench.estimation.cross_validation import HeldOut
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
@@ -27,7 +28,7 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_leftover
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.verdict import Findings, reasons
+from needle_rig.workbench.selection.verdict import Findings, above_noise, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
 
@@ -115,7 +116,8 @@ def _conclude(
     if not named:
         explained_fraction = 1.0 if not left.significant else 0.0
     lack = lack_of_fit(problem, best, sensors)
-    why = reasons(Findings(tuple(named), left, lack, explained_fraction, held.error))
+    seen = snaps(prepared.dataset)
+    why = reasons(Findings(tuple(named), left, lack, explained_fraction, held.error, seen))
     verdict = judge(named, why)
     ordered = order(search, named)
     ranking = rank(search, ordered, rivals, verdict, best, held)
@@ -131,7 +133,7 @@ def _conclude(
         verdict=verdict,
         effects=tuple(ordered) if verdict == "effect" else (),
         ranking=tuple(ranking),
-        decisions=decide(search, named if verdict == "effect" else []),
+        decisions=decide(search, named if verdict == "effect" else [], held.error),
         left_over=left,
         explained=not why,
         reasons=why,
@@ -145,7 +147,7 @@ def _conclude(
         notes=(
             *prepared.dataset.notes,
             *prepared.notes,
-            *_negligible_notes(search),
+            *(() if above_noise(held.error) else _negligible_notes(search)),
             *_mean_notes(best),
             *(_preview_notes(search, named) if verdict == "effect" else []),
             *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),

@@ -1,6 +1,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.diagnose import diagnose
@@ -22,6 +23,27 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step():
         for c in search.children[search.best]
     )
     search = dataclasses.replace(search, children={search.best: on_top})
-    decision = decide(search, [])["tissue_elasticity"]
+    decision = decide(search, [], 1.0)["tissue_elasticity"]
     assert decision.decision == "absent"
     assert np.isfinite(decision.limit)
+
+
+@pytest.fixture(scope="module")
+def nothing_found():
+    return diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
+
+
+@pytest.mark.parametrize(("error", "told"), [(1.07, True), (np.inf, True), (1.13, False)])
+def test_nothing_is_absent_or_has_a_limit_while_commands_left_out_are_missed(nothing_found, error, told):
+    decisions = decide(nothing_found, [], error).values()
+    assert any(d.decision in ("absent", "negligible") for d in decisions) is told
+    assert all(d.limit is not None for d in decisions) is told
+
+
+def test_what_is_present_stays_so_while_commands_left_out_are_missed(nothing_found):
+    key = frozenset(["torque_bias"])
+    search = dataclasses.replace(nothing_found, best=key)
+    decisions = decide(search, ["torque_bias"], 1.13)
+    assert decisions["torque_bias"].decision == "present"
+    assert decisions["torque_bias"].limit is not None
+    assert decisions["tissue_elasticity"].decision == "cannot_tell"
