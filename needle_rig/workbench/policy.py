@@ -298,7 +298,7 @@ class VerdictPolicy:
     trend_significance: float = _threshold(
         1e-4,
         "p of a trend in the trials' friction: an effect that tells of it is to be named first",
-        "a hundredth of `evidence.significance`, for a library of about 20",
+        "a hundredth of `evidence.significance`, for a library of about 30",
         _RULES,
     )
     patterns: int = _threshold(5, "patterns that are told", CHOSEN, _RULES)
