@@ -190,7 +190,7 @@ class Diagnosis(Shown):
         )  # fmt: skip
 
     def plot(self) -> Figure:
-        """Error on commands left out by candidate, beside the present model and the noise."""
+        """Error on commands left out by candidate, beside the current model and the noise."""
         from needle_rig.figures.diagnosis import ranking_figure
 
         return ranking_figure(self.found)

@@ -19,8 +19,8 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
-from needle_rig.workbench.estimation.baseline import Prepared, prepare
-from needle_rig.workbench.estimation.parameters import against_mean, coordinates, make_effects
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
+from needle_rig.workbench.estimation.parameters import against_mean, free_parameters, make_effects
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
@@ -158,17 +158,17 @@ def simulated(setup: int, effects, seed: int, finer: float = 1.0):
     return simulate_dataset(model, given.protocol, seed, given.noise, name="x", rate_hz=given.rate_hz)
 
 
-_PREPARED: dict[int, Prepared] = {}
+_BASELINES: dict[int, Baseline] = {}
 
 
 def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float]:
     """(detection limit, smallest strength that matters, where multiples of 1 and more count from)."""
     library = find_effects()
-    if setup not in _PREPARED:
-        _PREPARED[setup] = prepare(simulated(setup, (), 987), None, library)
-    prepared = _PREPARED[setup]
-    limit = detection_limit(prepared, effect, turn)
-    smallest = smallest_strength(prepared.problem.axes([effect]))
+    if setup not in _BASELINES:
+        _BASELINES[setup] = fit_baseline(simulated(setup, (), 987), None, library)
+    baseline = _BASELINES[setup]
+    limit = detection_limit(baseline, effect, turn)
+    smallest = smallest_strength(baseline.problem.parameters([effect]))
     return limit, smallest, max(limit, smallest)
 
 
@@ -235,11 +235,11 @@ def made(task: dict, known: dict[str, tuple[float, float, float]]) -> Made | Non
         limits[place] = (limit, smallest, matters)
         if not np.isfinite(limit):
             return None
-        axes = coordinates(library, [name], layout)
+        parameters = free_parameters(library, [name], layout)
         strength = task["strength"] * (limit if task["strength"] < 1 else matters)
-        positions = at_strength(axes, strength, turn)
-        hidden += make_effects(library, axes, positions)
-        pairs = zip(axes, against_mean(axes, positions), strict=True)
+        scaled_values = at_strength(parameters, strength, turn)
+        hidden += make_effects(library, parameters, scaled_values)
+        pairs = zip(parameters, against_mean(parameters, scaled_values), strict=True)
         truth[name] = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
     impostor = task.get("impostor", "")
     seed = 10_000 + 7 * task["seed"] + sum(map(ord, key({**task, "seed": 0})))
@@ -272,7 +272,7 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         "decisions": {n: found.decisions[n].decision for n in truth if n in found.decisions},
         "covered": [v.low <= value <= v.high for v, value in values if value is not None],
         "relatives": relatives(list(truth)),
-        "left": [p.sentence() for p in found.left_over.patterns[:2]],
+        "left": [p.sentence() for p in found.residual_patterns.patterns[:2]],
         **(naive(found) if task["kind"] in ("one", "none") else {}),
     }
 
@@ -292,8 +292,8 @@ def naive(found) -> dict:
     samples = sum(int(b.count.sum()) for b in problem.trials)
 
     def squares(fit) -> float:
-        point = dataclasses.replace(fit.point, trial_friction=np.zeros(len(trials)))
-        readings = problem.readings([problem.model(fit.axes, point, t) for t in trials], trials)
+        vector = dataclasses.replace(fit.vector, trial_friction=np.zeros(len(trials)))
+        readings = problem.readings([problem.model(fit.parameters, vector, t) for t in trials], trials)
         white = problem.noise.white[:, None]
         pairs = zip(problem.trials, readings, strict=True)
         return samples + sum(float(np.nansum(((b.mean - r) / white) ** 2 * b.count)) for b, r in pairs)
@@ -303,7 +303,7 @@ def naive(found) -> dict:
     gains: dict[str, float] = {}
     for candidate in search.children.get(search.start, []):
         if candidate.fit is not None:
-            k, now = len(candidate.fit.axes), squares(candidate.fit)
+            k, now = len(candidate.fit.parameters), squares(candidate.fit)
             ratio = max(base - now, 0.0) / k / (now / (samples - k - 2))
             tests[candidate.effect] = float(f_distribution.sf(ratio, k, samples - k - 2))
             gains[candidate.effect] = base - now - 2 * k

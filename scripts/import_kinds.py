@@ -57,6 +57,16 @@ class Columns:
     channels: dict[str, tuple[str, float, int]]
     step_s: float
 
+    def truth(self, file: Path) -> Truth:
+        return Truth((file,), self.channels, self.step_s)
+
+
+def _frame(rows: Columns) -> Any:
+    """The rows as a pandas table."""
+    import pandas
+
+    return pandas.DataFrame(rows.values, columns=list(rows.names))
+
 
 def _records(rows: Columns) -> Any:
     """The rows as a structured array, one field a column."""
@@ -102,7 +112,7 @@ def text(
         cells = delimiter.join("" if np.isnan(v) else digits % v for v in row)
         lines.append((cells.replace(".", ",") if comma else cells) + after)
     path.write_bytes((end.join(lines) + end).encode(encoding))
-    return Truth((path,), rows.channels, rows.step_s)
+    return rows.truth(path)
 
 
 PLAIN = (
@@ -119,16 +129,14 @@ PLAIN_UNITS = ("s", "deg", "nmm", "deg", "deg", "deg", "deg")
 
 @case
 def pandas_csv(source: Source, folder: Path) -> Truth:
-    import pandas
 
     rows = columns(source, PLAIN, PLAIN_UNITS)
-    pandas.DataFrame(rows.values, columns=list(rows.names)).to_csv(folder / "log.csv", index=False)
-    return Truth((folder / "log.csv",), rows.channels, rows.step_s)
+    _frame(rows).to_csv(folder / "log.csv", index=False)
+    return rows.truth(folder / "log.csv")
 
 
 @case
 def pandas_csv_with_index(source: Source, folder: Path) -> Truth:
-    import pandas
 
     names = (
         "Time [s]",
@@ -140,8 +148,8 @@ def pandas_csv_with_index(source: Source, folder: Path) -> Truth:
         "Hall 4 [deg]",
     )
     rows = columns(source, names, PLAIN_UNITS)
-    pandas.DataFrame(rows.values, columns=list(rows.names)).to_csv(folder / "log.csv")
-    return Truth((folder / "log.csv",), rows.channels, rows.step_s)
+    _frame(rows).to_csv(folder / "log.csv")
+    return rows.truth(folder / "log.csv")
 
 
 @case
@@ -151,12 +159,12 @@ def pandas_gzip_dates(source: Source, folder: Path) -> Truth:
     rows = columns(
         source, ("timestamp", "encoder_deg", "Mz_mNm", "h1_deg", "h2_deg", "h3_deg", "h4_deg"), PLAIN_UNITS
     )
-    frame = pandas.DataFrame(rows.values, columns=list(rows.names))
+    frame = _frame(rows)
     frame["timestamp"] = pandas.Timestamp("2024-03-01 12:00:00") + pandas.to_timedelta(
         frame["timestamp"], unit="s"
     )
     frame.to_csv(folder / "log.csv.gz", index=False, date_format="%Y-%m-%d %H:%M:%S.%f")
-    return Truth((folder / "log.csv.gz",), rows.channels, rows.step_s)
+    return rows.truth(folder / "log.csv.gz")
 
 
 @case
@@ -201,7 +209,7 @@ def numpy_savetxt(source: Source, folder: Path) -> Truth:
     )
     path = folder / "log.txt"
     np.savetxt(path, rows.values, header=" ".join(rows.names))
-    return Truth((path,), rows.channels, rows.step_s)
+    return rows.truth(path)
 
 
 @case
@@ -215,7 +223,7 @@ def spaces_aligned(source: Source, folder: Path) -> Truth:
     lines = ["".join(f"{n:>16}" for n in rows.names)]
     lines += ["".join(f"{v:16.6f}" for v in row) for row in rows.values]
     path.write_text("\n".join(lines) + "\n")
-    return Truth((path,), rows.channels, rows.step_s)
+    return rows.truth(path)
 
 
 @case
@@ -264,7 +272,7 @@ def quotes_and_gaps(source: Source, folder: Path) -> Truth:
         file.write(",".join(names) + "\n")
         for row in rows.values:
             file.write(",".join("NaN" if np.isnan(v) else f"{v:.5f}" for v in row) + "\n")
-    return Truth((path,), rows.channels, rows.step_s)
+    return rows.truth(path)
 
 
 @case
@@ -315,7 +323,7 @@ def clock_of_the_day(source: Source, folder: Path) -> Truth:
         s = row[0] + 60
         lines.append(f"12:{int(s // 60):02d}:{s % 60:09.6f};" + ";".join(f"{v:.5f}" for v in row[1:]))
     (folder / "log.csv").write_text("\n".join(lines) + "\n")
-    return Truth((folder / "log.csv",), rows.channels, rows.step_s)
+    return rows.truth(folder / "log.csv")
 
 
 def _lvm(source: Source, folder: Path, decimal: str, x_column: bool) -> Truth:
@@ -349,7 +357,7 @@ Delta_X\t{step:.6f}\t{step:.6f}\t{step:.6f}\t{step:.6f}\t{step:.6f}\t{step:.6f}\
         cells = [f"{v:.6f}".replace(".", decimal) for v in row]
         lines.append("\t".join(cells if x_column else ["", *cells[1:]]) + "\t")
     (folder / "meas.lvm").write_bytes("\r\n".join(lines).encode())
-    return Truth((folder / "meas.lvm",), rows.channels, rows.step_s)
+    return rows.truth(folder / "meas.lvm")
 
 
 @case
@@ -388,7 +396,7 @@ def dasylab_ascii(source: Source, folder: Path) -> Truth:
             + ";".join(f"{v:.5f}" for v in row[1:]).replace(".", ",")
         )
     (folder / "rig.asc").write_bytes("\r\n".join(lines).encode("cp1252"))
-    return Truth((folder / "rig.asc",), rows.channels, rows.step_s)
+    return rows.truth(folder / "rig.asc")
 
 
 @case
@@ -458,17 +466,15 @@ def openpyxl_unit_row(source: Source, folder: Path) -> Truth:
     for row in rows.values:
         sheet.append([float(v) for v in row])
     book.save(folder / "series.xlsx")
-    return Truth((folder / "series.xlsx",), rows.channels, rows.step_s)
+    return rows.truth(folder / "series.xlsx")
 
 
 @case
 def pandas_xlsx(source: Source, folder: Path) -> Truth:
-    import pandas
-
     rows = columns(source, ("time [ms]", "theta0 [rad]", "Mz [Nmm]", "theta1 [rad]", "theta2 [rad]", "theta3 [rad]", "theta4 [rad]"),
                    ("ms", "rad", "nmm", "rad", "rad", "rad", "rad"))  # fmt: skip
-    pandas.DataFrame(rows.values, columns=list(rows.names)).to_excel(folder / "series.xlsx", index=False)
-    return Truth((folder / "series.xlsx",), rows.channels, rows.step_s)
+    _frame(rows).to_excel(folder / "series.xlsx", index=False)
+    return rows.truth(folder / "series.xlsx")
 
 
 @case
@@ -485,7 +491,7 @@ def openpyxl_second_sheet(source: Source, folder: Path) -> Truth:
     for row in rows.values:
         sheet.append([float(v) for v in row])
     book.save(folder / "series.xlsx")
-    return Truth((folder / "series.xlsx",), rows.channels, rows.step_s)
+    return rows.truth(folder / "series.xlsx")
 
 
 @case
@@ -498,7 +504,7 @@ def scipy_mat(source: Source, folder: Path) -> Truth:
         ("s", "rad", "nmm", "rad", "rad", "rad", "rad"),
     )
     scipy.io.savemat(folder / "run.mat", dict(zip(rows.names, rows.values.T[:, :, None], strict=True)))
-    return Truth((folder / "run.mat",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.mat")
 
 
 @case
@@ -513,7 +519,7 @@ def scipy_mat_struct_with_units(source: Source, folder: Path) -> Truth:
         {"log": {**dict(zip(names, rows.values.T, strict=True)), "units": units}, "operator": "lab"},
         do_compression=True,
     )
-    return Truth((folder / "run.mat",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.mat")
 
 
 @case
@@ -557,7 +563,7 @@ def matlab_73(source: Source, folder: Path) -> Truth:
             )
             + b"\x00\x02IM"
         )
-    return Truth((folder / "run.mat",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.mat")
 
 
 @case
@@ -578,7 +584,7 @@ def matlab_73_rate_alone(source: Source, folder: Path) -> Truth:
                 name, data=np.frombuffer(unit.encode("utf-16-le"), dtype=np.uint16)[:, None]
             )
             word.attrs["MATLAB_class"] = np.bytes_("char")
-    return Truth((folder / "run.mat",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.mat")
 
 
 @case
@@ -610,7 +616,7 @@ def h5py_compound(source: Source, folder: Path) -> Truth:
     table = _records(rows)
     with h5py.File(folder / "run.h5", "w") as file:
         file.create_dataset("log", data=table)
-    return Truth((folder / "run.h5",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.h5")
 
 
 @case
@@ -641,14 +647,14 @@ def numpy_npz(source: Source, folder: Path) -> Truth:
         ("s", "rad", "nmm", "rad", "rad", "rad", "rad"),
     )
     np.savez_compressed(folder / "run.npz", **dict(zip(rows.names, rows.values.T, strict=True)))
-    return Truth((folder / "run.npz",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.npz")
 
 
 @case
 def numpy_structured(source: Source, folder: Path) -> Truth:
     rows = columns(source, PLAIN, PLAIN_UNITS)
     np.save(folder / "run.npy", _records(rows))
-    return Truth((folder / "run.npy",), rows.channels, rows.step_s)
+    return rows.truth(folder / "run.npy")
 
 
 @case

@@ -52,7 +52,7 @@ def command(
     from needle_rig.config.loader import load_rig_config
     from needle_rig.errors import BadInput
     from needle_rig.simulation.protocol import save_protocol
-    from needle_rig.workbench.estimation.baseline import prepare
+    from needle_rig.workbench.estimation.baseline import fit_baseline
     from needle_rig.workbench.selection.design import (
         REPLICATES,
         commands,
@@ -70,10 +70,10 @@ def command(
         raise BadInput(f"--between {between[0]} {between[1]}: name two different effects")
     dataset = read_data(data)
     say("fitting both effects")
-    prepared = prepare(dataset, read_model(model_path, directories), known)
+    baseline = fit_baseline(dataset, read_model(model_path, directories), known)
     fits = []
     for name in between:
-        found = try_effect(prepared.problem, prepared.present, name).fit
+        found = try_effect(baseline.problem, baseline.current, name).fit
         if found is None:
             raise BadInput(f"{name} cannot be fitted to {dataset.name}; name another effect")
         fits.append(found)
@@ -81,11 +81,11 @@ def command(
     drive = load_rig_config(rig, {}).drive
     among = commands(drive.velocity_limit_deg_s, drive.angle_limit_deg)
     say("simulating the candidates")
-    ranked = proposals(prepared.problem, first[0], second[0], dataset.sensor_names, among)
+    ranked = proposals(baseline.problem, first[0], second[0], dataset.sensor_names, among)
     if not ranked:
         raise BadInput("no candidate trial could be simulated with both effects")
     best = ranked[0]
-    power = expected_power(prepared.problem, first[0], second[0], best.command, REPLICATES)
+    power = expected_power(baseline.problem, first[0], second[0], best.command, REPLICATES)
     path = out or Path(f"{between[0]}-or-{between[1]}.yaml")
     sentence = best.sentence(first[1], second[1])
     save_protocol(path, protocol_of(best.command, *between), note=sentence)

@@ -12,7 +12,7 @@ import click
 
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
-    from needle_rig.importing import Mapping
+    from needle_rig.importing import Mapping, Recordings
 
 MAPPING = "import.yaml"
 PICTURE = "import.png"
@@ -41,7 +41,7 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
     needle-rig import data/mine.yaml --out data/mine
     """
     from needle_rig.errors import BadInput
-    from needle_rig.importing import dataset_of
+    from needle_rig.importing import Recordings, dataset_of
 
     if os.path.lexists(out):
         raise BadInput(f"{out}: exists already; name another folder with --out or remove it first")
@@ -53,26 +53,27 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
         raise BadInput(f"{named[0]}: is a mapping already; leave --guess out")
     if not named and not guessing:
         raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
+    recordings = Recordings()
     if named:
         mapping, folder = _given(named[0], others, layout)
     else:
-        mapping, folder = _guessed(others, out, layout), Path()
+        mapping, folder = _guessed(others, out, layout, recordings), Path()
         _tell(mapping)
     waiting = mapping.doubts()
     if not yes and waiting and not mapping.lacks() and guessing and sys.stdin.isatty():
         waiting = [doubt for doubt in waiting if not click.confirm(f"{doubt}. Is the line right?")]
     if mapping.lacks() or (waiting and not yes):
-        raise BadInput(_to_confirm(mapping, folder, None if named else out, waiting))
+        raise BadInput(_to_confirm(mapping, folder, recordings, None if named else out, waiting))
     for doubt in waiting:
         click.echo(f"taken as it is: {doubt}", err=True)
     mapping = _confirmed(mapping)
     try:
-        dataset = dataset_of(mapping, folder)
-        left_out = _write(mapping, folder, dataset, out)
+        dataset = dataset_of(mapping, folder, recordings=recordings)
+        left_out = _write(mapping, folder, recordings, dataset, out)
     except BadInput as error:
         if named:
             raise
-        place = _keep(mapping, folder, out)
+        place = _keep(mapping, folder, recordings, out)
         raise BadInput(f"{error}\nThe mapping is in {place}; correct it there and import it") from None
     samples = sum(len(trial.trial.time_s) for trial in dataset.trials)
     for note in (*dataset.notes, *left_out):
@@ -101,12 +102,12 @@ def _given(path: Path, others: list[Path], layout: Path | None) -> tuple[Mapping
     return mapping, path.parent
 
 
-def _guessed(files: list[Path], out: Path, layout: Path | None) -> Mapping:
-    from needle_rig.importing import guess, read_recording
+def _guessed(files: list[Path], out: Path, layout: Path | None, recordings: Recordings) -> Mapping:
+    from needle_rig.importing import guess
     from needle_rig.importing.shaft import read_rig
 
     rig = None if layout is None else read_rig(layout)
-    return guess([read_recording(file) for file in files], out.resolve().name, rig, Path())
+    return guess([recordings.read(file) for file in files], out.resolve().name, rig, Path())
 
 
 def _tell(mapping: Mapping) -> None:
@@ -121,24 +122,26 @@ def _tell(mapping: Mapping) -> None:
         click.echo(f"not used: {', '.join(mapping.not_used)}")
 
 
-def _to_confirm(mapping: Mapping, folder: Path, out: Path | None, waiting: list[str]) -> str:
+def _to_confirm(
+    mapping: Mapping, folder: Path, recordings: Recordings, out: Path | None, waiting: list[str]
+) -> str:
     lines = [*mapping.lacks(), *waiting]
     if out is None:
         next_step = "correct these lines, remove `doubt` from those that are right, and import again"
     else:
-        place = _keep(mapping, folder, out)
+        place = _keep(mapping, folder, recordings, out)
         next_step = f"confirm or correct these lines in {place} (remove `doubt`), then import it"
     return "\n".join([*lines, next_step])
 
 
-def _keep(mapping: Mapping, folder: Path, out: Path) -> Path:
+def _keep(mapping: Mapping, folder: Path, recordings: Recordings, out: Path) -> Path:
     """Write the mapping and its picture beside the dataset that is to be."""
     from needle_rig.importing import write_mapping
 
     place = out.with_name(out.name + ".yaml")
     place.parent.mkdir(parents=True, exist_ok=True)
     write_mapping(mapping, place, folder)
-    _draw(mapping, folder, out.with_name(out.name + ".png"))
+    _draw(mapping, folder, recordings, out.with_name(out.name + ".png"))
     return place
 
 
@@ -157,7 +160,7 @@ def _confirmed(mapping: Mapping) -> Mapping:
     )
 
 
-def _write(mapping: Mapping, folder: Path, dataset: Dataset, out: Path) -> list[str]:
+def _write(mapping: Mapping, folder: Path, recordings: Recordings, dataset: Dataset, out: Path) -> list[str]:
     """The dataset, its mapping and its picture; which trials its reader leaves out, a sentence each.
 
     What cannot be read back is removed. Raises BadInput.
@@ -169,16 +172,16 @@ def _write(mapping: Mapping, folder: Path, dataset: Dataset, out: Path) -> list[
         write_dataset(dataset, out)
         left_out = [note for note in read_dataset(out).notes if "left out" in note]
         write_mapping(mapping, out / MAPPING, folder)
-        _draw(mapping, folder, out / PICTURE)
+        _draw(mapping, folder, recordings, out / PICTURE)
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)
         raise
     return left_out
 
 
-def _draw(mapping: Mapping, folder: Path, path: Path) -> None:
+def _draw(mapping: Mapping, folder: Path, recordings: Recordings, path: Path) -> None:
     from needle_rig.figures.importing import Drawn, draw_import
     from needle_rig.importing.preview import preview
 
-    shown, loop = preview(mapping, folder)
+    shown, loop = preview(mapping, folder, recordings)
     draw_import([Drawn(f"{s.role} ← {s.source}", s.unit, s.time_s, s.values) for s in shown], loop, path)

@@ -18,9 +18,9 @@ SHOWN_SAMPLES = 2000
 
 def traces(found: TraceComparison) -> Figure:
     """Measured and modelled traces of one trial of each command (at most four), with the ±2σ noise band."""
-    problem, fit = found.prepared.problem, found.prepared.present
+    problem, fit = found.baseline.problem, found.baseline.current
     shown = [group[0] for group in problem.groups][:SHOWN_TRIALS]
-    names = ("torque", *found.prepared.dataset.sensor_names)
+    names = ("torque", *found.baseline.dataset.sensor_names)
     width, height = 4.0 * len(shown), 1.7 * len(names) + 0.6
     figure = Figure(figsize=(width, height))
     axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
@@ -34,9 +34,9 @@ def traces(found: TraceComparison) -> Figure:
         hspace=0.12,
     )
     for column, t in enumerate(shown):
-        given = found.prepared.dataset.trials[t]
+        given = found.baseline.dataset.trials[t]
         binned = problem.trials[t]
-        reading = problem.model(fit.axes, fit.point, t).predict(binned.trial)
+        reading = problem.model(fit.parameters, fit.vector, t).predict(binned.trial)
         model = np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
         data = np.vstack([given.torque_nm[None, :], given.hall_rad.T])
         thin = max(1, given.trial.time_s.size // SHOWN_SAMPLES)
@@ -123,7 +123,7 @@ def residual_map(found: TraceComparison) -> Figure:
 
 def pulls(found: TraceComparison) -> Figure:
     """Histogram of the whitened residuals beside the standard normal."""
-    values = np.concatenate(found.prepared.present.residuals)
+    values = np.concatenate(found.baseline.current.residuals)
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")
     axis = figure.subplots()
     edges = np.linspace(-6, 6, 61)
@@ -167,7 +167,7 @@ def write_html(found: TraceComparison, drawn: Sequence[Picture], path: Path) -> 
     worst = [f"{p.words} ({p.sigmas:.0f} × the noise)" for p in found.worst]
     write_page(
         path,
-        f"{found.prepared.dataset.name} against the model {found.prepared.problem.base.name}",
+        f"{found.baseline.dataset.name} against the model {found.baseline.problem.base.name}",
         (
             paragraph(
                 f"Error on commands left out: {left_out} in units of the noise (noise alone: 1.00);"

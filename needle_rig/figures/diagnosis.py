@@ -11,11 +11,11 @@ SHOWN = 12
 
 
 def ranking_figure(found: Answer) -> Figure:
-    """Error left out by candidate, the best first, beside the present model and the noise."""
+    """Error left out by candidate, the best first, beside the current model and the noise."""
     rows = [r for r in found.ranking if r.held_out_error is not None][:SHOWN]
     figure = Figure(figsize=(7.5, 1.4 + 0.34 * (len(rows) + 1)), layout="constrained")
     axes = figure.subplots()
-    names = ["the present model", *(r.effect for r in rows)]
+    names = ["the current model", *(r.effect for r in rows)]
     errors = [found.held_out_error_before, *(float(r.held_out_error or np.nan) for r in rows)]
     colours = ["0.6", *("#0b6e4f" if r.effect in found.effects else "#b5bcc2" for r in rows)]
     bars = axes.barh(names, errors, color=colours)

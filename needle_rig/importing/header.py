@@ -23,7 +23,7 @@ _UNIT_KEY = re.compile(r"(y_unit_label|units?|einheit(en)?|dimension)", re.IGNOR
 
 @dataclass(frozen=True)
 class Header:
-    """What the rows above a table say."""
+    """Units, rates and other statements in the rows above a table."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]

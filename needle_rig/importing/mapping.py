@@ -80,7 +80,7 @@ class Mapping(_Part):
     rig: RigPart | None = None
 
     def doubts(self) -> list[str]:
-        """What is to be confirmed, a sentence for each line that has a doubt."""
+        """Sentences of the lines that have a doubt: what a person is to confirm."""
         found = [f"clocks.{name}: {clock.doubt}" for name, clock in self.clocks.items() if clock.doubt]
         found += [f"{c.role} ({c.source}): {c.doubt}" for c in self.channels if c.doubt]
         if self.trials.doubt:
@@ -88,7 +88,7 @@ class Mapping(_Part):
         return found
 
     def lacks(self) -> list[str]:
-        """What no guess can give and an import needs, a sentence each."""
+        """Sentences on what an import needs and no guess can give."""
         found = [
             f"{c.role} ({c.source}): its unit is not known; write `unit`, and `scale` where one count is "
             "not one of it"
@@ -172,7 +172,7 @@ def _unit(text: str, dimensions: tuple[str, ...], places: Places, path: tuple[st
 
 
 def dimension_of(role: str) -> str:
-    """What a role measures: torque or angle."""
+    """Dimension of a role: torque or angle."""
     return "torque" if role == TORQUE else "angle"
 
 

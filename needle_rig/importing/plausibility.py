@@ -9,22 +9,24 @@ import numpy as np
 
 from needle_rig.dataset.records import DatasetTrial, Needle
 from needle_rig.importing import signals
-from needle_rig.importing.guess import (
-    CLEAR_LAG,
-    CLEAR_WORK,
-    FASTEST_DEG_S,
-    LEAST_FOLLOWED,
-    MOST_FOLLOWED,
-    expected_torque_nm,
-)
+from needle_rig.importing.signals import CLEAR_LAG, CLEAR_WORK
 from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
 
+FASTEST_DEG_S = 1500.0
+"""250 rpm: ten times what needle drives do."""
+LEAST_FOLLOWED, MOST_FOLLOWED = 0.02, 1.3
+"""Share of the base's travel that a sensor on the needle sees; above 1 by noise and overshoot alone."""
 SLOWEST_IN_TRIAL_DEG_S = 0.05
 LARGEST_IN_TRIAL_DEG = 3600.0
 TORQUE_WITHIN = 30.0
 """Factor between the torque and what the twist asks for: friction, a second support and an inexact modulus
 make a few; a wrong prefix makes a thousand, N·cm for N·mm ten, which this cannot tell."""
+
+
+def expected_torque_nm(twist_rad: float, position_m: float, rigidity_nm2: float) -> float:
+    """GJ · twist / length: what a shaft free up to `position_m` asks for."""
+    return twist_rad * rigidity_nm2 / position_m
 
 
 def impossible(

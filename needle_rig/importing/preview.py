@@ -9,8 +9,7 @@ import numpy as np
 
 from needle_rig.importing import signals
 from needle_rig.importing.mapping import BASE, TORQUE, Mapping
-from needle_rig.importing.reader import read_recording
-from needle_rig.importing.recording import Recording
+from needle_rig.importing.reader import Recordings
 from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
 
@@ -26,20 +25,20 @@ class Shown:
     values: Array
 
 
-def preview(mapping: Mapping, folder: Path) -> tuple[list[Shown], tuple[Array, Array] | None]:
+def preview(
+    mapping: Mapping, folder: Path, recordings: Recordings
+) -> tuple[list[Shown], tuple[Array, Array] | None]:
     """The channels of the first recording; base angle and torque at the base's times where both are there."""
-    read: dict[str, Recording] = {}
     shown: list[Shown] = []
     for part in mapping.channels:
         clock = mapping.clocks[part.clock]
         file = clock.files[0]
-        if file.path not in read:
-            read[file.path] = read_recording(folder / file.path)
-        column = read[file.path].column(part.source)
+        recording = recordings.read(folder / file.path)
+        column = recording.column(part.source)
         if column is None:
             continue
         time_s = np.arange(len(column.values)) / (clock.rate_hz or 1.0)
-        source = None if clock.source is None else read[file.path].column(clock.source)
+        source = None if clock.source is None else recording.column(clock.source)
         unit = unit_of(clock.unit or "")
         if source is not None and len(source.values) == len(time_s):
             time_s = source.values * (1.0 if unit is None else unit.si)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+import os
 import tempfile
 import zlib
 from collections.abc import Callable
@@ -17,7 +18,29 @@ from needle_rig.importing.recording import LIMIT_BYTES, Column, Recording, sha25
 
 Read = tuple[str, tuple[Column, ...], dict[str, float]]
 
+KEPT_BYTES = 1_000_000_000
+"""Largest total of numbers that are kept; what is beyond is read again when it is asked for."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+class Recordings:
+    """Files, each read once in all the steps of an import, as far as what was read can be kept."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Recording] = {}
+        self._bytes = 0
+
+    def read(self, path: Path) -> Recording:
+        """The file at `path`, as it was when it was first read. Raises BadInput."""
+        place = os.path.abspath(path)
+        if place in self._kept:
+            return dataclasses.replace(self._kept[place], path=path)
+        found = read_recording(path)
+        size = sum(column.values.nbytes for column in found.columns)
+        if self._bytes + size <= KEPT_BYTES:
+            self._kept[place] = found
+            self._bytes += size
+        return found
 
 
 def read_recording(path: Path) -> Recording:
@@ -71,7 +94,7 @@ def _reader(path: Path, head: bytes) -> Callable[[Path, str], Read]:
 
 
 def _unpacked(path: Path, shown: str) -> Recording:
-    """What gzip packed; the hash is that of the packed file."""
+    """The recording in a file packed by gzip; the hash is that of the packed file."""
     with tempfile.TemporaryDirectory(prefix="needle-rig-import-") as folder:
         plain = Path(folder) / path.stem
         try:

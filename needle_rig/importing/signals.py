@@ -15,6 +15,11 @@ from needle_rig.numerics import Array
 
 LOOKED_AT = 20_000
 """Samples of a recording from which a guess is made; every n-th is taken of longer ones."""
+CLEAR_LAG = 0.004
+"""Of the product of travels: two records of one angle with 0.25° of noise differ by 0.002, the angles of the
+practice needles come 0.13 and more after their base (test_thresholds)."""
+CLEAR_WORK = 0.15
+"""Share of the work: noise alone gives some 1.8/√samples, the practice needles 0.23 and more."""
 ROUND_STEP_DEG = 5.0
 ROUND_WITHIN_DEG = 0.2
 """Commands are multiples of 5° and drives reach them; 8 % of levels at random are that near to one."""

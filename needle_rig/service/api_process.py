@@ -201,12 +201,18 @@ def _complain(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     logging.getLogger("api").warning("%s", reason)
 
 
+def _limit_memory() -> None:
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    allowed = MEMORY_BYTES if hard == resource.RLIM_INFINITY else min(MEMORY_BYTES, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (allowed, allowed))
+
+
 def main(listener: int, lines: int, path: Path, daemon: int) -> None:
     """Serve; the arguments are the module's."""
     # the daemon decides when this ends, not a Ctrl-C, a closed terminal or a signal to the whole group
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    _limit_memory()
     handler = logging.StreamHandler()
     handler.addFilter(_Rarely())
     handler.setFormatter(logging.Formatter("api: %(message)s"))

@@ -34,6 +34,12 @@ class NoisePolicy:
         CHOSEN,
         _NOISE,
     )
+    smallest_motion_rad: float = _threshold(
+        0.01,
+        "a base that turns by less has moved in no direction: 0.6°",
+        CHOSEN,
+        _NOISE,
+    )
     outlier_sigmas: float = _threshold(
         6.0,
         "further from the median of its neighbours is an outlier: one Gaussian sample in 500 million",
@@ -63,6 +69,9 @@ class NoisePolicy:
         "scatter of the rests beyond this many of its standard errors is an offset",
         "95 %, two-sided",
         _NOISE,
+    )
+    offset_floor_share: float = _threshold(
+        0.7, "share of the floor that an offset from trial to trial has at least", CHOSEN, _NOISE
     )
     scatter: float = _threshold(0.025, "prior scatter of friction from trial to trial", CHOSEN, _NOISE)
     scatter_dof: float = _threshold(
@@ -218,7 +227,10 @@ class EvidencePolicy:
         "selection/test_evidence.py",
     )
     discretisation_margin: float = _threshold(
-        3.0, "a change of less than this many times our own error along it may be that error", CHOSEN, _RULES
+        3.0,
+        "a change of the residuals below this many times the discretisation error along it may be that error",
+        CHOSEN,
+        _RULES,
     )
     seen_information: float = _threshold(
         1.0,
@@ -291,7 +303,7 @@ class VerdictPolicy:
 
     pattern_significance: float = _threshold(
         1e-3,
-        "p, over all signatures, of a pattern in what is left",
+        "p, adjusted over all generic functions, of a residual pattern",
         "one false unknown in a thousand",
         _RULES,
     )
@@ -300,6 +312,15 @@ class VerdictPolicy:
         "p of a trend in the trials' friction: an effect that tells of it is to be named first",
         "a hundredth of `evidence.significance`, for a library of about 30",
         _RULES,
+    )
+    testable_share: float = _threshold(
+        0.02,
+        "share of a pattern that projection must leave for it to be tested: less is rounding and curvature",
+        CHOSEN,
+        _RULES,
+    )
+    distinct_share: float = _threshold(
+        0.1, "share of a pattern that those found before must leave for it to be another", CHOSEN, _RULES
     )
     patterns: int = _threshold(5, "patterns that are told", CHOSEN, _RULES)
     lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)

@@ -19,14 +19,17 @@ from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
 from needle_rig.importing import (
     Mapping,
+    Recordings,
     dataset_of,
     guess,
     read_mapping,
     read_recording,
+    reader,
     signals,
     write_mapping,
 )
 from needle_rig.importing.extra import needed
+from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
 
 pytest.importorskip("polars")
@@ -116,6 +119,33 @@ def test_an_import_from_its_mapping_alone_is_the_same_bit_for_bit(tmp_path: Path
     part = next(iter(mapping.clocks.values())).files[0]
     assert (tmp_path / "deep/two" / part.path).resolve() == log.resolve()
     assert part.sha256 is not None
+
+
+def test_an_import_reads_each_file_once(
+    tmp_path: Path, table: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Path] = []
+
+    def counted(path: Path) -> Recording:
+        read.append(path)
+        return read_recording(path)
+
+    monkeypatch.setattr(reader, "read_recording", counted)
+    log = written(tmp_path / "log.csv", table)
+    line = ["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(tmp_path / "one")]
+    assert command(line) == 0
+    assert read == [log]
+
+
+def test_what_is_too_large_to_be_kept_is_read_again(
+    tmp_path: Path, table: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = written(tmp_path / "log.csv", table)
+    recordings = Recordings()
+    assert recordings.read(log).columns[0].values is recordings.read(log).columns[0].values
+    monkeypatch.setattr(reader, "KEPT_BYTES", table.nbytes - 1)
+    recordings = Recordings()
+    assert recordings.read(log).columns[0].values is not recordings.read(log).columns[0].values
 
 
 def test_a_file_that_changed_since_the_mapping_is_refused(

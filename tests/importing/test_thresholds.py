@@ -9,7 +9,9 @@ import pytest
 
 from needle_rig.dataset import read_dataset
 from needle_rig.importing import signals
-from needle_rig.importing.guess import CLEAR_LAG, CLEAR_WORK, COMMON, ROUND
+from needle_rig.importing.guess.series import COMMON
+from needle_rig.importing.guess.units import ROUND
+from needle_rig.importing.signals import CLEAR_LAG, CLEAR_WORK
 
 PRACTICE = Path(__file__).parents[2] / "tests/data/practice"
 NOISE_RAD = np.radians(0.25)

@@ -46,7 +46,7 @@ def test_every_contract_notices_a_breach(house):
         "needle_rig/physics/effects/first.py": "import needle_rig.physics.effects.second",
         "needle_rig/physics/effects/second.py": "",
         "needle_rig/workbench/estimation/problem.py": "import needle_rig.workbench.selection.verdict",
-        "needle_rig/importing/guess.py": "import needle_rig.workbench",
+        "needle_rig/importing/guess/units.py": "import needle_rig.workbench",
         "needle_rig/workbench/selection/verdict.py": "import can, simple_pid, yaml, h5py, matplotlib",
     }.items():
         path = house / file

@@ -28,6 +28,10 @@ STARTS = ("relaxed", "wound")
 NEEDS_OTHERS = ("protocol",)
 """Strategies that only carry out what they are told."""
 MUCH_BETTER = 3.0
+"""Ratio of worst errors below which the reason is told why planning gains no more."""
+FARTHEST_TARGET_DEG = 360.0
+STRAIGHT_DEG = 3.0
+"""Worst error of reed2008 below which there is little to gain: two or three times the Hall sensors' noise."""
 FORETELLING_RUNS = 8
 FIELDS = {
     "tip_lag_deg": "tip lag",
@@ -195,8 +199,8 @@ def compare_strategies(
         if name not in known:
             raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(known)}")
     for target in targets_deg:
-        if not 0.0 < abs(target) <= 360.0:
-            raise BadInput(f"--targets {target:g}: give angles of up to ±360°, and not 0")
+        if not 0.0 < abs(target) <= FARTHEST_TARGET_DEG:
+            raise BadInput(f"--targets {target:g}: give angles of up to ±{FARTHEST_TARGET_DEG:g}°, and not 0")
     tasks = [
         (name, float(target), start, first_seed + seed)
         for name in strategies
@@ -260,7 +264,7 @@ def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = S
     if plain < MUCH_BETTER * ours:
         why = (
             "reed2008 leaves little to gain here, and planned turns on only while a rotation brings enough"
-            if plain < 3.0
+            if plain < STRAIGHT_DEG
             else "no sequence within the bound on the overshoot leaves this needle straighter"
         )
         told += f": less than {MUCH_BETTER:g} times better, because {why}"

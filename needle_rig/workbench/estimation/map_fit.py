@@ -1,6 +1,6 @@
-"""Fits of all parameters at once, in whitened units, for an objective that dry friction makes jagged.
+"""Maximum a posteriori fits: Levenberg–Marquardt steps with Broyden updates, within bounds.
 
-Steps are damped and never accepted when they make the fit worse.
+Dry friction makes the objective jagged: a step that raises it is never accepted.
 """
 
 from __future__ import annotations
@@ -12,101 +12,123 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.parameters import Coordinate
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
-ENOUGH = 0.05
-"""A fit ends when the next step would lower the objective by less than this,"""
-LOOSE = 2e-3
-"""or by less than this share of what it is above the noise: a fit that misses by far need not be exact."""
+OBJECTIVE_TOLERANCE = 0.05
+"""A fit ends when the next step would lower the objective by less than this."""
+EXCESS_TOLERANCE = 2e-3
+"""A fit also ends when the next step would lower the objective by less than this share of its excess over the
+noise: a fit that misses by far need not be exact."""
+
+FIRST_DAMPING, LEAST_DAMPING, LOWER, HIGHER = 1e-3, 1e-6, 0.2, 8.0
+"""Marquardt's damping relative to the curvature, and its factors after a good step and after a bad one."""
+MOST_DAMPINGS = 7
+"""Dampings that are tried on one set of derivatives: the last is two million times the first."""
+SECANT_SHARE = 0.7
+"""Share of the expected fall from which derivatives are updated by the step instead of computed afresh."""
+TRUSTED_SHARE = 0.5
+"""Share of the expected fall from which damping is lowered."""
+NO_STEP = 1e-16
+"""Square of a step that is none but for rounding: it tells nothing of derivatives."""
+MOST_BOUNDS = 4
+"""Changes of the active set in one step."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A minimum. T trials, p global parameters (friction, rigidity, then k positions), q nuisances."""
+    """A minimum. T trials, p shared parameters (friction, rigidity, then k scaled values), q nuisances."""
 
     effects: tuple[str, ...]
-    axes: tuple[Coordinate, ...]
-    point: Point
+    parameters: tuple[FreeParameter, ...]
+    vector: ParameterVector
     nuisance: Array
     objective: float
     """−2 log posterior with its log-determinants, up to a constant shared by all fits of a problem."""
     chi2: float
     """Sum of squared whitened residuals."""
     trial_loss: Array
-    """Share of each trial in the objective (T,)."""
+    """Each trial's contribution to the objective (T,)."""
     pull_rigidity: float
     """Rigidity's distance from its stated value in prior standard deviations."""
     scatter: float
-    """Relative scatter of friction from trial to trial that this fit sees,"""
+    """Relative scatter of friction from trial to trial, estimated by this fit."""
     scatter_dof: float
-    """and its degrees of freedom, those of its prior included."""
+    """Degrees of freedom of `scatter`, those of its prior included."""
     covariance: Array
-    """Of the global parameters (p, p), all others marginalised."""
+    """Covariance of the shared parameters (p, p), all others marginalised."""
     residuals: tuple[Array, ...]
     jacobians: tuple[Array, ...]
-    """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's own friction."""
+    """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's random effect."""
     rank: int
-    """How many directions the effects' positions span that the other parameters do not."""
+    """Directions of the effects' parameters that the data see with all other parameters projected out."""
     converged: bool
 
     @property
-    def position_error(self) -> Array:
-        """Standard deviation of each position (k,)."""
+    def scaled_errors(self) -> Array:
+        """Standard deviation of each scaled value (k,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
 
 def fit(
     problem: Problem,
     effects: Sequence[str],
-    start: Point,
+    start: ParameterVector,
     *,
     nuisance: Array | None = None,
     iterations: int = 25,
-    enough: float = ENOUGH,
+    tolerance: float = OBJECTIVE_TOLERANCE,
 ) -> Fit | None:
     """The nearest minimum from `start`, or None where the model cannot be solved at `start`."""
-    axes = problem.axes(effects)
-    state = Objective(problem, axes)
-    x = state.vector(
-        start, nuisance if nuisance is not None and nuisance.size == state.q else np.zeros(state.q)
+    parameters = problem.parameters(effects)
+    objective = Objective(problem, parameters)
+    x = objective.packed(
+        start, nuisance if nuisance is not None and nuisance.size == objective.q else np.zeros(objective.q)
     )
-    rows = state.rows(x)
-    if rows is None:
+    residuals = objective.residuals(x)
+    if residuals is None:
         return None
-    value = sum_of_squares(rows) + state.prior(x)
-    damping, jacobians, converged, fresh = 1e-3, None, False, False
+    value = sum_of_squares(residuals) + objective.prior(x)
+    damping, jacobians, converged, fresh = FIRST_DAMPING, None, False, False
     for _ in range(iterations):
         if jacobians is None:
-            jacobians = state.derivatives(x, rows)
+            jacobians = objective.derivatives(x, residuals)
             fresh = True
             if jacobians is None:
                 return None
-        linear = LinearisedFit.at(problem, axes, x, rows, jacobians, state.own_precision(x))
+        linear = LinearisedFit.at(
+            problem, parameters, x, residuals, jacobians, objective.random_effect_precision(x)
+        )
         curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
-        for _ in range(7):
-            step = _bounded_step(state, x, curvature, descent, damping)
+        for _ in range(MOST_DAMPINGS):
+            step = _bounded_step(objective, x, curvature, descent, damping)
             expected = float(2 * descent @ step - step @ curvature @ step)
-            if expected < enough + LOOSE * excess(problem, value):
+            if expected < tolerance + EXCESS_TOLERANCE * excess(problem, value):
                 converged = True
                 break
-            after = np.clip(x + step, state.low, state.high)
-            after_rows = state.rows(after)
-            after_value = np.inf if after_rows is None else sum_of_squares(after_rows) + state.prior(after)
-            if after_rows is not None and after_value < value:
+            after = np.clip(x + step, objective.low, objective.high)
+            after_residuals = objective.residuals(after)
+            after_value = (
+                np.inf
+                if after_residuals is None
+                else sum_of_squares(after_residuals) + objective.prior(after)
+            )
+            if after_residuals is not None and after_value < value:
                 gained = value - after_value
                 jacobians = (
-                    _updated(state, jacobians, x, after, rows, after_rows)
-                    if gained > 0.7 * expected
+                    _updated(objective, jacobians, x, after, residuals, after_residuals)
+                    if gained > SECANT_SHARE * expected
                     else None
                 )
-                damping = max(damping * 0.2, 1e-6) if gained > 0.5 * expected else damping
-                x, rows, value = after, after_rows, after_value
+                damping = (
+                    max(damping * LOWER, LEAST_DAMPING) if gained > TRUSTED_SHARE * expected else damping
+                )
+                x, residuals, value = after, after_residuals, after_value
                 improved, fresh = True, False
                 break
-            damping = max(damping * 8, 1e-3)
+            damping = max(damping * HIGHER, FIRST_DAMPING)
         if converged and not fresh:
             converged, jacobians = False, None
             continue
@@ -117,82 +139,93 @@ def fit(
                 break
             jacobians = None
     if jacobians is None or not fresh:
-        jacobians = state.derivatives(x, rows)
+        jacobians = objective.derivatives(x, residuals)
         if jacobians is None:
             return None
-    return _finish(state, tuple(effects), x, rows, value, jacobians, converged)
+    return _finish(objective, tuple(effects), x, residuals, value, jacobians, converged)
 
 
-def _bounded_step(state: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:
-    """Damped step that stays within bounds: parameters that run into one are held there."""
+def _bounded_step(objective: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:
+    """Damped step within bounds: an active set of parameters stays at the bounds that the step would
+    cross."""
     free = np.ones(x.size, bool)
     step = np.zeros(x.size)
-    for _ in range(4):
+    for _ in range(MOST_BOUNDS):
         damped = curvature + damping * np.diag(np.diag(curvature) + 1e-9)
         step[:] = np.where(free, 0.0, step)
-        held = ~free
-        right = descent[free] - curvature[np.ix_(free, held)] @ step[held]
+        active = ~free
+        right = descent[free] - curvature[np.ix_(free, active)] @ step[active]
         step[free] = np.linalg.solve(damped[np.ix_(free, free)], right)
-        out = free & ((x + step > state.high) | (x + step < state.low))
+        out = free & ((x + step > objective.high) | (x + step < objective.low))
         if not out.any():
             break
-        step[out] = np.clip(x[out] + step[out], state.low[out], state.high[out]) - x[out]
+        step[out] = np.clip(x[out] + step[out], objective.low[out], objective.high[out]) - x[out]
         free &= ~out
-    return np.asarray(np.clip(x + step, state.low, state.high) - x)
+    return np.asarray(np.clip(x + step, objective.low, objective.high) - x)
 
 
 def _updated(
-    state: Objective,
+    objective: Objective,
     jacobians: list[Array],
     x: Array,
     after: Array,
-    rows: list[Array],
-    after_rows: list[Array],
+    residuals: list[Array],
+    after_residuals: list[Array],
 ) -> list[Array]:
-    """Broyden's update of each trial's derivatives from a step that was taken anyway."""
-    move = (after - x)[: state.p]
+    """Broyden's rank-one update of each trial's derivatives by an accepted step."""
+    move = (after - x)[: objective.p]
     updated = []
     for t, jacobian in enumerate(jacobians):
-        own = np.zeros(jacobian.shape[1])
-        own[: state.p] = move
-        own[state.own] += after[state.p + t] - x[state.p + t]
-        size = own @ own
-        change = rows[t] - after_rows[t] - state.problem.nuisance[t] @ (after - x)[state.p + state.trials :]
-        updated.append(jacobian + np.outer(change - jacobian @ own, own) / size if size > 1e-16 else jacobian)
+        step = np.zeros(jacobian.shape[1])
+        step[: objective.p] = move
+        step[objective.random_effect_column] += after[objective.p + t] - x[objective.p + t]
+        size = step @ step
+        change = (
+            residuals[t]
+            - after_residuals[t]
+            - objective.problem.nuisance[t] @ (after - x)[objective.p + objective.trials :]
+        )
+        updated.append(
+            jacobian + np.outer(change - jacobian @ step, step) / size if size > NO_STEP else jacobian
+        )
     return updated
 
 
 def _finish(
-    state: Objective,
+    objective: Objective,
     effects: tuple[str, ...],
     x: Array,
-    rows: list[Array],
+    residuals: list[Array],
     value: float,
     jacobians: list[Array],
     converged: bool,
 ) -> Fit:
-    problem, p, trials = state.problem, state.p, state.trials
+    problem, p, trials = objective.problem, objective.p, objective.trials
     noise = problem.noise
-    linear = LinearisedFit.at(problem, state.axes, x, rows, jacobians, state.own_precision(x))
-    own = x[p : p + trials]
+    linear = LinearisedFit.at(
+        problem, objective.parameters, x, residuals, jacobians, objective.random_effect_precision(x)
+    )
+    trial_friction = x[p : p + trials]
     room = noise.scatter_dof * noise.scatter**2
-    log_det = np.array([np.log1p(t.own @ t.own * noise.scatter**2) for t in linear.trials])
-    share = np.log1p((own**2).sum() / room) * (noise.scatter_dof + trials)
-    part = own**2 / max((own**2).sum(), 1e-30)
-    loss = np.array([r @ r for r in rows]) + log_det + share * part
+    log_det = np.array(
+        [np.log1p(t.random_effect @ t.random_effect * noise.scatter**2) for t in linear.trials]
+    )
+    share = np.log1p((trial_friction**2).sum() / room) * (noise.scatter_dof + trials)
+    part = trial_friction**2 / max((trial_friction**2).sum(), 1e-30)
+    loss = np.array([r @ r for r in residuals]) + log_det + share * part
     return Fit(
         effects=effects,
-        axes=state.axes,
-        point=state.point(x.copy()),
+        parameters=objective.parameters,
+        vector=objective.unpacked(x.copy()),
         nuisance=x[p + trials :].copy(),
         objective=value + float(log_det.sum()),
-        chi2=sum_of_squares(rows),
+        chi2=sum_of_squares(residuals),
         trial_loss=loss,
-        pull_rigidity=float((x[1] - state.stated) / problem.rigidity_prior),
-        scatter=state.own_precision(x) ** -0.5,
+        pull_rigidity=float((x[1] - objective.stated) / problem.rigidity_prior),
+        scatter=objective.random_effect_precision(x) ** -0.5,
         scatter_dof=noise.scatter_dof + trials,
         covariance=linear.covariance,
-        residuals=tuple(rows),
+        residuals=tuple(residuals),
         jacobians=tuple(t.columns[:, : p + 1] for t in linear.trials),
         rank=linear.rank,
         converged=converged,

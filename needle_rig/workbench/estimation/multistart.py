@@ -11,57 +11,69 @@ from scipy.optimize import minimize
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import ENOUGH, Fit, fit
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 MOST_WALKS = 4
-"""How often a fit goes on from a lower place along its least certain direction."""
-SHAPE_STEPS = (0.3, -0.3)
-"""How far from a fit's own shape others are tried, in positions: a factor of two on a decade's axis;"""
-FINE_SHAPE_STEPS = (0.1, -0.1)
-"""nearer ones that are tried, too, where minima lie close together."""
+"""Restarts of a fit at most."""
+FORM_STEPS = (0.3, -0.3)
+"""Steps of a form parameter from which a fit is restarted, in scaled values: a factor of two where the scale
+is a decade."""
+FINE_FORM_STEPS = (0.1, -0.1)
+"""Further, smaller steps of the same where minima lie close together."""
+
+VALLEY_SIGMAS = (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0)
+"""Points along the least certain direction, in its standard deviations, at which the objective is looked
+at."""
+WORTH_GOING_ON = 1.0
+"""Fall of the objective from which a lower minimum is itself a start."""
+SIMPLEX = (0.1, 0.02, 0.3)
+"""First steps of a simplex: logarithm of friction, of rigidity, scaled values."""
+UNSOLVED = 1e12
+"""Objective where the model cannot be solved."""
 
 
 def through_valleys(problem: Problem, found: Fit) -> Fit:
-    """A fit, or the one that goes on from lower places along the direction that the data hardly see.
+    """A fit, restarted from lower points along the direction that the data determine least.
 
-    There the objective falls by less than its derivatives err, and a fit stops far from its minimum with a
-    spread that knows nothing of it. A valley that bends, as one of shapes does, is left by straight walks:
-    what is still above the noise is fitted again from other shapes.
+    Along that valley the objective changes by less than the error of its finite-difference derivatives, so a
+    fit may stop far from the minimum. Form parameters make the valley curved, which a straight line leaves: a
+    fit that stays above the noise is also restarted from other forms.
     """
     for _ in range(MOST_WALKS):
         lower = _along_valley(problem, found)
         if lower is None:
             break
         again = fit(problem, found.effects, lower[0], nuisance=lower[1])
-        if again is None or again.objective >= found.objective - ENOUGH:
+        if again is None or again.objective >= found.objective - OBJECTIVE_TOLERANCE:
             break
         found = again
-    return over_shapes(problem, found) if excess(problem, found.objective) > 0.0 else found
+    return over_forms(problem, found) if excess(problem, found.objective) > 0.0 else found
 
 
-def over_shapes(problem: Problem, found: Fit, steps: Sequence[float] = SHAPE_STEPS) -> Fit:
-    """A fit, or a lower one from other shapes of its last effect, as long as that helps.
+def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS) -> Fit:
+    """The lowest of fits from several form parameters of the last effect (multistart).
 
-    Its covariance is that over all the minima met, each as likely as its objective says.
+    Its covariance is that of the mixture of all minima, weighted by their posterior probabilities.
     """
     met = [found]
     for _ in range(MOST_WALKS):
-        further = _from_other_shapes(problem, found, steps)
+        further = _from_other_forms(problem, found, steps)
         met += further
         again = min(further, key=lambda f: f.objective, default=found)
-        if again.objective > found.objective - 1.0:
+        if again.objective > found.objective - WORTH_GOING_ON:
             break
         found = again
     found = min(met, key=lambda f: f.objective)
-    return dataclasses.replace(found, covariance=_over_minima(found, met))
+    return dataclasses.replace(found, covariance=_mixture_covariance(found, met))
 
 
-def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
-    """Covariance (p, p) about the lowest of several minima; one met twice counts once."""
-    at = [np.r_[f.point.log_friction, f.point.log_rigidity, f.point.positions] for f in met]
-    centre = np.r_[lowest.point.log_friction, lowest.point.log_rigidity, lowest.point.positions]
+def _mixture_covariance(lowest: Fit, met: Sequence[Fit]) -> Array:
+    """Second moment (p, p) about the lowest of several minima, as a mixture; a minimum met twice counts
+    once."""
+    at = [np.r_[f.vector.log_friction, f.vector.log_rigidity, f.vector.scaled_values] for f in met]
+    centre = np.r_[lowest.vector.log_friction, lowest.vector.log_rigidity, lowest.vector.scaled_values]
     near = np.sqrt(np.maximum(np.diag(lowest.covariance), 1e-18))
     kept: list[int] = []
     for i in sorted(range(len(met)), key=lambda i: met[i].objective):
@@ -75,60 +87,64 @@ def _over_minima(lowest: Fit, met: Sequence[Fit]) -> Array:
     return np.asarray(sum(parts) / weights.sum(), dtype=np.float64)
 
 
-def _from_other_shapes(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
+def _from_other_forms(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
     fits = []
-    for i, axis in enumerate(found.axes):
-        if axis.info.shapes and axis.effect == found.effects[-1]:
+    for i, parameter in enumerate(found.parameters):
+        if parameter.info.shapes and parameter.effect == found.effects[-1]:
             for step in steps:
-                positions = found.point.positions.copy()
-                positions[i] += step
-                start = dataclasses.replace(found.point, positions=positions)
+                scaled_values = found.vector.scaled_values.copy()
+                scaled_values[i] += step
+                start = dataclasses.replace(found.vector, scaled_values=scaled_values)
                 fits.append(fit(problem, found.effects, start, nuisance=found.nuisance))
     return [f for f in fits if f is not None]
 
 
-def _along_valley(problem: Problem, found: Fit) -> tuple[Point, Array] | None:
-    """The lowest place on the least certain direction of a fit if it is lower than the fit, else None.
+def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array] | None:
+    """The lowest point along the least certain direction of a fit, with its nuisances; None if none is lower.
 
-    All other parameters follow as the fit's derivatives say: the trials' own friction, too.
+    All other parameters follow as the linearised fit says.
     """
-    state = Objective(problem, found.axes)
-    at = state.vector(found.point, found.nuisance)
+    objective = Objective(problem, found.parameters)
+    at = objective.packed(found.vector, found.nuisance)
     move = LinearisedFit.of(problem, found).loosest()
     if move is None:
         return None
-    lowest, lower = found.chi2 + state.prior(at) - ENOUGH, None
-    for sigmas in (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0):
-        moved = np.clip(at + sigmas * move, state.low, state.high)
-        rows = state.rows(moved)
-        value = np.inf if rows is None else sum_of_squares(rows) + state.prior(moved)
+    lowest, lower = found.chi2 + objective.prior(at) - OBJECTIVE_TOLERANCE, None
+    for sigmas in VALLEY_SIGMAS:
+        moved = np.clip(at + sigmas * move, objective.low, objective.high)
+        residuals = objective.residuals(moved)
+        value = np.inf if residuals is None else sum_of_squares(residuals) + objective.prior(moved)
         if value < lowest:
             lowest, lower = value, moved
-    return None if lower is None else (state.point(lower), lower[state.p + state.trials :])
+    return None if lower is None else (objective.unpacked(lower), lower[objective.p + objective.trials :])
 
 
 def fit_without_derivatives(
-    problem: Problem, effects: Sequence[str], start: Point, evaluations: int = 200
+    problem: Problem, effects: Sequence[str], start: ParameterVector, evaluations: int = 200
 ) -> Fit | None:
-    """A simplex search over friction, rigidity and positions, then the usual fit from where it ended."""
-    axes = problem.axes(effects)
-    state = Objective(problem, axes)
-    x = state.vector(start, np.zeros(state.q))
-    scale = np.r_[0.1, 0.02, np.full(state.k, 0.3)]
+    """A simplex search over friction, rigidity and scaled values, then the usual fit from where it ended."""
+    parameters = problem.parameters(effects)
+    objective = Objective(problem, parameters)
+    x = objective.packed(start, np.zeros(objective.q))
+    scale = np.r_[SIMPLEX[:2], np.full(objective.k, SIMPLEX[2])]
 
-    def objective(moved: Array) -> float:
+    def cost(moved: Array) -> float:
         full = x.copy()
-        full[: state.p] = np.clip(x[: state.p] + scale * moved, state.low[: state.p], state.high[: state.p])
-        rows = state.rows(full)
-        return 1e12 if rows is None else sum_of_squares(rows) + state.prior(full)
+        full[: objective.p] = np.clip(
+            x[: objective.p] + scale * moved, objective.low[: objective.p], objective.high[: objective.p]
+        )
+        residuals = objective.residuals(full)
+        return UNSOLVED if residuals is None else sum_of_squares(residuals) + objective.prior(full)
 
     search: Any = minimize
     found = search(
-        objective,
-        np.zeros(state.p),
+        cost,
+        np.zeros(objective.p),
         method="Nelder-Mead",
         options={"maxfev": evaluations},
     )
     full = x.copy()
-    full[: state.p] = np.clip(x[: state.p] + scale * found.x, state.low[: state.p], state.high[: state.p])
-    return fit(problem, effects, state.point(full))
+    full[: objective.p] = np.clip(
+        x[: objective.p] + scale * found.x, objective.low[: objective.p], objective.high[: objective.p]
+    )
+    return fit(problem, effects, objective.unpacked(full))

@@ -14,7 +14,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
+from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Noise, Whitener, replicate_groups, whitener
@@ -23,13 +23,14 @@ FRICTION_SCALE_N = 1e-3
 
 
 @dataclass(frozen=True)
-class Point:
-    """Values of all parameters: logarithms of friction (N) and torsional rigidity (N·m²), positions of the
-    effects' coordinates (k,), and each trial's own logarithm of its friction over the common one (T,)."""
+class ParameterVector:
+    """Values of all parameters: logarithms of friction (N) and torsional rigidity (N·m²), scaled values of
+    the effects' free parameters (k,), and each trial's random effect: log of its friction over the common one
+    (T,)."""
 
     log_friction: float
     log_rigidity: float
-    positions: Array
+    scaled_values: Array
     trial_friction: Array
 
 
@@ -86,26 +87,30 @@ class Problem:
         """Number of whitened values."""
         return sum(w.channel.size for w in self.whiteners)
 
-    def axes(self, names: Sequence[str]) -> tuple[Coordinate, ...]:
-        """Coordinates of the named effects."""
-        return coordinates(self.library, names, self.base.layout)
+    def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
+        """Free parameters of the named effects."""
+        return free_parameters(self.library, names, self.base.layout)
 
-    def model(self, axes: Sequence[Coordinate], point: Point, trial: int | None = None) -> NeedleModel:
-        """The model at `point`, with the friction of `trial` or the common one."""
-        effects = make_effects(self.library, axes, point.positions)
+    def model(
+        self, parameters: Sequence[FreeParameter], vector: ParameterVector, trial: int | None = None
+    ) -> NeedleModel:
+        """The model at `vector`, with the friction of a trial (its place) or the common one."""
+        effects = make_effects(self.library, parameters, vector.scaled_values)
         if trial is not None:
-            effects = (*effects, FrictionOfTrial(float(np.exp(point.trial_friction[trial]))))
+            effects = (*effects, FrictionOfTrial(float(np.exp(vector.trial_friction[trial]))))
         return dataclasses.replace(
             self.base,
-            torsional_rigidity_nm2=float(np.exp(point.log_rigidity)),
-            friction_n=float(np.exp(point.log_friction)),
+            torsional_rigidity_nm2=float(np.exp(vector.log_rigidity)),
+            friction_n=float(np.exp(vector.log_friction)),
             effects=effects,
         )
 
-    def lumps_friction(self, axes: Sequence[Coordinate]) -> bool:
+    def lumps_friction(self, parameters: Sequence[FreeParameter]) -> bool:
         """Whether some friction among these effects does not grow with that of the tissue."""
         try:
-            effects = make_effects(self.library, axes, np.array([np.clip(1.0, *a.bounds) for a in axes]))
+            effects = make_effects(
+                self.library, parameters, np.array([np.clip(1.0, *a.bounds) for a in parameters])
+            )
             model = dataclasses.replace(self.base, friction_n=FRICTION_SCALE_N, effects=effects)
             rods = [
                 m.rod(self.trials[0].trial)
@@ -125,10 +130,12 @@ class Problem:
         """Bin means (C, K) that each model gives in the trial at its place; see `Simulator.readings`."""
         return self.simulator.readings(models, [self.trials[t] for t in trials], most_solves)
 
-    def predict(self, axes: Sequence[Coordinate], point: Point, most_solves: float = math.inf) -> list[Array]:
-        """Bin means (C, K) of every trial at its own friction. Raises SolverError, BadInput."""
+    def predict(
+        self, parameters: Sequence[FreeParameter], vector: ParameterVector, most_solves: float = math.inf
+    ) -> list[Array]:
+        """Bin means (C, K; N·m and rad) of every trial at its random effect. Raises SolverError, BadInput."""
         every = range(len(self.trials))
-        return self.readings([self.model(axes, point, t) for t in every], every, most_solves)
+        return self.readings([self.model(parameters, vector, t) for t in every], every, most_solves)
 
     def residuals(self, readings: Sequence[Array], trials: Sequence[int]) -> list[Array]:
         """Whitened data minus model (n,) for each reading."""

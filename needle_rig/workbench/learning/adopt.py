@@ -20,7 +20,7 @@ are driven by bins here. The tests' hidden pair and reed2008 stay below it."""
 
 
 class Refused(NeedleRigError):
-    """The effect would not make the model better at what it has not seen."""
+    """The effect does not improve cross-validation."""
 
     exit_code = 1
 
@@ -48,7 +48,7 @@ def adopt(
     found = observed.explain(library, model, effect)
     if found is None:
         raise Refused(f"{effect} could not be fitted to {observed.name}: the model cannot be solved with it")
-    _refuse_what_foretells_nothing(found, force)
+    _refuse_without_improvement(found, force)
     return step(
         found, observed.name, saved, name=name or (model.name if model else observed.name), today=today
     )
@@ -71,7 +71,7 @@ def adopt_diagnosis(
     found, model = _chosen(kept, effects)
     if observed is not None:
         _verify(kept, found, observed)
-    _refuse_what_foretells_nothing(found, force)
+    _refuse_without_improvement(found, force)
     return step(found, kept.dataset, _before(model), name=name or model.model.name, today=today)
 
 
@@ -89,7 +89,7 @@ def undo(saved: SavedModel) -> SavedModel:
 
 
 def _before(model: SavedModel) -> SavedModel:
-    """What a step is added to: where the model started, and the steps before its last."""
+    """The model without its last step: what another step is added to."""
     return dataclasses.replace(model, history=model.history[:-1])
 
 
@@ -133,7 +133,7 @@ def _verify(kept: KeptDiagnosis, found: Explanation, observed: Observations) -> 
         )
 
 
-def _refuse_what_foretells_nothing(found: Explanation, force: bool) -> None:
+def _refuse_without_improvement(found: Explanation, force: bool) -> None:
     if found.improves or force:
         return
     errors = found.errors[IN_NOISE_UNITS]

@@ -14,11 +14,20 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
-from needle_rig.workbench.estimation.baseline import Prepared, prepare
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
+from needle_rig.workbench.observations.binning import direction_of
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
 
-WORST = 8
+WORST, WORST_OF_A_CHANNEL = 8, 2
+"""Places that are told, and those of one channel."""
 NOISE_LIMIT = 3.0
+"""Error in units of the noise above which a place is told."""
+FEWEST_DEPTHS = 3
+"""Sensors from which a trend along the needle is told."""
+GROWTH = 1.3
+"""Ratio of errors at the two ends of the needle from which they differ."""
+OTHER_WAY = 0.3
+"""Share of an error below which the other direction of motion does not have it."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +43,7 @@ class Place:
     error: float
     """Root mean square of measured minus model over the trials, in `unit`."""
     noise: float
-    """Standard deviation that noise and trial scatter give such a difference."""
+    """Standard deviation of the same from noise and the scatter of the trials, in `unit`."""
     unit: str
     trial: str
     """File of the trial in which it is worst."""
@@ -67,7 +76,7 @@ class Place:
 class TraceComparison:
     """The answer to `needle-rig compare` on traces."""
 
-    prepared: Prepared = field(repr=False)
+    baseline: Baseline = field(repr=False)
     every_place: tuple[Place, ...]
     """Every channel × motion × state × direction."""
     worst: tuple[Place, ...]
@@ -78,8 +87,8 @@ class TraceComparison:
 
     def headline(self) -> tuple[str, str]:
         """The dataset's name, and what is said of it."""
-        return self.prepared.dataset.name, (
-            f"against the model {self.prepared.problem.base.name}: error on commands left out"
+        return self.baseline.dataset.name, (
+            f"against the model {self.baseline.problem.base.name}: error on commands left out"
             f" {left_out_error(self.held_out_error)} × the noise, reduced χ² {self.reduced_chi2:.2f}"
         )
 
@@ -99,8 +108,8 @@ class TraceComparison:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of the dataset, and of how it was prepared."""
-        return *self.prepared.dataset.notes, *self.prepared.notes
+        """Notes of the dataset and of the baseline fit."""
+        return *self.baseline.dataset.notes, *self.baseline.notes
 
     def places(self) -> list[dict[str, Any]]:
         """Every channel × motion × state × direction."""
@@ -113,8 +122,8 @@ class TraceComparison:
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""
         return {
-            "dataset": self.prepared.dataset.name,
-            "model": self.prepared.problem.base.name,
+            "dataset": self.baseline.dataset.name,
+            "model": self.baseline.problem.base.name,
             "free_parameters": self.free_parameters,
             "held_out_error": _finite(self.held_out_error),
             "noise_floor": 1.0,
@@ -133,44 +142,44 @@ def compare(
     dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
 ) -> TraceComparison:
     """Fit the model to the dataset and look where it still fails. Raises BadInput, SolverError."""
-    return compared(prepare(dataset, model, library))
+    return compared(fit_baseline(dataset, model, library))
 
 
-def compared(prepared: Prepared) -> TraceComparison:
+def compared(baseline: Baseline) -> TraceComparison:
     """The comparison of a model that is fitted already."""
-    problem, found = prepared.problem, prepared.present
-    readings = problem.predict(found.axes, found.point)
-    names = ("torque", *prepared.dataset.sensor_names)
-    places = _places(prepared, readings, names)
+    problem, found = baseline.problem, baseline.current
+    readings = problem.predict(found.parameters, found.vector)
+    names = ("torque", *baseline.dataset.sensor_names)
+    places = _places(baseline, readings, names)
     worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)
     shown: list[Place] = []
     for place in worst:
-        if sum(p.channel == place.channel for p in shown) < 2:
+        if sum(p.channel == place.channel for p in shown) < WORST_OF_A_CHANNEL:
             shown.append(_in_words(place, places, names))
         if len(shown) == WORST:
             break
-    point = found.point
+    vector = found.vector
     free: dict[str, dict[str, Any]] = {
-        "friction_nmm_per_100mm": {"value": float(f"{np.exp(point.log_friction) * 100:.6g}")},
+        "friction_nmm_per_100mm": {"value": float(f"{np.exp(vector.log_friction) * 100:.6g}")},
         "torsional_rigidity_nmm2": {
-            "value": float(f"{np.exp(point.log_rigidity) * 1e6:.6g}"),
+            "value": float(f"{np.exp(vector.log_rigidity) * 1e6:.6g}"),
             "pull_sigma": round(found.pull_rigidity, 2),
         },
         "friction_scatter": {"value": float(f"{found.scatter:.3g}")},
     }
-    for axis, at in zip(found.axes, point.positions, strict=True):
-        free[f"{axis.effect}.{axis.name}"] = {
-            "value": float(f"{axis.value(float(at)):.6g}"),
-            "unit": axis.info.unit,
+    for parameter, at in zip(found.parameters, vector.scaled_values, strict=True):
+        free[f"{parameter.effect}.{parameter.name}"] = {
+            "value": float(f"{parameter.value(float(at)):.6g}"),
+            "unit": parameter.info.unit,
         }
     return TraceComparison(
-        prepared=prepared,
+        baseline=baseline,
         every_place=tuple(places),
         worst=tuple(shown),
-        channels=_channels(prepared, readings, names, places),
+        channels=_channels(baseline, readings, names, places),
         free_parameters=free,
-        reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.axes)),
-        held_out_error=prepared.held.error,
+        reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.parameters)),
+        held_out_error=baseline.validation.error,
     )
 
 
@@ -184,14 +193,14 @@ def motion_words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _places(prepared: Prepared, readings: list[Array], names: tuple[str, ...]) -> list[Place]:
-    problem = prepared.problem
+def _places(baseline: Baseline, readings: list[Array], names: tuple[str, ...]) -> list[Place]:
+    problem = baseline.problem
     noise = problem.noise
     groups: dict[tuple[int, str, str, str], list[tuple[float, float, float, float, str]]] = {}
     for binned, reading in zip(problem.trials, readings, strict=True):
         for m, motion in enumerate(binned.motions):
             move = binned.last_move_rad[binned.motion == m]
-            way = "" if not move.size or abs(move[0]) < 0.01 else "up" if move[0] > 0 else "down"
+            way = {0.0: "", 1.0: "up", -1.0: "down"}[float(direction_of(move[:1]).sum())]
             for state in ("moving", "settled"):
                 inside = (binned.motion == m) & (binned.moving == (state == "moving"))
                 if not inside.any():
@@ -261,11 +270,11 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
             for p in places
             if (p.channel, p.motion, p.state, p.direction) == (n, place.motion, place.state, place.direction)
         ]
-        if len(same) > 2:
+        if len(same) >= FEWEST_DEPTHS:
             first, last = same[0], same[-1]
-            if last > 1.3 * first:
+            if last > GROWTH * first:
                 more.append("grows with depth")
-            elif first > 1.3 * last:
+            elif first > GROWTH * last:
                 more.append("falls with depth")
             else:
                 more.append("alike at every depth")
@@ -284,16 +293,16 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
         for p in places
         if (p.channel, p.state) == (place.channel, place.state) and p.direction not in ("", place.direction)
     ]
-    if other and place.direction and max(p.error for p in other) < 0.3 * place.error:
+    if other and place.direction and max(p.error for p in other) < OTHER_WAY * place.error:
         more.append("in this direction alone")
     words = text + ("; " + "; ".join(more) if more else "")
     return dataclasses.replace(place, words=words)
 
 
 def _channels(
-    prepared: Prepared, readings: list[Array], names: tuple[str, ...], places: list[Place]
+    baseline: Baseline, readings: list[Array], names: tuple[str, ...], places: list[Place]
 ) -> dict[str, dict[str, Any]]:
-    problem = prepared.problem
+    problem = baseline.problem
     found: dict[str, dict[str, Any]] = {}
     for c, name in enumerate(names):
         factor, unit = scale_of(c)
@@ -313,7 +322,7 @@ def _channels(
                     "sigmas": round(p.sigmas, 2),
                 }
         whitened = np.concatenate(
-            [r[w.channel == c] for r, w in zip(prepared.present.residuals, problem.whiteners, strict=True)]
+            [r[w.channel == c] for r, w in zip(baseline.current.residuals, problem.whiteners, strict=True)]
         )
         found[name] = {
             "rmse": float(f"{factor * np.sqrt(squares / max(count, 1.0)):.4g}"),

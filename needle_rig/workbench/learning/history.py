@@ -1,4 +1,4 @@
-"""The ladder of a model: what each step added and what it bought, as rows."""
+"""The ladder of a model: what each step added, and the errors after it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 
 @dataclass(frozen=True)
 class Step:
-    """One rung."""
+    """One step of learning: what was added, on which data, and the errors after it."""
 
     label: str
     dataset: str

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from needle_rig.dataset import Dataset
 from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.physics.effect import Effect
-from needle_rig.workbench.estimation.baseline import Prepared, prepare
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.learning.adopt import Refused, adopt, adopt_diagnosis
 from needle_rig.workbench.learning.diagnosis_file import keep
 from needle_rig.workbench.learning.observations import Traces
@@ -57,7 +57,7 @@ def learn(
 def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Sequence[str]) -> SavedModel:
     """A model with the named effects, fitted to `dataset` one after the other, without looking for others."""
     if not effects:
-        return _saved(prepare(dataset, None, library))
+        return _saved(fit_baseline(dataset, None, library))
     saved = None
     for effect in effects:
         saved = adopt(Traces(dataset), effect, library, saved, force=True, name=dataset.name)
@@ -66,17 +66,17 @@ def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Se
 
 
 def fitted(found: Diagnosis) -> SavedModel:
-    """The present model of a diagnosis, fitted to its dataset, with its errors as history."""
-    return _saved(found.prepared)
+    """The current model of a diagnosis, fitted to its dataset, with its errors as history."""
+    return _saved(found.baseline)
 
 
-def _saved(prepared: Prepared) -> SavedModel:
-    present = prepared.present
+def _saved(baseline: Baseline) -> SavedModel:
+    current = baseline.current
     entry = HistoryEntry(
-        dataset=prepared.dataset.name,
+        dataset=baseline.dataset.name,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
-        errors=errors_by_channel(prepared, present, prepared.held),
+        errors=errors_by_channel(baseline, current, baseline.validation),
         note="fitted as it is",
     )
-    model = prepared.problem.model(present.axes, present.point)
-    return SavedModel(model, "null", uncertainties(present), (entry,))
+    model = baseline.problem.model(current.parameters, current.vector)
+    return SavedModel(model, "null", uncertainties(current), (entry,))

@@ -17,7 +17,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.baseline import as_compared, prepare
+from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
 from needle_rig.workbench.learning.compare import TraceComparison, compare
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import Work
@@ -29,7 +29,7 @@ from needle_rig.workbench.published.search import settled_problem, values_to_mee
 from needle_rig.workbench.published.search import try_effect as try_settled
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.evidence import foretells
+from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, explanation, training_errors
 from needle_rig.workbench.selection.search import try_effect
 
@@ -37,7 +37,7 @@ Library = Mapping[str, type[Effect]]
 
 
 class Comparison(Protocol):
-    """Where a model fails, as it is told."""
+    """Where a model fails, for people and programs."""
 
     @property
     def held_out_error(self) -> float:
@@ -54,7 +54,7 @@ class Comparison(Protocol):
         """Headings of the table, and its rows."""
 
     def sentences(self) -> list[str]:
-        """What stands below the table."""
+        """Sentences below the table of `rows`."""
 
     def places(self) -> list[dict[str, Any]]:
         """All that was compared: channel, motion, state, direction, model, measured, error, noise, unit."""
@@ -74,7 +74,7 @@ class Observations(Protocol):
         """As a person called it."""
 
     def sha256(self) -> str:
-        """Of everything that was measured and what the rig was told; the name is no part of it."""
+        """SHA-256 of everything that was measured and commanded, without the name."""
 
     def compare(self, library: Library, model: NeedleModel | None) -> Comparison:
         """Fit the model (default: the null model) and look where it fails. Raises BadInput, SolverError."""
@@ -113,7 +113,7 @@ class Traces:
         return self.data.name
 
     def sha256(self) -> str:
-        """Of layout, needle, commands and readings."""
+        """SHA-256 of layout, needle, commands and readings."""
         data = self.data
         stated = [asdict(data.layout), asdict(data.needle), data.sensor_names]
         told = [[t.trial.start_s, asdict(t.command)] for t in data.trials]
@@ -144,16 +144,19 @@ class Traces:
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
-        prepared = prepare(self.data, model, library)
-        tried = try_effect(prepared.problem, prepared.present, effect)
-        if tried.fit is None or tried.held is None:
+        baseline = fit_baseline(self.data, model, library)
+        tried = try_effect(baseline.problem, baseline.current, effect)
+        if tried.fit is None or tried.validation is None:
             return None
-        improves = foretells(prepared.present, prepared.held, tried.fit, tried.held)
-        compared = as_compared(prepared, prepared.problem, tried.fit, tried.held)
-        return explanation(prepared, *compared, improves=improves)
+        improves = improves_cross_validation(
+            baseline.current, baseline.validation, tried.fit, tried.validation
+        )
+        compared = as_baseline(baseline, baseline.problem, tried.fit, tried.validation)
+        return explanation(baseline, *compared, improves=improves)
 
     def errors(self, found: Explanation) -> dict[str, float]:
-        """Of bin means, each trial at its own friction, from one simulation of every trial.
+        """Root mean square error of bin means by channel, from one simulation of each trial at its random
+        effect.
 
         Raises BadInput where the trials are others than those of the fit, SolverError.
         """
@@ -172,7 +175,7 @@ class SettledValues:
         return self.data.name
 
     def sha256(self) -> str:
-        """Of layout, needle, sequences and values; where they stand in their file is no part of it."""
+        """SHA-256 of layout, needle, sequences and values, without their places in the file."""
         data = self.data
         stated = [asdict(data.layout), asdict(data.needle), data.sensor_names, data.zeroed_at_rest]
         sequences = [{k: v for k, v in asdict(s).items() if k != "place"} for s in data.sequences]
@@ -203,7 +206,8 @@ class SettledValues:
         return None if found is None else settled_explanation(problem, root, found)
 
     def errors(self, found: Explanation) -> dict[str, float]:
-        """Of the weighed values, from one run of each sequence. Raises BadInput, SolverError."""
+        """Root mean square error of the weighed values by quantity, from one run of each sequence. Raises
+        BadInput, SolverError."""
         problem = values_to_meet(self.data, {}, found.model)
         model = dataclasses.replace(
             found.model, layout=problem.base.layout, element_length_m=problem.base.element_length_m

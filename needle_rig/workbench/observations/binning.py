@@ -1,4 +1,5 @@
-"""Trials cut into motions and bins, so that a thousand correlated samples become the facts they are worth.
+"""Trials cut into motions and bins, so that a thousand correlated samples become the few means that they are
+worth.
 
 A motion is a stretch with one phase name: the base moves, then holds. While it moves, bins are equally wide;
 while it holds they widen with the time since it stopped. The model is driven on a grid of block centres, and
@@ -21,8 +22,25 @@ from needle_rig.units import rad
 from needle_rig.workbench.policy import POLICY
 
 MOVING_BINS = 14
+"""Bins of a motion while the base moves."""
 MOVING_BLOCKS = 42
+"""Points of the base's path in it that drive the model: three a bin."""
 HOLD_EDGES_S = (0.0, 0.12, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 600.0)
+"""Edges of bins after a stop: relaxation is even on the logarithm of time."""
+HOLD_SAMPLES = 3
+"""Samples that a bin of a hold has at least."""
+END_SHARE, END_SAMPLES = 4, 50
+"""A motion's goal is the median of its last quarter, or of this many samples if they are fewer."""
+NEIGHBOURS = 5
+"""Window of the median that outliers are told by."""
+MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+ALLOWANCE = 1.3
+"""Factor on the limit of outliers, as the spread is that of one channel of one trial. Chosen."""
+SAME_TIME_S = 1e-9
+"""Points of the grid closer than this are one."""
+MOST_MISSING = 0.5
+"""Share of a bin's samples that must be there for it to have a mean."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +86,15 @@ def motions_of(base_rad: Array, phase: npt.NDArray[np.str_]) -> list[tuple[int, 
     found = []
     for first, end in zip(np.r_[0, change], np.r_[change, phase.size], strict=True):
         path = base_rad[first:end]
-        goal = np.median(path[-max(1, min(path.size // 4, 50)) :])
+        goal = np.median(path[-max(1, min(path.size // END_SHARE, END_SAMPLES)) :])
         away = np.flatnonzero(np.abs(path - goal) > rad(POLICY.noise.still_deg))
         found.append((int(first), int(first + (away[-1] + 1 if away.size else 0)), int(end)))
     return found
+
+
+def direction_of(move_rad: Array) -> Array:
+    """Sign of motions by this much, 0 for one that is too small to have a direction."""
+    return np.asarray(np.sign(move_rad) * (np.abs(move_rad) > POLICY.noise.smallest_motion_rad))
 
 
 def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
@@ -82,17 +105,19 @@ def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[
     """
     valid = np.isfinite(values)
     outlier = np.zeros(values.size, bool)
-    if valid.sum() < 7:
+    if valid.sum() < NEIGHBOURS + 2:
         return np.where(valid, values, 0.0), valid, outlier
     where = np.arange(values.size)
     filled = values if valid.all() else np.interp(where, where[valid], values[valid])
-    # five neighbours, the ends mirrored; scipy.ndimage would take longer to import than this to run
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(filled, 2, mode="reflect"), 5)
-    middle = np.partition(near, 2, axis=1)[:, 2]
+    # the ends mirrored; scipy.ndimage would take longer to import than this to run
+    near = np.lib.stride_tricks.sliding_window_view(
+        np.pad(filled, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS
+    )
+    middle = np.partition(near, NEIGHBOURS // 2, axis=1)[:, NEIGHBOURS // 2]
     away = np.abs(filled - middle)
-    spread = 1.4826 * np.median(away[away > 0]) if np.any(away > 0) else 0.0
+    spread = MEDIAN_TO_SIGMA * np.median(away[away > 0]) if np.any(away > 0) else 0.0
     if spread > 0:
-        outlier = valid & (away > POLICY.noise.outlier_sigmas * 1.3 * spread)
+        outlier = valid & (away > POLICY.noise.outlier_sigmas * ALLOWANCE * spread)
         filled = np.where(outlier, middle, filled)
     return filled, valid & ~outlier, outlier
 
@@ -120,7 +145,7 @@ def _blocks(time_s: Array, parts: list[tuple[int, int, int]]) -> tuple[list[int]
             widths = np.diff(cut)
             keep = [int(cut[0])]
             for edge, width in zip(cut[1:-1], widths[1:], strict=True):
-                if width >= 3 and edge - keep[-1] >= 3:
+                if width >= HOLD_SAMPLES and edge - keep[-1] >= HOLD_SAMPLES:
                     keep.append(int(edge))
             for a, b in zip(keep, [*keep[1:], int(end)], strict=True):
                 middle = (a + b) // 2
@@ -142,7 +167,7 @@ def sample_weights(given: DatasetTrial) -> csr_array:
 
 
 def driven_by_samples(binned: BinnedTrial, given: DatasetTrial) -> BinnedTrial:
-    """The same facts of a trial, with the model on the grid of its samples."""
+    """The same bins of a trial, with the model driven by every sample."""
     return dataclasses.replace(binned, trial=given.trial, average=sample_weights(given))
 
 
@@ -172,7 +197,7 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
         have = np.add.reduceat(valid.astype(float), first)
         count.append(bin_sum(have))
         average = bin_sum(block_mean(filled) * size) / samples
-        mean.append(np.where(count[-1] >= 0.5 * samples, average, np.nan))
+        mean.append(np.where(count[-1] >= MOST_MISSING * samples, average, np.nan))
         outliers.append(int(outlier.sum()))
         missing.append(int((~np.isfinite(values)).sum()))
 
@@ -180,7 +205,7 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
     grid_time = np.r_[block_time, time_s[guards]]
     grid_base = np.r_[block_base, base_rad[guards]]
     order = np.argsort(grid_time, kind="stable")
-    distinct = np.r_[True, np.diff(grid_time[order]) > 1e-9]
+    distinct = np.r_[True, np.diff(grid_time[order]) > SAME_TIME_S]
     place = np.empty(order.size, int)
     place[order] = np.cumsum(distinct) - 1
     grid_time, grid_base = grid_time[order][distinct], grid_base[order][distinct]

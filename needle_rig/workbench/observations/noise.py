@@ -25,6 +25,18 @@ from needle_rig.workbench.policy import POLICY
 Places = npt.NDArray[np.int64]
 
 CORRELATION_TIMES_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+SETTLED_FROM = 0.4
+"""Share of a hold after which it counts as settled."""
+WINDOW_SAMPLES, SHORTEST_WINDOW_SAMPLES = 160, 16
+"""Of a settled stretch whose autocovariance is taken."""
+MOST_LAGS = 25
+"""Lags of the autocovariance."""
+VALID_SHARE = 0.9
+"""Of a window's samples: gaps filled in from neighbours would pass for correlation."""
+FEWEST_RESTS = 4
+"""Rests from which a trend and a scatter about it can be told; with fewer offsets are the floor."""
+REST_DEG = 1.0
+"""Motion before a rest that leaves it one."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +71,13 @@ def _windows(trials: Sequence[DatasetTrial]) -> tuple[list[list[Array]], float]:
         if not found:
             found = [[] for _ in values]
         for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
-            begin = stop + int(0.4 * (end - stop))
-            for at in range(begin, end - 15, 160):
-                until = min(end, at + 160)
-                if until - at < 16:
+            begin = stop + int(SETTLED_FROM * (end - stop))
+            for at in range(begin, end - SHORTEST_WINDOW_SAMPLES + 1, WINDOW_SAMPLES):
+                until = min(end, at + WINDOW_SAMPLES)
+                if until - at < SHORTEST_WINDOW_SAMPLES:
                     continue
                 for c, (filled, valid, _) in enumerate(values):
-                    if valid[at:until].mean() > 0.9:
+                    if valid[at:until].mean() > VALID_SHARE:
                         found[c].append(filled[at:until])
     return found, float(np.median(spacing))
 
@@ -82,7 +94,7 @@ def _split(pieces: list[Array], spacing_s: float) -> tuple[float, float, float]:
     basis, _ = np.linalg.qr(np.column_stack([np.ones(n), t]))
     out = np.eye(n) - basis @ basis.T
     cut = np.array([p[i : i + n] for p in pieces for i in range(0, p.size - n + 1, n)]) @ out
-    lags = min(25, n // 2)
+    lags = min(MOST_LAGS, n // 2)
     seen = np.array([(cut[:, : n - k] * cut[:, k:]).sum() / (cut.shape[0] * (n - k)) for k in range(lags)])
 
     def expected(covariance: Array) -> Array:
@@ -147,7 +159,7 @@ def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> 
     """Scatter of the readings at rest before the first motion, a trend over the series taken out."""
     rests, variances, starts = [], [], []
     for b in binned:
-        rest = (b.motion == 0) & ~b.moving & (np.abs(b.last_move_rad) < rad(1.0))
+        rest = (b.motion == 0) & ~b.moving & (np.abs(b.last_move_rad) < rad(REST_DEG))
         if rest.any() and np.all(np.isfinite(b.mean[:, rest])):
             weight = b.count[:, rest]
             total = weight.sum(1)
@@ -156,8 +168,9 @@ def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> 
             slow = parts[:, 1] ** 2 / np.maximum(1.0, span / (2 * parts[:, 2]))
             variances.append(parts[:, 0] ** 2 / total + slow)
             starts.append(b.trial.start_s)
-    if len(rests) < 4:
-        return 0.7 * floor
+    least = POLICY.noise.offset_floor_share * floor
+    if len(rests) < FEWEST_RESTS:
+        return least
     t = np.asarray(starts)
     t = (t - t.mean()) / (np.ptp(t) or 1.0)
     columns = np.column_stack([np.ones(t.size), t]) if np.ptp(t) > 0 else np.ones((t.size, 1))
@@ -166,7 +179,7 @@ def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> 
     dof = t.size - columns.shape[1]
     excess = (left**2).sum(0) / dof - np.mean(variances, 0)
     significant = excess > POLICY.noise.offset_sigmas * np.mean(variances, 0) * np.sqrt(2.0 / dof)
-    return np.maximum(0.7 * floor, np.where(significant, np.sqrt(np.maximum(excess, 0)), 0.0))
+    return np.maximum(least, np.where(significant, np.sqrt(np.maximum(excess, 0)), 0.0))
 
 
 def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places, Array]:
@@ -245,24 +258,24 @@ def with_replicate_scatter(
 ) -> Noise:
     """Noise with the scatter from motion to motion that replicates show beyond friction and offset.
 
-    `residuals` are data minus model in bin means (C, K), a trial each, at each trial's own friction. Their
+    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. Their
     differences between replicates hold no model error that the replicates share.
     """
     channel_count = residuals[0].shape[0]
     total, dof = np.zeros(channel_count), np.zeros(channel_count)
     for group in groups:
-        if len(group) < 2:
+        if len(group) <= 1:
             continue
         names = min((binned[i].motions for i in group), key=len)
         for m in range(1, len(names)):
             means, variances = [], []
             for i in group:
                 b = binned[i]
-                held = (b.motion == m) & ~b.moving
-                weight = np.where(np.isfinite(b.mean), b.count, 0.0) * held
+                settled = (b.motion == m) & ~b.moving
+                weight = np.where(np.isfinite(b.mean), b.count, 0.0) * settled
                 total_weight = np.maximum(weight.sum(1), 1e-9)
                 means.append((np.nan_to_num(residuals[i]) * weight).sum(1) / total_weight)
-                span = b.duration_s[held].sum()
+                span = b.duration_s[settled].sum()
                 slow = noise.correlated**2 / np.maximum(1.0, span / (2 * noise.correlation_s))
                 variances.append(noise.white**2 / total_weight + slow + noise.offset**2)
             spread = np.var(np.asarray(means), axis=0, ddof=1)

@@ -55,7 +55,7 @@ def _trial(run: RunFile, start_s: float) -> DatasetTrial:
         notes.append(f"{shown}: the run was cut off; what was recorded is used")
     ticks = run.table("ticks")
     active = np.flatnonzero(np.isin(ticks["phase"], _ACTIVE)) if len(ticks) else np.empty(0, dtype=int)
-    if len(active) < 2:
+    if len(active) <= 1:
         raise BadInput(f"{shown}: holds no sequence, so there is nothing to compare a model with")
     ticks = ticks[active[0] : active[-1] + 1]
     rows = np.arange(active[0], active[-1] + 1) + 1

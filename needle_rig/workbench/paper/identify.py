@@ -32,6 +32,10 @@ RATES_RAD_S = (0.04, 0.08, 0.12)
 WIRE_LENGTH_M = 0.410
 AVERAGED_S = 5.0
 LONGEST_S = 300.0
+LATE_S = 20.0
+"""After a turn: the faster time constants have gone."""
+WITHIN_PERCENT = 2.0
+"""What torsional rigidity is known to unless a file says otherwise."""
 DAMPING = "viscous_slip"
 CLAMP = "tip_friction=1"
 """1 N·mm at the tip holds it against the 0.24 N·mm of the 90° turn."""
@@ -59,7 +63,7 @@ class Identified:
         """What `--json` prints."""
         return dataclasses.asdict(self) | {
             "error_percent": self.error_percent,
-            "within": abs(self.error_percent) <= 2.0,
+            "within": abs(self.error_percent) <= WITHIN_PERCENT,
         }
 
 
@@ -158,7 +162,7 @@ def settling_time_s(model: NeedleModel, damping_nmms_per_rad_per_100mm: float) -
     time_s = np.arange(0.0, 60.0, 0.05)
     base = np.minimum(time_s / 1.0, 1.0) * math.radians(45.0)
     torque = damped.predict(Trial(time_s, base)).torque_nm
-    late = (time_s > 20.0) & (torque > 0.0)
+    late = (time_s > LATE_S) & (torque > 0.0)
     return float(-1.0 / np.polyfit(time_s[late], np.log(torque[late]), 1)[0])
 
 

@@ -31,6 +31,8 @@ EXPECTED_RANGE_OF_FOUR = 2.059
 """Expected range of four normal values over their standard deviation (Tippett 1925)."""
 TARGET_DEG = 45.0
 SPEED_DEG_S, SETTLE_S = 45.0, 3.0
+NO_TORQUE_NM = 1e-9
+"""A millionth of the windup torque: its sign is rounding."""
 TURNED_RAD = 1e-7
 """A node that moves less has stuck: the solver softens the grip of rigid tissue by a tenth of it."""
 Needles = tuple[SettledNeedle, ...]
@@ -187,7 +189,7 @@ def _figure_3(runs: Reproduction) -> tuple[Row, ...]:
         Row(
             "figure 3, base turned to the tip's angle: sign of the base torque (before: 1)",
             -1.0,
-            math.copysign(1.0, at_tip.torque_nm) if abs(at_tip.torque_nm) > 1e-9 else 0.0,
+            math.copysign(1.0, at_tip.torque_nm) if abs(at_tip.torque_nm) > NO_TORQUE_NM else 0.0,
             "",
             name,
             0.0,

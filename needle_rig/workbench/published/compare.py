@@ -144,7 +144,7 @@ def compare_settled(
     Raises BadInput, with file and line, for a sequence that cannot be run.
     """
     problem, found = settled_problem(data, library, model)
-    fitted = problem.model(found.axes, found.x)
+    fitted = problem.model(found.parameters, found.x)
     runs = problem.run(fitted)
     rows = tuple(Compared(v, problem.reading(runs, v.of), data.words(v.of)) for v in data.values)
     free: dict[str, Any] = {

@@ -28,14 +28,14 @@ class Watch:
     number: int
     given: tuple[float, ...]
     turned: tuple[float, ...]
-    """By how much each lets it change in that motion."""
+    """Change of that reading in the motion, by each of the models."""
     sigmas: float
     """The first model's smallest distance to another, over the standard error."""
 
 
 def drive(problem: SettledProblem, found: SettledFit, paths: Sequence[History]) -> tuple[History, ...]:
     """Every sequence on a fitted model, with the base angles of `paths`. Raises SolverError."""
-    model = problem.model(found.axes, found.x)
+    model = problem.model(found.parameters, found.x)
     random = np.random.default_rng(0)
     runs = []
     for path, (_, task) in zip(paths, problem.loops, strict=True):
@@ -48,7 +48,7 @@ def drive(problem: SettledProblem, found: SettledFit, paths: Sequence[History]) 
 
 def watches(problem: SettledProblem, fits: Sequence[SettledFit]) -> list[Watch]:
     """Readings of sensors with a stated standard error that are not among the data, most telling first."""
-    paths = problem.run(problem.model(fits[0].axes, fits[0].x))
+    paths = problem.run(problem.model(fits[0].parameters, fits[0].x))
     runs = [drive(problem, f, paths) for f in fits]
     known = {v.of for v in problem.data.values}
     found = []

@@ -19,7 +19,6 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.published.design import next_experiment
 from needle_rig.workbench.published.explanation import explanation, scatter_by_quantity
 from needle_rig.workbench.published.fit import (
-    SIGMAS_95,
     SettledFit,
     SettledProblem,
     held_out_error,
@@ -27,22 +26,22 @@ from needle_rig.workbench.published.fit import (
 )
 from needle_rig.workbench.published.search import (
     Candidate,
+    effect_parameters,
     fits_of,
-    own_parameters,
     settled_problem,
     tied_effects,
     try_effect,
 )
-from needle_rig.workbench.selection.answer import Answer, Decision, Ranked, Say, Value
+from needle_rig.workbench.selection.answer import SIGMAS_95, Answer, Decision, Ranked, Say, Value
 from needle_rig.workbench.selection.decisions import decision_at
 from needle_rig.workbench.selection.explanation import Explanation
-from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern
+from needle_rig.workbench.selection.residual_patterns import Pattern, ResidualPatterns
 from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 UNUSUAL = 1.0
 """Pull (σ) from which a parameter is said to lie near the edge of what is plausible."""
 MISSED = 2.0
-"""Values further than this from the model, in standard errors, are told as left over."""
+"""Values further than this from the model, in standard errors, are named as residual patterns."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +52,9 @@ class SettledAnswer(Answer):
 
     problem: SettledProblem = field(repr=False)
     root: SettledFit = field(repr=False)
-    """The current model's."""
+    """The fit of the current model."""
     tied: tuple[SettledFit, ...] = field(repr=False)
-    """Of what can be the answer, most plausible first."""
+    """The fits of effects that tie, most plausible first."""
 
     @property
     def noise(self) -> dict[str, float]:
@@ -74,11 +73,11 @@ def diagnose_settled(
     *,
     say: Say = lambda _: None,
 ) -> SettledAnswer:
-    """Hold the present model against settled values and look for the one effect that is missing.
+    """Hold the current model against settled values and look for the one effect that is missing.
 
     Raises BadInput, with file and line, for a sequence that cannot be run.
     """
-    say("fitting the present model")
+    say("fitting the current model")
     problem, root = settled_problem(data, library, model)
     say("trying every effect")
     names = tuple(sorted(set(library) - set(root.effects)))
@@ -98,7 +97,7 @@ def diagnose_settled(
         effects=(tied[0].effect,) if tied else (),
         ranking=tuple(_ranking(problem, root, tried, tied)),
         decisions={c.effect: _decision(problem, c, tied, missing) for c in tried},
-        left_over=Leftover(tuple(patterns), best.chi2),
+        residual_patterns=ResidualPatterns(tuple(patterns), best.chi2),
         explained=verdict != "unknown",
         reasons=why,
         lack_before=None,
@@ -154,10 +153,14 @@ def _ranking(
 
 def _values(found: SettledFit, effect: str) -> tuple[Value, ...]:
     values = []
-    for (axis, at, error), own in zip(*own_parameters(found, effect), strict=True):
-        ends = [axis.value(float(np.clip(at + s * SIGMAS_95 * error, *axis.bounds))) for s in (-1, 1)]
-        plausible = bool(abs(own) <= SIGMAS_95)
-        values.append(Value(axis.name, axis.value(at), min(ends), max(ends), axis.info.unit, plausible))
+    for (parameter, at, error), its_pull in zip(*effect_parameters(found, effect), strict=True):
+        ends = [
+            parameter.value(float(np.clip(at + s * SIGMAS_95 * error, *parameter.bounds))) for s in (-1, 1)
+        ]
+        plausible = bool(abs(its_pull) <= SIGMAS_95)
+        values.append(
+            Value(parameter.name, parameter.value(at), min(ends), max(ends), parameter.info.unit, plausible)
+        )
     return tuple(values)
 
 
@@ -195,30 +198,30 @@ def _against(
 
 def _size(found: SettledFit, effect: str) -> tuple[str, str, float]:
     """An effect's least plausible parameter, its plausible range, and how far it lies to its edge (σ)."""
-    own, pulls = own_parameters(found, effect)
+    sizes, pulls = effect_parameters(found, effect)
     worst = int(np.argmax(np.abs(pulls)))
-    axis, at, _ = own[worst]
-    unit = "" if axis.info.unit == "1" else f" {axis.info.unit}"
-    low, high = axis.info.literature
+    parameter, at, _ = sizes[worst]
+    unit = "" if parameter.info.unit == "1" else f" {parameter.info.unit}"
+    low, high = parameter.info.literature
     pull = abs(float(pulls[worst]))
-    return f"{axis.name} = {axis.value(at):.3g}{unit}", f"({low:g} to {high:g}; {pull:.1f}σ)", pull
+    return f"{parameter.name} = {parameter.value(at):.3g}{unit}", f"({low:g} to {high:g}; {pull:.1f}σ)", pull
 
 
 def _decision(
     problem: SettledProblem, candidate: Candidate, tied: list[Candidate], missing: bool
 ) -> Decision:
     """Present when nothing ties with it, absent only in a model that needs nothing; otherwise not known."""
-    axes = [a for a in problem.axes((candidate.effect,)) if not a.info.shapes]
+    parameters = [a for a in problem.parameters((candidate.effect,)) if not a.info.shapes]
     if candidate.fit is None:
-        unlimited = decision_at(candidate.effect, axes[0], np.inf, "cannot_tell", 0.0)
+        unlimited = decision_at(candidate.effect, parameters[0], np.inf, "cannot_tell", 0.0)
         return dataclasses.replace(unlimited, limit=None)
-    sizes = [s for s in own_parameters(candidate.fit, candidate.effect)[0] if not s[0].info.shapes]
-    axis, at, error = max(
+    sizes = [s for s in effect_parameters(candidate.fit, candidate.effect)[0] if not s[0].info.shapes]
+    parameter, at, error = max(
         sizes, key=lambda s: (abs(s[1]) + POLICY.evidence.limit_sigmas * s[2]) / max(s[0].smallest, 1e-9)
     )
     below = all(abs(x) + POLICY.evidence.limit_sigmas * e < a.smallest for a, x, e in sizes)
     word = "present" if tied == [candidate] else "absent" if below and not missing else "cannot_tell"
-    return decision_at(candidate.effect, axis, abs(at) + POLICY.evidence.limit_sigmas * error, word, at)
+    return decision_at(candidate.effect, parameter, abs(at) + POLICY.evidence.limit_sigmas * error, word, at)
 
 
 def _left(problem: SettledProblem, found: SettledFit) -> list[Pattern]:
@@ -242,7 +245,7 @@ def _notes(
     if len(tied) > 1:
         alike = ", ".join(c.effect for c in tied)
         notes.append(f"{alike} meet the values alike; they stand in the order of how plausible they are.")
-    runs = problem.run(problem.model(best.axes, best.x))
+    runs = problem.run(problem.model(best.parameters, best.x))
     last = f"with {best.effects[-1]} the model" if best.effects else "the model"
     for value in data.values:
         if value.standard_error is None:

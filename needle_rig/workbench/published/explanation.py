@@ -16,7 +16,7 @@ from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS, Explanati
 def explanation(problem: SettledProblem, root: SettledFit, found: SettledFit) -> Explanation:
     """A fit with everything that it adds to the current model's, `root`. Raises SolverError, BadInput."""
     held_before, held_after = held_out_error(problem, root), held_out_error(problem, found)
-    model = problem.model(found.axes, found.x)
+    model = problem.model(found.parameters, found.x)
     before, after = by_quantity(problem, root.predicted), by_quantity(problem, found.predicted)
     errors = {
         name: ChannelErrors(training_before=before[name], training_after=after[name], floor=floor)
@@ -34,8 +34,8 @@ def explanation(problem: SettledProblem, root: SettledFit, found: SettledFit) ->
     return Explanation(
         added=tuple(e for e in found.effects if e not in root.effects),
         model=dataclasses.replace(model, element_length_m=NeedleModel.element_length_m),
-        uncertainties=spread_of_values(found.axes, x, found.covariance),
-        values_before=problem.model(root.axes, root.x).values(),
+        uncertainties=spread_of_values(found.parameters, x, found.covariance),
+        values_before=problem.model(root.parameters, root.x).values(),
         errors=errors,
         improves=bool(held_after < held_before),
     )
@@ -44,13 +44,14 @@ def explanation(problem: SettledProblem, root: SettledFit, found: SettledFit) ->
 def by_quantity(problem: SettledProblem, predicted: Array) -> dict[str, float]:
     """Root mean square error of `predicted` (n,) by quantity, in the unit that its name ends in."""
     left = problem.measured - predicted
-    return {name: float(np.sqrt(np.mean(left[own] ** 2))) for name, own in _quantities(problem).items()}
+    return {name: float(np.sqrt(np.mean(left[places] ** 2))) for name, places in _quantities(problem).items()}
 
 
 def scatter_by_quantity(problem: SettledProblem) -> dict[str, float]:
     """Root mean square standard error by quantity, in the unit that its name ends in."""
     return {
-        name: float(np.sqrt(np.mean(problem.errors[own] ** 2))) for name, own in _quantities(problem).items()
+        name: float(np.sqrt(np.mean(problem.errors[places] ** 2)))
+        for name, places in _quantities(problem).items()
     }
 
 

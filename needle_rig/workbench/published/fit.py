@@ -24,34 +24,36 @@ from needle_rig.numerics import Array, forward_jacobian
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.estimation.parameters import Coordinate, coordinates, make_effects
+from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
+from needle_rig.workbench.selection.answer import SIGMAS_95
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import Recorded, run_settled
 
 STEP = 0.01
-"""Of a derivative: 1 % of friction, rigidity or an effect's typical size; dry friction makes less jagged."""
+"""Step of finite differences: 1 % of friction, rigidity or a typical size; with less, dry friction is
+jagged."""
 FRICTIONS_N = (2e-4, 4e-4, 7e-4, 1e-3, 1.6e-3, 3e-3)
 STRENGTHS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
 FURTHER = 3
 """How many of the starts are followed to their minimum."""
 MOST_EVALUATIONS = 40
 FAR = 1e3
-SIGMAS_95 = 1.96
+"""Residual where the model cannot be solved."""
 
 
-def pull(axis: Coordinate, position: float) -> float:
-    """How far a position lies towards the edge of the plausible range, in σ; the edge itself is 1.96."""
-    if axis.info.shapes:
-        return position / axis.width
-    edges = [axis.position(v) for v in axis.info.literature]
-    same = [e for e in edges if e * position > 0]
+def pull(parameter: FreeParameter, scaled_value: float) -> float:
+    """How far a scaled value lies towards the edge of the plausible range, in σ; the edge itself is 1.96."""
+    if parameter.info.shapes:
+        return scaled_value / parameter.prior_sd
+    edges = [parameter.scaled_value(v) for v in parameter.info.literature]
+    same = [e for e in edges if e * scaled_value > 0]
     edge = max(map(abs, same)) if same else STEP * max(map(abs, edges))
-    return SIGMAS_95 * position / edge
+    return SIGMAS_95 * scaled_value / edge
 
 
 @dataclass(frozen=True)
 class SettledProblem:
-    """Values to meet and what predicts them."""
+    """Settled values, the model that predicts them, and the sequences that it runs."""
 
     data: SettledData
     base: NeedleModel
@@ -82,25 +84,26 @@ class SettledProblem:
 
     @cached_property
     def measured(self) -> Array:
-        """(n,)."""
+        """The weighed values (n,), each in its unit."""
         return np.array([v.value for v in self.values])
 
     @cached_property
     def errors(self) -> Array:
-        """Standard errors (n,)."""
+        """Their standard errors (n,)."""
         return np.array([v.standard_error or np.inf for v in self.values])
 
-    def axes(self, names: Sequence[str]) -> tuple[Coordinate, ...]:
-        """Coordinates of the named effects."""
-        return coordinates(self.library, names, self.base.layout)
+    def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
+        """Free parameters of the named effects."""
+        return free_parameters(self.library, names, self.base.layout)
 
-    def model(self, axes: Sequence[Coordinate], x: Array) -> NeedleModel:
-        """The model at x: logarithms of friction (N) and of rigidity over the stated one, then positions."""
+    def model(self, parameters: Sequence[FreeParameter], x: Array) -> NeedleModel:
+        """The model at x: logarithms of friction (N) and of rigidity over the stated one, then scaled
+        values."""
         return dataclasses.replace(
             self.base,
             friction_n=float(np.exp(x[0])),
             torsional_rigidity_nm2=self.data.needle.torsional_rigidity_nm2 * float(np.exp(x[1])),
-            effects=make_effects(self.library, axes, x[2:]),
+            effects=make_effects(self.library, parameters, x[2:]),
         )
 
     def run(self, model: NeedleModel) -> tuple[History, ...]:
@@ -112,7 +115,7 @@ class SettledProblem:
         )
 
     def predict(self, model: NeedleModel) -> Array:
-        """What the weighed values would be, (n,)."""
+        """The model's prediction of the weighed values (n,). Raises SolverError, BadInput."""
         runs = self.run(model)
         return np.array([self.reading(runs, v.of) for v in self.values])
 
@@ -142,42 +145,42 @@ class SettledFit:
     """A minimum. n values, p = 2 + k parameters."""
 
     effects: tuple[str, ...]
-    axes: tuple[Coordinate, ...]
+    parameters: tuple[FreeParameter, ...]
     x: Array
     predicted: Array
     chi2: float
-    """Of the values alone."""
+    """Sum of squared residuals of the values, in units of their standard errors."""
     objective: float
-    """With the pulls of rigidity and of what is plausible."""
+    """χ² and the squared pulls of rigidity and parameters: −2 log posterior up to a constant."""
     covariance: Array
     freedom: float
-    """Values less what the parameters can make of them (effective number of parameters, MacKay 1992)."""
+    """Degrees of freedom: values less the effective number of parameters (MacKay 1992)."""
     pulls: Array
-    """Of each position towards the edge of its plausible range, in σ (k,)."""
+    """Pull of each scaled value towards the edge of its plausible range, in σ (k,)."""
 
     @property
     def p_value(self) -> float:
-        """Probability that scatter alone leaves a χ² like this; 0 when nothing is left to test."""
+        """p value of χ² on `freedom` degrees of freedom; 0 when none is left."""
         return float(chdtrc(self.freedom, self.chi2)) if self.freedom > 0 else 0.0
 
     @property
     def error(self) -> Array:
-        """Standard deviation of each position (k,)."""
+        """Standard deviation of each scaled value (k,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
 
-class _Rows:
+class _Residuals:
     def __init__(self, problem: SettledProblem, names: Sequence[str]) -> None:
-        self.problem, self.axes = problem, problem.axes(names)
-        self.low = np.r_[math.log(1e-5), -1.5, [a.bounds[0] for a in self.axes]]
-        self.high = np.r_[math.log(0.045), 1.5, [a.bounds[1] for a in self.axes]]
+        self.problem, self.parameters = problem, problem.parameters(names)
+        self.low = np.r_[math.log(1e-5), -1.5, [a.bounds[0] for a in self.parameters]]
+        self.high = np.r_[math.log(0.045), 1.5, [a.bounds[1] for a in self.parameters]]
         self._at: dict[bytes, Array] = {}
 
     def predicted(self, x: Array) -> Array:
         key = x.tobytes()
         if key not in self._at:
             try:
-                self._at[key] = self.problem.predict(self.problem.model(self.axes, x))
+                self._at[key] = self.problem.predict(self.problem.model(self.parameters, x))
             except SolverError:
                 self._at[key] = np.full(len(self.problem.values), np.nan)
         return self._at[key]
@@ -185,7 +188,7 @@ class _Rows:
     def __call__(self, x: Array) -> Array:
         data = (self.predicted(x) - self.problem.measured) / self.problem.errors
         sigma = max(self.problem.data.needle.rigidity_sigma, 1e-4)
-        pulls = [pull(a, float(p)) for a, p in zip(self.axes, x[2:], strict=True)]
+        pulls = [pull(a, float(p)) for a, p in zip(self.parameters, x[2:], strict=True)]
         return np.concatenate([np.nan_to_num(data, nan=FAR), [x[1] / sigma], pulls])
 
     def jacobian(self, x: Array) -> Array:
@@ -204,34 +207,34 @@ def fit_settled(
     `within` is the fit of the model that the last of the effects is added to. None when nothing can be
     solved, or when that effect changes none of the values. Raises BadInput for a sequence that cannot be run.
     """
-    rows = _Rows(problem, names)
+    residuals = _Residuals(problem, names)
     if starts is None:
-        starts = _starts(rows, within)
+        starts = _starts(residuals, within)
     best = None
     for start in starts:
         found = least_squares(
-            rows,
-            np.clip(start, rows.low + 1e-9, rows.high - 1e-9),
-            rows.jacobian,
-            (rows.low, rows.high),
+            residuals,
+            np.clip(start, residuals.low + 1e-9, residuals.high - 1e-9),
+            residuals.jacobian,
+            (residuals.low, residuals.high),
             max_nfev=MOST_EVALUATIONS,
             xtol=1e-6,
             ftol=1e-6,
         )
         if best is None or found.cost < best.cost:
             best = found
-    if best is None or not np.all(np.isfinite(rows.predicted(best.x))):
+    if best is None or not np.all(np.isfinite(residuals.predicted(best.x))):
         return None
     n = len(problem.values)
-    jacobian = rows.jacobian(best.x)
+    jacobian = residuals.jacobian(best.x)
     covariance: Array = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True).astype(np.float64)
     data = jacobian[:n]
     used = float(np.trace(data @ covariance @ data.T))
     return SettledFit(
         tuple(names),
-        rows.axes,
+        residuals.parameters,
         best.x,
-        rows.predicted(best.x),
+        residuals.predicted(best.x),
         float(best.fun[:n] @ best.fun[:n]),
         float(best.fun @ best.fun),
         covariance,
@@ -241,7 +244,8 @@ def fit_settled(
 
 
 def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
-    """Root mean square error on each motion's values, left out of the fit in turn, in standard errors."""
+    """Cross-validation: root mean square error, in standard errors, of motions left out of the fit in
+    turn."""
     motions = [(v.of.sequence, v.of.motion) for v in problem.values]
     squares = []
     for motion in dict.fromkeys(motions):
@@ -252,37 +256,38 @@ def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
         )
         if again is None:
             return float("nan")
-        foretold = problem.predict(problem.model(again.axes, again.x))
+        foretold = problem.predict(problem.model(again.parameters, again.x))
         squares += list(((foretold - problem.measured) / problem.errors)[out] ** 2)
     return float(np.sqrt(np.mean(squares)))
 
 
 def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) -> float:
-    """How many σ worse than `truth` the rival meets what `truth` foretells, plausibility included."""
+    """Separation in σ: how much worse the rival fits the prediction of `truth` than `truth` itself, with
+    priors."""
     values = tuple(
         dataclasses.replace(v, value=float(p)) for v, p in zip(problem.values, truth.predicted, strict=True)
     )
     foretold = dataclasses.replace(problem, values=values)
-    own = fit_settled(foretold, truth.effects, [truth.x])
+    best = fit_settled(foretold, truth.effects, [truth.x])
     other = fit_settled(foretold, rival.effects, [rival.x])
-    if own is None or other is None:
+    if best is None or other is None:
         return float("inf")
-    return float(np.sqrt(max(other.objective - own.objective, 0.0)))
+    return float(np.sqrt(max(other.objective - best.objective, 0.0)))
 
 
-def _starts(rows: _Rows, within: SettledFit | None) -> list[Array]:
-    """The most promising of a grid of frictions and strengths; none when strength changes nothing."""
+def _starts(residuals: _Residuals, within: SettledFit | None) -> list[Array]:
+    """The best starts (p,) of a grid of frictions and strengths; none when strength changes no value."""
     old = within.x[2:] if within is not None else np.zeros(0)
-    new = rows.axes[old.size :]
+    new = residuals.parameters[old.size :]
     strengths = STRENGTHS if new else (0.0,)
     rated, moved = [], not new
     for friction in (*FRICTIONS_N, *([math.exp(within.x[0])] if within is not None else [])):
         off = np.r_[math.log(friction), 0.0, old, np.zeros(len(new))]
         for strength in strengths:
             x = np.r_[off[: 2 + old.size], [0.0 if a.info.shapes else strength for a in new]]
-            x = np.clip(x, rows.low + 1e-9, rows.high - 1e-9)
-            row = rows(x)
-            change = np.abs(rows.predicted(x) - rows.predicted(off)) / rows.problem.errors
+            x = np.clip(x, residuals.low + 1e-9, residuals.high - 1e-9)
+            row = residuals(x)
+            change = np.abs(residuals.predicted(x) - residuals.predicted(off)) / residuals.problem.errors
             moved |= bool(np.any(change > STEP))
             rated.append((float(row @ row), tuple(x)))
     rated.sort()

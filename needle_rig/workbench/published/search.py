@@ -1,4 +1,4 @@
-"""What can explain settled values: every effect added to the present model, and those that tie.
+"""What can explain settled values: every effect added to the current model, and those that tie.
 
 An effect ties when it meets the values within their scatter with parameters that are plausible, and leaves
 something to test it by.
@@ -18,20 +18,21 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
-from needle_rig.workbench.estimation.parameters import Coordinate, positions_of
+from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.published.fit import SIGMAS_95, SettledFit, SettledProblem, fit_settled
+from needle_rig.workbench.published.fit import SettledFit, SettledProblem, fit_settled
+from needle_rig.workbench.selection.answer import SIGMAS_95
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """The present model with one effect more; `fit` is None when the effect changes none of the values."""
+    """The current model with one effect more; `fit` is None when the effect changes none of the values."""
 
     effect: str
     fit: SettledFit | None
     adjusted_p: float
-    """Probability, adjusted over the library, that scatter makes a gain like this."""
+    """Šidák-adjusted p value of the gain over the current model."""
 
     @property
     def meets(self) -> bool:
@@ -40,19 +41,19 @@ class Candidate:
 
     @property
     def testable(self) -> bool:
-        """Whether fewer parameters than values are used up."""
+        """Whether the fit leaves degrees of freedom."""
         return self.fit is not None and self.fit.freedom >= POLICY.verdict.degrees_left
 
     @property
     def plausible(self) -> bool:
         """Whether every parameter of the effect is within its plausible range."""
         return self.fit is not None and bool(
-            np.all(np.abs(own_parameters(self.fit, self.effect)[1]) <= SIGMAS_95)
+            np.all(np.abs(effect_parameters(self.fit, self.effect)[1]) <= SIGMAS_95)
         )
 
     @property
     def explains(self) -> bool:
-        """Whether it can be the answer."""
+        """Whether the effect is significant, plausible and testable and meets the values."""
         return (
             self.meets and self.testable and self.plausible and self.adjusted_p < POLICY.evidence.significance
         )
@@ -61,46 +62,46 @@ class Candidate:
 def settled_problem(
     data: SettledData, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
 ) -> tuple[SettledProblem, SettledFit]:
-    """The values with the present model (default: the null model) fitted to them. Raises BadInput."""
-    present = model or NeedleModel(
+    """The values with the current model (default: the null model) fitted to them. Raises BadInput."""
+    current = model or NeedleModel(
         "null", data.layout, data.needle.torsional_rigidity_nm2, FRICTIONS_N[2], element_length_m=0.5e-3
     )
-    problem = values_to_meet(data, library, present)
-    effects = tuple(e.name() for e in present.effects)
+    problem = values_to_meet(data, library, current)
+    effects = tuple(e.name() for e in current.effects)
     start = None
     if effects:
-        at = positions_of(problem.axes(effects), present.effects)
-        start = [np.r_[np.log(f), 0.0, at] for f in (present.friction_n, *FRICTIONS_N)]
+        at = scaled_values_of(problem.parameters(effects), current.effects)
+        start = [np.r_[np.log(f), 0.0, at] for f in (current.friction_n, *FRICTIONS_N)]
     found = fit_settled(problem, effects, start)
     if found is None:
         raise BadInput(
-            f"{data.name}: the present model cannot be solved on these sequences; check the layout"
+            f"{data.name}: the current model cannot be solved on these sequences; check the layout"
         )
     return problem, found
 
 
 def values_to_meet(
-    data: SettledData, library: Mapping[str, type[Effect]], present: NeedleModel
+    data: SettledData, library: Mapping[str, type[Effect]], current: NeedleModel
 ) -> SettledProblem:
-    """The weighed values, to be met by a model that begins as `present`. Raises BadInput."""
-    if len(present.layout.sensor_positions_m) != len(data.sensor_names):
+    """The weighed values, to be met by a model that begins as `current`. Raises BadInput."""
+    if len(current.layout.sensor_positions_m) != len(data.sensor_names):
         raise BadInput(
-            f"{data.name} has {len(data.sensor_names)} Hall sensors and the model {present.name}"
-            f" {len(present.layout.sensor_positions_m)}; give a model made for this rig"
+            f"{data.name} has {len(data.sensor_names)} Hall sensors and the model {current.name}"
+            f" {len(current.layout.sensor_positions_m)}; give a model made for this rig"
         )
     base = dataclasses.replace(
-        present,
+        current,
         layout=data.layout,
         torsional_rigidity_nm2=data.needle.torsional_rigidity_nm2,
         effects=(),
-        element_length_m=element_length(present),
+        element_length_m=element_length(current),
     )
-    effects = {e.name(): type(e) for e in present.effects}
+    effects = {e.name(): type(e) for e in current.effects}
     return SettledProblem(data, base, {**library, **effects}, data.weighed)
 
 
 def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: int) -> Candidate:
-    """The present model with the effect `name`, one of `library` that are tried."""
+    """The current model with the effect `name`, one of `library` that are tried."""
     found = fit_settled(problem, (*root.effects, name), within=root)
     if found is None:
         return Candidate(name, None, 1.0)
@@ -110,7 +111,8 @@ def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: in
 
 
 def tied_effects(problem: SettledProblem, tried: list[Candidate]) -> list[Candidate]:
-    """What can be the answer, most plausible first; what only generalises another of them is left out."""
+    """Effects that explain the values and tie, most plausible first, without generalisations of each
+    other."""
     able = {c.effect: c for c in tried if c.explains}
     objective = {c.effect: c.fit.objective for c in able.values() if c.fit}
     least = min(objective.values(), default=0.0)
@@ -125,17 +127,17 @@ def tied_effects(problem: SettledProblem, tried: list[Candidate]) -> list[Candid
 
 
 def fits_of(candidates: list[Candidate]) -> list[SettledFit]:
-    """Their fits, in the same order."""
+    """The fits of those candidates that have one, in the same order."""
     return [c.fit for c in candidates if c.fit is not None]
 
 
-def own_parameters(
+def effect_parameters(
     found: SettledFit, effect: str
-) -> tuple[list[tuple[Coordinate, float, float]], np.ndarray]:
-    """Coordinates of one effect with position and error, and their pulls."""
+) -> tuple[list[tuple[FreeParameter, float, float]], np.ndarray]:
+    """(parameter, scaled value, its standard deviation) of one effect, and their pulls (k,) in σ."""
     rows = [
         (a, float(x), float(e), float(p))
-        for a, x, e, p in zip(found.axes, found.x[2:], found.error, found.pulls, strict=True)
+        for a, x, e, p in zip(found.parameters, found.x[2:], found.error, found.pulls, strict=True)
         if a.effect == effect
     ]
     return [r[:3] for r in rows], np.array([r[3] for r in rows])

@@ -12,10 +12,13 @@ import numpy as np
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
-from needle_rig.workbench.selection.residual_patterns import Leftover
+from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
 from needle_rig.workbench.selection.verdict import Reason, Verdict
 
 Say = Callable[[str], None]
+
+SIGMAS_95 = 1.96
+"""Half a two-sided 95 % interval, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -112,14 +115,14 @@ class Answer:
     effects: tuple[str, ...]
     ranking: tuple[Ranked, ...]
     decisions: dict[str, Decision]
-    left_over: Leftover
+    residual_patterns: ResidualPatterns
     explained: bool
     reasons: tuple[Reason, ...]
     """Why it is unknown; empty for the other verdicts."""
     lack_before: LackOfFit | None
-    """Whether replicates show anything to explain in the present model; None without replicates."""
+    """Lack of fit of the current model; None without replicates."""
     lack_after: LackOfFit | None
-    """The same of what the answer leaves."""
+    """Lack of fit of the model with what is named; None without replicates."""
     explained_fraction: float
     held_out_error_before: float
     held_out_error_after: float
@@ -165,7 +168,7 @@ class Answer:
         """What is left: patterns, and what replicates share beyond how they differ."""
         lack = self.lack_after
         shared = [lack.sentence()] if lack is not None and lack.significant else []
-        return [p.sentence() for p in self.left_over.patterns] + shared
+        return [p.sentence() for p in self.residual_patterns.patterns] + shared
 
     def as_json(self) -> dict[str, Any]:
         """The stated form of the answer."""

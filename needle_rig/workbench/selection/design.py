@@ -106,7 +106,7 @@ def proposals(
 
 def planned(problem: Problem, truth: Fit, command: TrialCommand) -> tuple[BinnedTrial, float]:
     """One noise-free trial of `command` in bins, as `truth` gives it after the others; its duration."""
-    model = problem.model(truth.axes, dataclasses.replace(truth.point, trial_friction=np.zeros(1)))
+    model = problem.model(truth.parameters, dataclasses.replace(truth.vector, trial_friction=np.zeros(1)))
     last = problem.trials[-1].trial
     travel = last.travel_before_rad + float(np.abs(np.diff(last.base_angle_rad)).sum())
     place = Trial(
@@ -142,14 +142,14 @@ def _proposal(
 ) -> Proposal:
     binned, duration_s = planned(problem, first, command)
     alone = problem.over([binned])
-    state = Objective(alone, second.axes)
-    x = state.vector(dataclasses.replace(second.point, trial_friction=np.zeros(1)), np.zeros(0))
-    rows = state.rows(x)
-    jacobians = None if rows is None else state.derivatives(x, rows)
-    if rows is None or jacobians is None:
+    objective = Objective(alone, second.parameters)
+    x = objective.packed(dataclasses.replace(second.vector, trial_friction=np.zeros(1)), np.zeros(0))
+    residuals = objective.residuals(x)
+    jacobians = None if residuals is None else objective.derivatives(x, residuals)
+    if residuals is None or jacobians is None:
         raise SolverError(f"{problem.name}: {described(command)} cannot be solved")
-    difference, whiten = rows[0], alone.whiteners[0]
-    columns = LinearisedFit.at(alone, second.axes, x, rows, jacobians, second.scatter**-2).columns
+    difference, whiten = residuals[0], alone.whiteners[0]
+    columns = LinearisedFit.at(alone, second.parameters, x, residuals, jacobians, second.scatter**-2).columns
     unknown = prediction_covariance(second.covariance, second.scatter**2, columns)
     left = np.asarray(np.linalg.solve(np.eye(difference.size) + unknown, difference), dtype=np.float64)
     separation = float(np.sqrt(difference @ left))
@@ -168,11 +168,11 @@ def _watch(
     best, said = -1.0, names[0]
     for c, name in enumerate(names):
         for m, title in enumerate(binned.motions):
-            for state in (True, False):
-                share = float((left[(channel == c) & (motion == m) & (moving == state)] ** 2).sum())
+            for objective in (True, False):
+                share = float((left[(channel == c) & (motion == m) & (moving == objective)] ** 2).sum())
                 if share > best:
                     best = share
-                    said = f"{name} {'during' if state else 'settled after'} {title} (motion {m})"
+                    said = f"{name} {'during' if objective else 'settled after'} {title} (motion {m})"
     return said
 
 
@@ -202,20 +202,20 @@ def best_experiment(
 def expected_power(
     problem: Problem, first: Fit, second: Fit, command: TrialCommand, replicates: int
 ) -> float:
-    """σ between the two after `replicates` trials of `command` on top of the present data.
+    """σ between the two after `replicates` trials of `command` on top of the data so far.
 
     Everything is simulated from `first` without noise, and the other model is fitted to all of it.
     """
-    old = problem.with_means(problem.predict(first.axes, first.point)).trials
+    old = problem.with_means(problem.predict(first.parameters, first.vector)).trials
     binned, _ = planned(problem, first, command)
     joint = problem.over((*old, *([binned] * replicates)))
-    own = np.r_[second.point.trial_friction, np.zeros(replicates)]
-    rival = fit(joint, second.effects, dataclasses.replace(second.point, trial_friction=own))
+    trial_friction = np.r_[second.vector.trial_friction, np.zeros(replicates)]
+    rival = fit(joint, second.effects, dataclasses.replace(second.vector, trial_friction=trial_friction))
     truth = fit(
         joint,
         first.effects,
         dataclasses.replace(
-            first.point, trial_friction=np.r_[first.point.trial_friction, np.zeros(replicates)]
+            first.vector, trial_friction=np.r_[first.vector.trial_friction, np.zeros(replicates)]
         ),
     )
     if rival is None or truth is None:

@@ -11,8 +11,8 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Prepared, as_compared, prepare
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.snaps import snaps
@@ -21,11 +21,11 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
-from needle_rig.workbench.selection.evidence import foretells
+from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
 from needle_rig.workbench.selection.ranking import order, rank, values_of
-from needle_rig.workbench.selection.residual_patterns import find_leftover
+from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
 from needle_rig.workbench.selection.verdict import Findings, above_noise, reasons
@@ -36,18 +36,18 @@ from needle_rig.workbench.selection.verdict import verdict as judge
 class Diagnosis(Answer):
     """The answer on traces, with the fits behind it."""
 
-    prepared: Prepared = field(repr=False)
+    baseline: Baseline = field(repr=False)
     search: SearchTrace = field(repr=False)
-    concluded: tuple[Problem, Fit, HeldOut] = field(repr=False)
-    """The fit of what is named, as a comparison with its model sees it."""
+    concluded: tuple[Problem, Fit, CrossValidation] = field(repr=False)
+    """The fit of what is named, as a baseline of its own model (`as_baseline`)."""
 
     @property
     def noise(self) -> dict[str, float]:
         """Standard deviation of a reading, by channel, in the unit that its name ends in."""
-        noise = self.prepared.problem.noise
-        factors = (nmm(1.0), *(deg(1.0) for _ in self.prepared.dataset.sensor_names))
+        noise = self.baseline.problem.noise
+        factors = (nmm(1.0), *(deg(1.0) for _ in self.baseline.dataset.sensor_names))
         spread = np.hypot(noise.white, noise.correlated)
-        names = channel_names(self.prepared.dataset)
+        names = channel_names(self.baseline.dataset)
         return {name: factor * float(s) for name, factor, s in zip(names, factors, spread, strict=True)}
 
     def explanations(self) -> tuple[Explanation, ...]:
@@ -60,15 +60,17 @@ class Diagnosis(Answer):
         best = self.search.best
         named = self.ranking[: len(self.effects)]
         ties = [best - {row.effect} | {r} for row in named for r in row.indistinguishable_from]
-        first = explanation(self.prepared, *self.concluded, improves=self._improves(best))
+        first = explanation(self.baseline, *self.concluded, improves=self._improves(best))
         return (first, *(self._in_its_place(key) for key in dict.fromkeys(ties)))
 
     def _improves(self, key: EffectSet) -> bool:
-        return foretells(self.search.root, self.search.root_held, *self.search.fits[key])
+        return improves_cross_validation(
+            self.search.root, self.search.root_validation, *self.search.fits[key]
+        )
 
     def _in_its_place(self, key: EffectSet) -> Explanation:
-        compared = as_compared(self.prepared, self.search.problem, *self.search.fits[key])
-        return explanation(self.prepared, *compared, improves=self._improves(key))
+        compared = as_baseline(self.baseline, self.search.problem, *self.search.fits[key])
+        return explanation(self.baseline, *compared, improves=self._improves(key))
 
 
 def diagnose(
@@ -81,46 +83,46 @@ def diagnose(
     work: Work | None = None,
     say: Say = lambda _: None,
 ) -> Diagnosis:
-    """Hold the present model against a dataset and look for what is missing.
+    """Hold the current model against a dataset and look for what is missing.
 
-    Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
+    Raises BadInput when the dataset cannot be used, SolverError when the current model cannot be solved.
     """
-    say("measuring the noise, fitting the present model")
-    prepared = prepare(dataset, model, library)
-    names = tuple(sorted(set(library) - set(prepared.present.effects)))
+    say("measuring the noise, fitting the current model")
+    baseline = fit_baseline(dataset, model, library)
+    names = tuple(sorted(set(library) - set(baseline.current.effects)))
     with work or Work() as at:
         say("trying every effect")
         trace = search(
-            prepared.problem, names, prepared.present, prepared.held, max_effects=max_effects, work=at
+            baseline.problem, names, baseline.current, baseline.validation, max_effects=max_effects, work=at
         )
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
-        say("holding the answer against our own error")
-        return _conclude(prepared, trace, rivals, dataset.sensor_names)
+        say("testing the answer against the discretisation error")
+        return _conclude(baseline, trace, rivals, dataset.sensor_names)
 
 
 def _conclude(
-    prepared: Prepared, search: SearchTrace, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
+    baseline: Baseline, search: SearchTrace, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
 ) -> Diagnosis:
-    root, root_held = search.root, search.root_held
+    root, root_validation = search.root, search.root_validation
     named = search.named(search.best)
     contrived = _contrived(search, named)
     if contrived:
         named = []
     gain = max(0.0, root.objective - search.fits[search.best][0].objective)
-    problem, best, held = search.problem, root, root_held
+    problem, best, validation = search.problem, root, root_validation
     if named:
-        problem, best, held = as_compared(prepared, problem, *search.fits[search.best])
-    left = find_leftover(problem, best, sensors)
+        problem, best, validation = as_baseline(baseline, problem, *search.fits[search.best])
+    left = find_residual_patterns(problem, best, sensors)
     explained_fraction = gain / (gain + left.gain) if gain + left.gain > 0 else 1.0
     if not named:
         explained_fraction = 1.0 if not left.significant else 0.0
     lack = lack_of_fit(problem, best, sensors)
-    seen = snaps(prepared.dataset)
-    why = reasons(Findings(tuple(named), left, lack, explained_fraction, held.error, seen))
+    seen = snaps(baseline.dataset)
+    why = reasons(Findings(tuple(named), left, lack, explained_fraction, validation.error, seen))
     verdict = judge(named, why)
     ordered = order(search, named)
-    ranking = rank(search, ordered, rivals, verdict, best, held)
+    ranking = rank(search, ordered, rivals, verdict, best, validation)
     ties = [(e, r) for e in ordered for r in rivals.get(e, []) if r.tied]
     experiment = None
     if ties and verdict == "effect":
@@ -128,34 +130,38 @@ def _conclude(
         mine, other = search.fits[search.best][0], search.fits[rival.key][0]
         experiment = best_experiment(search.problem, mine, other, effect, rival.effect, sensors)
     return Diagnosis(
-        dataset=prepared.dataset.name,
+        dataset=baseline.dataset.name,
         model=problem.base.name,
         verdict=verdict,
         effects=tuple(ordered) if verdict == "effect" else (),
         ranking=tuple(ranking),
-        decisions=decide(search, named if verdict == "effect" else [], held.error),
-        left_over=left,
+        decisions=decide(search, named if verdict == "effect" else [], validation.error),
+        residual_patterns=left,
         explained=not why,
         reasons=why,
-        lack_before=lack_of_fit(prepared.problem, prepared.present, sensors),
+        lack_before=lack_of_fit(baseline.problem, baseline.current, sensors),
         lack_after=lack,
         explained_fraction=explained_fraction,
-        held_out_error_before=root_held.error,
-        held_out_error_after=held.error if verdict == "effect" else root_held.error,
+        held_out_error_before=root_validation.error,
+        held_out_error_after=validation.error if verdict == "effect" else root_validation.error,
         noise_floor=1.0,
         next_experiment=experiment,
         notes=(
-            *prepared.dataset.notes,
-            *prepared.notes,
-            *(() if above_noise(held.error) else _negligible_notes(search)),
+            *baseline.dataset.notes,
+            *baseline.notes,
+            *(() if above_noise(validation.error) else _negligible_notes(search)),
             *_mean_notes(best),
-            *(_preview_notes(search, named) if verdict == "effect" else []),
-            *(_partial_notes(named, explained_fraction, held) if verdict == "unknown" and named else []),
+            *(_screening_notes(search, named) if verdict == "effect" else []),
+            *(
+                _partial_notes(named, explained_fraction, validation)
+                if verdict == "unknown" and named
+                else []
+            ),
             *contrived,
         ),
-        prepared=prepared,
+        baseline=baseline,
         search=search,
-        concluded=(problem, best, held),
+        concluded=(problem, best, validation),
     )
 
 
@@ -172,8 +178,8 @@ def _contrived(search: SearchTrace, named: list[str]) -> list[str]:
     ]
 
 
-def _preview_notes(search: SearchTrace, named: list[str]) -> list[str]:
-    """What was not fitted in the place of an effect, since its preview gains too little."""
+def _screening_notes(search: SearchTrace, named: list[str]) -> list[str]:
+    """What was not fitted in the place of an effect, since screening promises too little of it."""
     notes = []
     here = search.fits[search.best][0].objective
     for effect in named:
@@ -184,26 +190,26 @@ def _preview_notes(search: SearchTrace, named: list[str]) -> list[str]:
             if c.fit is None and rest | {c.effect} not in search.fits and c.effect not in search.best
         ]
         if left_out:
-            most = max(left_out, key=lambda c: (c.preview.gain, c.effect))
+            most = max(left_out, key=lambda c: (c.screening.gain, c.effect))
             gain = search.fits[rest][0].objective - here
             notes.append(
-                f"In the place of {effect}, {len(left_out)} effects were not refitted: their previews promise"
-                f" at most {100 * most.preview.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
+                f"In the place of {effect}, {len(left_out)} effects were not refitted: screening promises"
+                f" at most {100 * most.screening.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
             )
     return notes
 
 
-def _partial_notes(named: list[str], share: float, held: HeldOut) -> list[str]:
+def _partial_notes(named: list[str], share: float, validation: CrossValidation) -> list[str]:
     return [
         f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
-        f" {held.error:.2f} × the noise on commands left out: not the whole truth."
+        f" {validation.error:.2f} × the noise on commands left out: not the whole truth."
     ]
 
 
 def _mean_notes(found: Fit) -> list[str]:
-    """Of factors that count against their mean: what all share is friction."""
-    fields = sorted({f"{a.effect} {a.field}" for a in found.axes if a.info.relative})
-    friction_nmm_per_100mm = per_100mm(float(np.exp(found.point.log_friction)))
+    """Notes on factors with a constrained mean: what all items share is friction."""
+    fields = sorted({f"{a.effect} {a.field}" for a in found.parameters if a.info.relative})
+    friction_nmm_per_100mm = per_100mm(float(np.exp(found.vector.log_friction)))
     return [
         f"The mean of {field} is held at 1: what all items share is friction,"
         f" here {friction_nmm_per_100mm:.3g} N·mm per 100 mm."

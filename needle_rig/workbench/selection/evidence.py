@@ -1,21 +1,21 @@
-"""What the gain of one more effect is worth: against chance, our own error, and commands left out."""
+"""What the gain of one more effect is worth: significance, discretisation error, cross-validation."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 
 
-def chance(parent: Fit, child: Fit, library: int) -> float:
-    """Probability, adjusted over the library, that noise makes a gain like this.
+def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
+    """Šidák-adjusted p value of the likelihood-ratio test of a child against its parent.
 
-    The share of the gain that comes from trials whose own friction scatters less counts as that of an F-test:
-    over a few trials chance alone makes a trend.
+    The part of the gain that a smaller scatter of the random effects brings counts as in an F test: over a
+    few trials chance alone makes a trend. Strengths at the boundary of their range halve p (Chernoff 1954).
     """
     gain = max(parent.objective - child.objective, 0.0)
     freedom = max(1, child.rank - parent.rank)
@@ -25,47 +25,58 @@ def chance(parent: Fit, child: Fit, library: int) -> float:
         ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
         worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300)))
         gain = max(gain - steadier + min(worth, steadier), 0.0)
-    new = [a for a in child.axes if a.effect not in parent.effects and not a.info.shapes]
+    new = [a for a in child.parameters if a.effect not in parent.effects and not a.info.shapes]
     p = float(chdtrc(freedom, gain))
     if all(a.one_sided for a in new):
         p *= 0.5
     return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))
 
 
-def may_be_ours(problem: Problem, parent: Fit, child: Fit) -> bool:
-    """Whether what the child changes is under three times our solver's own error along it.
+def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:
+    """Whether the child's change of the residuals is less than three times the discretisation error along it.
 
-    What the needle's constants and the trials' own friction are relieved of is a part of the change that our
-    error has none of.
+    |Δr|² + Δ(pull of rigidity)² + |Δu|²/s² < 3 |Δr·e|, with the random effects u of scatter s and the first
+    nuisance direction e. The changes of pulls and random effects have no discretisation error.
     """
     if not problem.nuisance[0].shape[1]:
         return False
     change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
-    ours = np.concatenate([n[:, 0] for n in problem.nuisance])  # the first direction is the solver's
+    discretisation_error = np.concatenate(
+        [n[:, 0] for n in problem.nuisance]
+    )  # the first direction is the discretisation error
     pull = parent.pull_rigidity - child.pull_rigidity
-    own = (parent.point.trial_friction - child.point.trial_friction) / child.scatter
+    trial_friction = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
     return bool(
-        change @ change + pull**2 + own @ own < POLICY.evidence.discretisation_margin * abs(change @ ours)
+        change @ change + pull**2 + trial_friction @ trial_friction
+        < POLICY.evidence.discretisation_margin * abs(change @ discretisation_error)
     )
 
 
-def held_gain(parent: HeldOut | None, child: HeldOut | None) -> float:
-    """Fall of −2 log predictive density on commands left out."""
+def predictive_gain(parent: CrossValidation | None, child: CrossValidation | None) -> float:
+    """Fall of −2 log predictive density in cross-validation; 0 where it is not known."""
     if parent is None or child is None:
         return 0.0
     gain = parent.loss - child.loss
     return 0.0 if np.isnan(gain) else gain
 
 
-def foretells(parent: Fit, parent_held: HeldOut | None, child: Fit, child_held: HeldOut | None) -> bool:
-    """Whether commands left out speak for the child, or the needle's stated constants do and these do not
-    speak against it."""
-    if held_gain(parent_held, child_held) > 0:
+def improves_cross_validation(
+    parent: Fit,
+    parent_validation: CrossValidation | None,
+    child: Fit,
+    child_validation: CrossValidation | None,
+) -> bool:
+    """Whether the child's predictive density is higher in cross-validation.
+
+    A fall of the squared pull of the stated rigidity stands in for it, as long as the held-out error does not
+    rise by more than a threshold.
+    """
+    if predictive_gain(parent_validation, child_validation) > 0:
         return True
     relieved = parent.pull_rigidity**2 - child.pull_rigidity**2
-    if parent_held is None or child_held is None or relieved <= POLICY.evidence.relieved_pull:
+    if parent_validation is None or child_validation is None or relieved <= POLICY.evidence.relieved_pull:
         return False
-    return bool(child_held.error <= POLICY.evidence.held_out_rise * parent_held.error)
+    return bool(child_validation.error <= POLICY.evidence.held_out_rise * parent_validation.error)
 
 
 def is_negligible(found: Fit, effect: str) -> bool:
@@ -75,6 +86,6 @@ def is_negligible(found: Fit, effect: str) -> bool:
 
 def size_of(found: Fit, effect: str) -> float:
     """Largest fitted size of an effect, in units of the smallest that matters."""
-    own = [a.effect == effect and not a.info.shapes for a in found.axes]
-    every = zip(found.axes, found.point.positions, own, strict=True)
-    return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, is_own in every if is_own), default=0.0)
+    is_its = [a.effect == effect and not a.info.shapes for a in found.parameters]
+    every = zip(found.parameters, found.vector.scaled_values, is_its, strict=True)
+    return max((abs(float(x)) / max(a.smallest, 1e-12) for a, x, its in every if its), default=0.0)

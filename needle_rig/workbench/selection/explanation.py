@@ -15,10 +15,10 @@ from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Prepared, element_length
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.baseline import Baseline, element_length
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.parameters import Coordinate
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial
@@ -37,7 +37,7 @@ class Explanation:
     uncertainties: Mapping[str, float]
     """Standard deviations by parameter name, in the units of files."""
     values_before: Mapping[str, float]
-    """Of the current model, fitted to the same data."""
+    """Parameters of the current model, fitted to the same data, by name in the units of files."""
     errors: Mapping[str, ChannelErrors]
     """Before and after, by channel and over all (`IN_NOISE_UNITS`)."""
     improves: bool
@@ -47,27 +47,27 @@ class Explanation:
 
 
 def explanation(
-    prepared: Prepared, problem: Problem, found: Fit, held: HeldOut, *, improves: bool
+    baseline: Baseline, problem: Problem, found: Fit, validation: CrossValidation, *, improves: bool
 ) -> Explanation:
     """A fit to traces with everything that it adds to the current model, however small.
 
-    `problem`, `found` and `held` are those of a comparison with its model (`as_compared`).
+    `problem`, `found` and `validation` are those of `as_baseline`.
     """
-    present = prepared.present
-    model = problem.model(found.axes, found.point)
+    current = baseline.current
+    model = problem.model(found.parameters, found.vector)
     return Explanation(
-        added=tuple(e for e in found.effects if e not in present.effects),
-        model=dataclasses.replace(model, element_length_m=prepared.fine_m),
+        added=tuple(e for e in found.effects if e not in current.effects),
+        model=dataclasses.replace(model, element_length_m=baseline.fine_m),
         uncertainties=uncertainties(found),
-        values_before=prepared.problem.model(present.axes, present.point).values(),
-        errors=errors_by_channel(prepared, found, held),
+        values_before=baseline.problem.model(current.parameters, current.vector).values(),
+        errors=errors_by_channel(baseline, found, validation),
         improves=improves,
-        trial_friction=tuple(float(f) for f in np.exp(found.point.trial_friction)),
+        trial_friction=tuple(float(f) for f in np.exp(found.vector.trial_friction)),
     )
 
 
 def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
-    """Root mean square error of bin means by channel, from one simulation of each trial at its own friction.
+    """Root mean square error of bin means by channel, from one simulation of each trial at its random effect.
 
     Raises BadInput where there are more or fewer trials than were fitted, SolverError.
     """
@@ -91,38 +91,45 @@ def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
 
 def uncertainties(found: Fit) -> dict[str, float]:
     """Standard deviations by parameter name, in the units of files."""
-    point = found.point
+    vector = found.vector
     return spread_of_values(
-        found.axes, np.r_[point.log_friction, point.log_rigidity, point.positions], found.covariance
+        found.parameters,
+        np.r_[vector.log_friction, vector.log_rigidity, vector.scaled_values],
+        found.covariance,
     )
 
 
-def spread_of_values(axes: Sequence[Coordinate], x: Array, covariance: Array) -> dict[str, float]:
+def spread_of_values(parameters: Sequence[FreeParameter], x: Array, covariance: Array) -> dict[str, float]:
     """Standard deviations by parameter name, in the units of files, of the parameter vector x.
 
-    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,) on `axes`.
+    x holds the logarithms of friction (N) and torsional rigidity (N·m²), then scaled values (k,).
     """
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = {
         FRICTION: per_100mm(float(spread[0] * np.exp(x[0]))),
         TORSIONAL_RIGIDITY: float(spread[1] * np.exp(x[1]) * NMM2_PER_NM2),
     }
-    for axis, at, error in zip(axes, x[2:], spread[2:], strict=True):
-        low, high = (axis.value(float(np.clip(at + s * error, *axis.bounds))) for s in (-1, 1))
+    for parameter, at, error in zip(parameters, x[2:], spread[2:], strict=True):
+        low, high = (parameter.value(float(np.clip(at + s * error, *parameter.bounds))) for s in (-1, 1))
         size = abs(high - low) / 2
         if np.isfinite(size):
-            known[f"{axis.effect}.{axis.name}"] = size
+            known[f"{parameter.effect}.{parameter.name}"] = size
     return known
 
 
-def errors_by_channel(prepared: Prepared, found: Fit, held: HeldOut) -> dict[str, ChannelErrors]:
+def errors_by_channel(
+    baseline: Baseline, found: Fit, validation: CrossValidation
+) -> dict[str, ChannelErrors]:
     """Errors of bin means before and after, by channel and over all; each channel's floor."""
-    problem = prepared.problem
-    before, after = _training(problem, prepared.present), _training(problem, found)
-    held_before, held_after = _rms(problem, prepared.held.residuals), _rms(problem, held.residuals)
+    problem = baseline.problem
+    before, after = _training(problem, baseline.current), _training(problem, found)
+    held_before, held_after = (
+        _rms(problem, baseline.validation.residuals),
+        _rms(problem, validation.residuals),
+    )
     floor = _floors(problem, found)
     errors = {}
-    for c, name in enumerate(channel_names(prepared.dataset)):
+    for c, name in enumerate(channel_names(baseline.dataset)):
         factor = nmm(1.0) if c == 0 else deg(1.0)
         errors[name] = ChannelErrors(
             training_before=factor * before[c],
@@ -132,10 +139,10 @@ def errors_by_channel(prepared: Prepared, found: Fit, held: HeldOut) -> dict[str
             floor=factor * floor[c],
         )
     errors[IN_NOISE_UNITS] = ChannelErrors(
-        training_before=float(np.sqrt(prepared.present.chi2 / problem.size)),
+        training_before=float(np.sqrt(baseline.current.chi2 / problem.size)),
         training_after=float(np.sqrt(found.chi2 / problem.size)),
-        held_out_before=_known(prepared.held.error),
-        held_out_after=_known(held.error),
+        held_out_before=_known(baseline.validation.error),
+        held_out_after=_known(validation.error),
         floor=1.0,
     )
     return errors
@@ -151,7 +158,7 @@ def _known(value: float) -> float | None:
 
 
 def _training(problem: Problem, found: Fit) -> Array:
-    readings = problem.predict(found.axes, found.point)
+    readings = problem.predict(found.parameters, found.vector)
     return _rms(problem, tuple(b.mean - r for b, r in zip(problem.trials, readings, strict=True)))
 
 
@@ -172,7 +179,7 @@ def _floors(problem: Problem, found: Fit) -> Array:
             use, matrix = covariance(problem.noise, binned, c)
             if not use.size:
                 continue
-            own = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
-            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(own @ own)
+            random_effect = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
+            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(random_effect @ random_effect)
             number[c] += use.size
     return np.sqrt(total / np.maximum(number, 1))

@@ -1,12 +1,12 @@
-"""Is there anything to explain? The pure-error F test: what replicates share against how they differ.
+"""Lack of fit by the pure-error F test: what replicates share against how they differ.
 
-Facts are the means of each channel in each motion, moving and settled, freed of the correlations that the
+Cell means are those of each channel in each motion, moving and settled, freed of the correlations that the
 noise model states. The mean of the replicates of a command holds the model's error, the differences among
 them do not, whatever the noise is: so a wrong noise level does not pass for an effect, as in a plain χ².
 Commands without replicates are held against the differences among the others' replicates.
 
-What each trial's own friction or the needle's constants can take up is not seen here (wear, a torque gain):
-the test says that something is missing, never that nothing is.
+What random effects or the needle's constants can absorb is not seen here (wear, a torque gain): the test can
+say that something is missing, not that nothing is.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from needle_rig.workbench.observations.noise import Whitener
 from needle_rig.workbench.policy import POLICY
 
 Key = tuple[int, int, bool]
-"""(channel, motion, moving) of one fact."""
+"""(channel, motion, moving) of one cell mean."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class LackOfFit:
 def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackOfFit | None:
     """The test of `found`, whose residuals are linearised in its parameters; None without replicates."""
     groups = problem.groups
-    if all(len(g) < 2 for g in groups):
+    if all(len(g) <= 1 for g in groups):
         return None
     linear = LinearisedFit.of(problem, found)
     keys = [_shared_keys([problem.trials[t] for t in group], problem, group) for group in groups]
@@ -78,14 +78,16 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
     means = np.zeros((ends[-1], linear.residuals.size))
     within, differing_dof = 0.0, 0
     for end, group, chosen in zip(ends, groups, keys, strict=True):
-        takers = [_taker(problem.trials[t], problem.whiteners[t], chosen) for t in group]
-        for t, taker in zip(group, takers, strict=True):
-            means[end - len(chosen) : end, linear.rows[t]] = taker / np.sqrt(len(group))
+        averagings = [_averaging_matrix(problem.trials[t], problem.whiteners[t], chosen) for t in group]
+        for t, averaging in zip(group, averagings, strict=True):
+            means[end - len(chosen) : end, linear.rows[t]] = averaging / np.sqrt(len(group))
         if len(group) > 1:
             terms = [linear.trials[t] for t in group]
-            seen = np.array([taker @ t.residuals for taker, t in zip(takers, terms, strict=True)])
-            own = np.mean([taker @ t.own for taker, t in zip(takers, terms, strict=True)], axis=0)
-            direction = own / (np.linalg.norm(own) or 1.0)
+            seen = np.array([averaging @ t.residuals for averaging, t in zip(averagings, terms, strict=True)])
+            random_effect = np.mean(
+                [averaging @ t.random_effect for averaging, t in zip(averagings, terms, strict=True)], axis=0
+            )
+            direction = random_effect / (np.linalg.norm(random_effect) or 1.0)
             apart = seen - seen.mean(0)
             apart -= np.outer(apart @ direction, direction)
             within += float((apart**2).sum())
@@ -109,7 +111,7 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
 
 
 def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) -> list[Key]:
-    """Facts that every trial of a group has."""
+    """Cells that every trial of a group has."""
     each = []
     for b, t in zip(binned, group, strict=True):
         use = problem.whiteners[t].use
@@ -119,9 +121,9 @@ def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) 
     return sorted(set.intersection(*each))
 
 
-def _taker(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
-    """(facts, n): from whitened values of a trial to its facts, independent and of unit variance."""
-    taker = np.zeros((len(keys), whitener.channel.size))
+def _averaging_matrix(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
+    """(cells, n): from whitened values of a trial to its cell means, independent and of unit variance."""
+    averaging = np.zeros((len(keys), whitener.channel.size))
     for c, (use, inverse) in enumerate(zip(whitener.use, whitener.inverse, strict=True)):
         rows = [i for i, key in enumerate(keys) if key[0] == c]
         if not rows:
@@ -136,8 +138,8 @@ def _taker(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
         given = average @ raw
         lower = np.linalg.cholesky(given @ given.T)
         place = np.flatnonzero(whitener.channel == c)
-        taker[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
-    return taker
+        averaging[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
+    return averaging
 
 
 def _worst(
@@ -166,9 +168,9 @@ def _worst(
 
 
 def _raw_means(problem: Problem, found: Fit, trial: int, keys: list[Key]) -> list[float]:
-    """Mean of data minus model in each fact, N·m and rad."""
-    b, w, rows = problem.trials[trial], problem.whiteners[trial], found.residuals[trial]
-    raw = w.raw(rows)
+    """Mean of data minus model in each cell, N·m and rad."""
+    b, w = problem.trials[trial], problem.whiteners[trial]
+    raw = w.raw(found.residuals[trial])
     means = []
     for channel, motion, moving in keys:
         use = w.use[channel]

@@ -6,13 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.answer import Ranked, Value
-from needle_rig.workbench.selection.evidence import chance, held_gain
+from needle_rig.workbench.selection.answer import SIGMAS_95, Ranked, Value
+from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.selection.rivals import Rival
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
+
+TOLD_PULL_SIGMAS = 3.0
+"""Pull of the stated rigidity from which it is told against an effect."""
+TOLD_RIVALS = 2
+"""Ties that are told against an effect, the closest first."""
 
 
 def order(search: SearchTrace, named: list[str]) -> list[str]:
@@ -29,14 +34,16 @@ def order(search: SearchTrace, named: list[str]) -> list[str]:
 def values_of(fit: Fit, effect: str) -> tuple[Value, ...]:
     """Fitted parameters of one effect with their 95 % intervals."""
     found = []
-    for axis, at, error in zip(fit.axes, fit.point.positions, fit.position_error, strict=True):
-        if axis.effect != effect:
+    for parameter, at, error in zip(fit.parameters, fit.vector.scaled_values, fit.scaled_errors, strict=True):
+        if parameter.effect != effect:
             continue
-        ends = [axis.value(float(np.clip(at + s * 1.96 * error, *axis.bounds))) for s in (-1, 1)]
-        value = axis.value(float(at))
-        low, high = axis.info.literature
-        plausible = low <= value <= high or value == axis.info.off
-        found.append(Value(axis.name, value, min(ends), max(ends), axis.info.unit, plausible))
+        ends = [
+            parameter.value(float(np.clip(at + s * SIGMAS_95 * error, *parameter.bounds))) for s in (-1, 1)
+        ]
+        value = parameter.value(float(at))
+        low, high = parameter.info.literature
+        plausible = low <= value <= high or value == parameter.info.off
+        found.append(Value(parameter.name, value, min(ends), max(ends), parameter.info.unit, plausible))
     return tuple(found)
 
 
@@ -46,11 +53,11 @@ def rank(
     rivals: dict[str, list[Rival]],
     verdict: str,
     adopted: Fit,
-    held: HeldOut,
+    validation: CrossValidation,
 ) -> list[Ranked]:
     """The named effects in the order given, then every other by what it does alone.
 
-    `adopted` and `held` are of the set that is named, as a comparison with its model sees them.
+    `adopted` and `validation` are those of the named set, as a baseline of its own model.
     """
     problem = search.problem
     ranked = []
@@ -66,7 +73,7 @@ def rank(
             ranked.append(
                 Ranked(
                     effect,
-                    held.error,
+                    validation.error,
                     _removed(problem, root, best)
                     if len(ordered) == 1
                     else min(1.0, alone / _room(problem, root)),
@@ -81,11 +88,11 @@ def rank(
         for effect in ordered:
             for rival in rivals[effect]:
                 if rival.tied and rival.effect not in done:
-                    found, found_held = search.fits[rival.key]
+                    found, found_validation = search.fits[rival.key]
                     ranked.append(
                         Ranked(
                             rival.effect,
-                            found_held.error if found_held else None,
+                            found_validation.error if found_validation else None,
                             _removed(problem, root, found),
                             values_of(found, rival.effect),
                             (effect,),
@@ -105,18 +112,22 @@ def rank(
 def _single(search: SearchTrace, candidate: Candidate) -> Ranked:
     found = candidate.fit
     assert found is not None
-    seen = chance(search.root, found, len(search.names)) < POLICY.evidence.significance
-    foretells = held_gain(search.root_held, candidate.held) > 0 or not np.isfinite(search.root_held.error)
+    seen = adjusted_p(search.root, found, len(search.names)) < POLICY.evidence.significance
+    improves_cross_validation = predictive_gain(
+        search.root_validation, candidate.validation
+    ) > 0 or not np.isfinite(search.root_validation.error)
     removed = _removed(search.problem, search.root, found)
     favour = (
         f"alone it removes {100 * removed:.0f} % of the error above the noise"
         if seen
         else "nothing beyond chance"
     )
-    against = "" if seen and foretells else "what it gains does not carry over to commands left out"
+    against = (
+        "" if seen and improves_cross_validation else "what it gains does not carry over to commands left out"
+    )
     return Ranked(
         candidate.effect,
-        candidate.held.error if candidate.held else None,
+        candidate.validation.error if candidate.validation else None,
         removed,
         values_of(found, candidate.effect),
         (),
@@ -144,7 +155,7 @@ def _favour(search: SearchTrace, found: Fit, alone: float | None) -> str:
         f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""
     )
     names = "it" if len(found.effects) - len(search.start) == 1 else "the model with it"
-    told = " and foretells commands left out" if np.isfinite(search.root_held.error) else ""
+    told = " and foretells commands left out" if np.isfinite(search.root_validation.error) else ""
     return f"{names} removes {removed:.0f} % of the error above the noise{told}{sigmas}"
 
 
@@ -155,9 +166,9 @@ def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
         if not v.plausible
     ]
     tied = [r for r in rivals if r.tied]
-    for rival in tied[:2]:
+    for rival in tied[:TOLD_RIVALS]:
         apart = "" if rival.separation_sigma is None else f" ({rival.separation_sigma:.1f}σ apart)"
         parts.append(f"{rival.effect} fits as well{apart}")
-    if abs(found.pull_rigidity) > 3:
+    if abs(found.pull_rigidity) > TOLD_PULL_SIGMAS:
         parts.append(f"the needle's constants are pulled by {found.pull_rigidity:+.1f}σ")
     return "; ".join(parts)

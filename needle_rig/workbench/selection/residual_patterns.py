@@ -1,10 +1,10 @@
-"""What a fit leaves over: the largest of many generic signatures, in words.
+"""Residual patterns: the largest of many generic functions in what a fit leaves, in words.
 
-Signatures are functions of what is known of each bin (time, motion, angle, torque, order, …) on groups of
+The functions are of what is known of each bin (time, motion, angle, torque, order, …), on groups of
 channels. Each is whitened and freed of what the fit's parameters can make; under noise alone it is a standard
-normal, so the largest of all has a known distribution. What the needle's rigidity and the trials' own
-friction took up is not among it: there the signatures are a rigidity far from its stated value, and friction
-that goes along with the trials' order.
+normal, so the largest of all has a known distribution. What rigidity and
+random effects absorb is tested by itself: a rigidity far from its stated value, and a trend of friction over
+the trials.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtri, stdtr
 
 from needle_rig.numerics import Array
@@ -19,24 +20,28 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.observations.binning import BinnedTrial
+from needle_rig.workbench.observations.binning import BinnedTrial, direction_of
 from needle_rig.workbench.policy import POLICY
 
 NEEDLE = "the needle"
+TINY = 1e-9
+"""Length of a function that is none but for rounding."""
+SILENT = 1e-12
+"""Value of a function, rad or N·m, where it does not act."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """One signature found in what is left."""
+    """One generic function that is significant in the residuals."""
 
     channel: str
     law: str
     sigmas: float
     size: float
-    """Root mean square of the fitted signature where it acts, in `unit`."""
+    """Root mean square of the fitted function where it acts, in `unit`."""
     unit: str
     share: float
-    """Share of all that the significant signatures explain."""
+    """Share of the gain of all significant patterns."""
 
     def sentence(self) -> str:
         """In words."""
@@ -47,12 +52,12 @@ class Pattern:
 
 
 @dataclass(frozen=True)
-class Leftover:
-    """What is left, and how much signatures would explain of it."""
+class ResidualPatterns:
+    """The significant patterns of a fit's residuals."""
 
     patterns: tuple[Pattern, ...]
     gain: float
-    """Fall of the objective that the significant signatures would bring."""
+    """Fall of the objective that fitting all patterns would bring."""
 
     @property
     def significant(self) -> bool:
@@ -61,11 +66,11 @@ class Leftover:
 
 
 def functions(
-    binned: BinnedTrial, torque_nm: Array, own_rad: Array, order: int, trials: int
+    binned: BinnedTrial, torque_nm: Array, angle_rad: Array, order: int, trials: int
 ) -> dict[str, Array]:
     """Generic functions of the bins (K,), by the words that say what they follow."""
     settled = ~binned.moving
-    way = np.sign(binned.last_move_rad) * (np.abs(binned.last_move_rad) > 0.01)
+    way = direction_of(binned.last_move_rad)
     size = np.abs(binned.last_move_rad)
     before = np.r_[0.0, way[np.searchsorted(binned.motion, np.unique(binned.motion))]]
     earlier = before[binned.motion]
@@ -99,18 +104,18 @@ def functions(
         "follows the cosine of the base angle": np.cos(binned.base_rad),
         "follows the sine of twice the base angle": np.sin(2 * binned.base_rad),
         "follows the cosine of twice the base angle": np.cos(2 * binned.base_rad),
-        "is proportional to its own angle": own_rad,
-        "follows the sine of its own angle": np.sin(own_rad),
-        "follows the cosine of its own angle": np.cos(own_rad),
-        "follows the sine of twice its own angle": np.sin(2 * own_rad),
-        "follows the cosine of twice its own angle": np.cos(2 * own_rad),
-        "follows the sine of three times its own angle": np.sin(3 * own_rad),
-        "follows the cosine of three times its own angle": np.cos(3 * own_rad),
+        "is proportional to its own angle": angle_rad,
+        "follows the sine of its own angle": np.sin(angle_rad),
+        "follows the cosine of its own angle": np.cos(angle_rad),
+        "follows the sine of twice its own angle": np.sin(2 * angle_rad),
+        "follows the cosine of twice its own angle": np.cos(2 * angle_rad),
+        "follows the sine of three times its own angle": np.sin(3 * angle_rad),
+        "follows the cosine of three times its own angle": np.cos(3 * angle_rad),
         "is proportional to the torque": scale,
         "grows with the torque, whatever its sign": np.abs(scale),
         "follows the cube of the torque": scale**3,
         "follows the torque times its size": scale * np.abs(scale),
-        "is proportional to the twist between base and sensor": binned.base_rad - own_rad,
+        "is proportional to the twist between base and sensor": binned.base_rad - angle_rad,
         "grows with the distance travelled": travel,
         "follows the torque times the distance travelled": scale * travel,
         "follows the size of the motion, while moving": way * size * binned.moving,
@@ -122,17 +127,29 @@ def limit_sigmas(significance: float, tried: int) -> float:
     return float(-ndtri(significance / 2 / max(1, tried)))
 
 
-def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Leftover:
-    """The significant signatures of what `found` leaves, largest first; each next one beside those before."""
+def testable(left: Array, whole: Array) -> npt.NDArray[np.bool_]:
+    """Which functions, of lengths `whole`, can be tested by the lengths that projection leaves of them."""
+    return np.asarray(left > POLICY.verdict.testable_share * whole + TINY)
+
+
+def distinct(left: Array) -> npt.NDArray[np.bool_]:
+    """Which functions of unit length still differ from the patterns picked before, by what is left of
+    them."""
+    return np.asarray(left > POLICY.verdict.distinct_share)
+
+
+def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> ResidualPatterns:
+    """The significant patterns of a fit's residuals, by forward selection: each is fitted beside those
+    before."""
     project = LinearisedFit.of(problem, found).projection
-    readings = problem.predict(found.axes, found.point)
-    columns, names = _signatures(problem, readings, sensors)
+    readings = problem.predict(found.parameters, found.vector)
+    columns, names = _whitened_functions(problem, readings, sensors)
     lengths = np.sqrt((columns**2).sum(0))
     projected = np.column_stack([project(columns), project.rigidity()])
     names.append((NEEDLE, f"is {'stiffer' if found.pull_rigidity > 0 else 'softer'} in torsion than stated"))
     lengths = np.r_[lengths, 1.0]
     seen_lengths = np.sqrt((projected**2).sum(0))
-    usable = seen_lengths > 0.02 * lengths + 1e-9
+    usable = testable(seen_lengths, lengths)
     projected, lengths = projected[:, usable] / seen_lengths[usable], seen_lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
     limit = limit_sigmas(POLICY.verdict.pattern_significance, len(names))
@@ -148,14 +165,14 @@ def find_leftover(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> Lef
         left = left - direction * (direction @ left)
         basis = basis - np.outer(direction, direction @ basis)
         size = np.sqrt((basis**2).sum(0))
-        basis = np.where(size > 0.1, basis / np.maximum(size, 1e-9), 0.0)
+        basis = np.where(distinct(size), basis / np.maximum(size, TINY), 0.0)
     trend = _trend(problem, found)
     gain = sum(z**2 for _, z in picked) + sum(p.sigmas**2 for p in trend)
     patterns = [
         _pattern(problem, readings, sensors, names[i], z, abs(z) / lengths[i], z**2 / gain) for i, z in picked
     ]
     both = (*patterns, *(replace(p, share=p.sigmas**2 / gain) for p in trend))
-    return Leftover(both, gain)
+    return ResidualPatterns(both, gain)
 
 
 def _pattern(
@@ -167,7 +184,7 @@ def _pattern(
     times: float,
     share: float,
 ) -> Pattern:
-    """A signature that is seen `times` as large as it was stated."""
+    """A pattern of the function `name`, of which `times` is the fitted coefficient."""
     channel, law = name
     if channel == NEEDLE:
         percent = 100 * float(np.expm1(times * problem.rigidity_prior))
@@ -177,20 +194,20 @@ def _pattern(
 
 
 def _trend(problem: Problem, found: Fit) -> list[Pattern]:
-    """How the trials' own friction goes along with their order, where that is beyond chance."""
-    own = found.point.trial_friction
+    """A significant trend of the random effects over the trials, none or one."""
+    trial_friction = found.vector.trial_friction
     along = {
         "changes with the order of the trials": np.array([float(b.trial.index) for b in problem.trials]),
         "changes with the angle turned before": np.array([b.trial.travel_before_rad for b in problem.trials]),
     }
-    freedom = own.size - 2
+    freedom = trial_friction.size - 2
     trends = []
     for law, course in along.items():
         course = course - course.mean()
-        if freedom < 2 or not course @ course > 0.0:
+        if freedom <= 1 or not course @ course > 0.0:
             continue
-        slope = float(course @ (own - own.mean()) / (course @ course))
-        left = own - own.mean() - slope * course
+        slope = float(course @ (trial_friction - trial_friction.mean()) / (course @ course))
+        left = trial_friction - trial_friction.mean() - slope * course
         t = slope * np.sqrt(freedom * (course @ course) / max(left @ left, 1e-30))
         z = float(np.sign(t) * -ndtri(max(stdtr(freedom, -abs(t)), 1e-300)))
         size = 100 * abs(slope) * float(np.sqrt(np.mean(course**2)))
@@ -228,7 +245,7 @@ def _raw(problem: Problem, readings: list[Array], t: int) -> list[dict[str, Arra
     ]
 
 
-def _signatures(
+def _whitened_functions(
     problem: Problem, readings: list[Array], sensors: tuple[str, ...]
 ) -> tuple[Array, list[tuple[str, str]]]:
     groups = _groups(problem, sensors)
@@ -252,6 +269,6 @@ def _raw_size(
         each = _raw(problem, readings, t)
         values += [weight[c] * each[c][name[1]] for c in range(len(each)) if weight[c]]
     flat = np.concatenate(values)
-    acting = np.abs(flat) > 1e-12
+    acting = np.abs(flat) > SILENT
     rms = float(np.sqrt(np.mean(flat[acting] ** 2))) if acting.any() else 0.0
     return nmm(rms) if name[0] == "torque" else deg(rms)

@@ -1,4 +1,4 @@
-"""What cannot be told apart from what was found, and by how much the rest can."""
+"""Rivals: effects that fit in the place of one that was found, whether they tie, and their separation."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, score
 
 DRAWS = 400
+"""Reweightings: a share of 0.8 is then known to 0.02."""
+TOLD_BEHIND = 400.0
+"""Score behind (20σ) up to which the separation of the closest rival is computed."""
+SEPARATED = 2
+"""Rivals whose separation is computed, the closest first."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,7 @@ class Rival:
     """Share of reweightings of the trials in which what was found stays ahead."""
     tied: bool
     separation_sigma: float | None = None
-    """From simulating what was found and fitting the rival to it; None where it was not needed."""
+    """Separation of the rival from what was found, in σ; None where it was not computed."""
 
 
 def cannot_be_told_apart(
@@ -37,10 +42,9 @@ def cannot_be_told_apart(
 ) -> bool:
     """Whether an explanation ties with the best one, whose −2 log posterior is lower by `behind`.
 
-    What the best one misses above the noise (`missed`) hides differences as large, and three times as much
-    lies between two of which the better one is ahead in too small a `share` of reweightings of the trials. An
-    explanation that becomes another close one at an extreme of its parameters is no rival of it unless it
-    gains as much as tells two apart.
+    The tolerance grows by what the best one misses above the noise (`missed`), and by a factor where the best
+    one is ahead in too small a `share` of reweightings of the trials. A generalisation of another close
+    explanation ties only if its gain over that special case is itself as large as tells two apart.
     """
     if gain_over_special is not None and gain_over_special < POLICY.ties.close:
         return False
@@ -49,9 +53,9 @@ def cannot_be_told_apart(
 
 
 def promise_asked(gain: float) -> float:
-    """What screening must promise of an effect in the place of one that gains so much; −1: nothing.
+    """Screening gain that earns an effect a fit in the place of one with this gain; −1: any.
 
-    A promise says little where little is gained: there every effect is fitted.
+    Screening says little where little is gained: there every effect is fitted.
     """
     return POLICY.search.in_place_share * gain if gain > POLICY.search.in_place_all_up_to else -1.0
 
@@ -70,8 +74,8 @@ def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> floa
 
 def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
     """How many σ apart the rival's best fit to the noise-free prediction of `truth` would be."""
-    perfect = problem.with_means(problem.predict(truth.axes, truth.point))
-    found = fit(perfect, rival.effects, rival.point, nuisance=rival.nuisance)
+    perfect = problem.with_means(problem.predict(truth.parameters, truth.vector))
+    found = fit(perfect, rival.effects, rival.vector, nuisance=rival.nuisance)
     return float(np.sqrt(found.chi2)) if found is not None else float("inf")
 
 
@@ -104,8 +108,8 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
             )
             rivals.append(Rival(candidate.effect, key, behind, share, tied))
         rivals.sort(key=lambda r: (r.behind, r.effect))
-        for place, rival in enumerate(rivals[:2]):
-            if rival.tied or (place == 0 and rival.behind < 400.0):
+        for place, rival in enumerate(rivals[:SEPARATED]):
+            if rival.tied or (place == 0 and rival.behind < TOLD_BEHIND):
                 apart = separation(problem, here, search.fits[rival.key][0])
                 rivals[place] = dataclasses.replace(rival, separation_sigma=apart)
         found[effect] = rivals

@@ -1,7 +1,8 @@
-"""What each effect would buy, from a few simulations at finite strength: where to start a fit of it.
+"""Screening: a score test at finite strength of each effect, from a few simulations, and starts for its fit.
 
-Signatures are taken at 0.1, 0.5 and 1.5 of the typical size, because derivatives at zero strength miss most
-of what dry friction does; all parameters of the present fit are projected out.
+A signature is the whitened response of the model to an effect at 0.1, 0.5 and 1.5 of its typical size,
+because derivatives at zero strength miss most of what dry friction does. All parameters of the current fit
+are projected out of it.
 """
 
 from __future__ import annotations
@@ -17,31 +18,52 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.parameters import Coordinate, against_mean
+from needle_rig.workbench.estimation.parameters import FreeParameter, against_mean
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
+
+FORM_STEPS = (-0.6, 0.6)
+"""Form parameters that are tried beside the typical one on a logarithmic scale: factors of 4."""
+FORM_SHARES = (0.125, 0.375, 0.625, 0.875)
+"""Form parameters that are tried on any other scale: the middles of the quarters of its range."""
+MOST_FORMS = 200
+"""Combinations of form parameters of which those to try are taken."""
+LEAST_SCALE, MOST_SCALE = 0.02, 4.0
+"""A signature is scaled to the best size within these: dry friction is far from linear."""
+SCALED_SHARE = 0.9
+"""Share of the gain of a scaled signature that is expected, beside that of one as simulated."""
+JOINT_SHARE = 0.8
+"""Share of the gain of several signatures together that is expected."""
+RIDGE = 0.01
+"""Ridge of the fit of several signatures together, against collinear ones."""
+MOST_STARTS = 4
+"""Distinct starts of an effect that are kept."""
+APART, APART_SHARE = 0.3, 0.5
+"""Starts are distinct when a scaled value differs by this, or by this share of itself."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where to start a fit, and the fall of the objective that the preview expects there."""
+    """Where to start a fit: scaled values (k,) of the effect, and the expected fall of the objective."""
 
-    positions: Array
+    scaled_values: Array
     gain: float
 
 
 @dataclass(frozen=True)
-class Preview:
-    """What one effect would buy on top of a fit."""
+class Screening:
+    """Score test of one effect added to a fit."""
 
     effect: str
     gain: float
+    """Expected fall of the objective."""
     starts: tuple[Start, ...]
     """Best first."""
     error: float
-    """Standard deviation of the strength (on its axis), from the smallest strength's signature."""
+    """Standard deviation of the strength, scaled, from the signature at the smallest strength."""
     estimate: float
+    """The strength itself, scaled, from the same signature."""
     whole: bool = True
     """Whether every form was tried."""
 
@@ -50,20 +72,20 @@ class Preview:
         return self.gain >= worth or not self.whole
 
 
-def forms(axes: Sequence[Coordinate]) -> list[Array]:
-    """Positions of the form parameters to try, typical first; entries of strengths are 0."""
+def forms(parameters: Sequence[FreeParameter]) -> list[Array]:
+    """Scaled values of the form parameters to try, typical first; entries of strengths are 0."""
     choices = []
-    for axis in axes:
-        if not axis.info.shapes:
+    for parameter in parameters:
+        if not parameter.info.shapes:
             choices.append([0.0])
             continue
-        low, high = axis.bounds
-        if axis.info.scale == "log":
-            options = [0.0, -0.6, 0.6]
+        low, high = parameter.bounds
+        if parameter.info.scale == "log":
+            options = [0.0, *FORM_STEPS]
         else:
-            options = [0.0, *[low + (high - low) * f for f in (0.125, 0.375, 0.625, 0.875)]]
+            options = [0.0, *[low + (high - low) * f for f in FORM_SHARES]]
         choices.append([o for o in options if low <= o <= high])
-    every = [np.array(c) for c in itertools.islice(itertools.product(*choices), 200)]
+    every = [np.array(c) for c in itertools.islice(itertools.product(*choices), MOST_FORMS)]
     every.sort(key=lambda c: float(np.abs(c).sum()))
     if len(every) <= POLICY.screening.forms:
         return every
@@ -79,24 +101,24 @@ def out_of_reach(gain: float, asked: float) -> bool:
     return asked > policy.in_full_up_to and gain < policy.form_share * asked
 
 
-def _patterns(axes: Sequence[Coordinate]) -> list[list[int]]:
-    """Groups of coordinates that are tried together: items of a field one by one, single fields at once."""
-    single = [i for i, a in enumerate(axes) if not a.info.shapes and a.item is None]
-    each = [[i] for i, a in enumerate(axes) if not a.info.shapes and a.item is not None]
+def _tried_together(parameters: Sequence[FreeParameter]) -> list[list[int]]:
+    """Groups of parameters that are tried together: items of a field one by one, single fields at once."""
+    single = [i for i, a in enumerate(parameters) if not a.info.shapes and a.item is None]
+    each = [[i] for i, a in enumerate(parameters) if not a.info.shapes and a.item is not None]
     return ([single] if single else []) + each
 
 
-def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Preview:
-    """What `effect` would buy on top of `parent`. An effect that cannot be solved buys nothing.
+def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> Screening:
+    """Score test of `effect` added to `parent`; its gain is 0 where the model cannot be solved.
 
-    Every form is tried at the middle strength, the best two and the typical one at all; forms other than
-    the typical one are left out where that one stays far below `worth` and below what is to be explained.
+    Every form is tried at the middle strength; the best forms and the typical one at all strengths. The other
+    forms are left out where the typical one gains far less than `worth` and than the excess over the noise.
     """
     project = LinearisedFit.of(problem, parent).projection
-    own = problem.axes([effect])
-    axes = (*parent.axes, *own)
+    added = problem.parameters([effect])
+    parameters = (*parent.parameters, *added)
     residual = project.missed
-    patterns = _patterns(own)
+    groups = _tried_together(added)
     asked = max(worth, excess(problem, parent.objective))
     starts: list[Start] = []
     error, estimate = float("inf"), 0.0
@@ -104,41 +126,43 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     def tried(form: Array, strengths: Sequence[float]) -> list[tuple[Array, Array]]:
         nonlocal error, estimate
         signatures: list[tuple[Array, Array]] = []
-        for pattern, strength in itertools.product(patterns, strengths):
-            for sign in (1.0, -1.0) if not all(own[i].one_sided for i in pattern) else (1.0,):
-                positions = form.copy()
-                for i in pattern:
-                    low, high = own[i].bounds
-                    direction = 1.0 if own[i].one_sided and high > 0 else (-1.0 if own[i].one_sided else sign)
-                    positions[i] = np.clip(direction * strength, low, high)
-                if not np.any([positions[i] != 0 for i in pattern]):
+        for group, strength in itertools.product(groups, strengths):
+            for sign in (1.0, -1.0) if not all(added[i].one_sided for i in group) else (1.0,):
+                scaled_values = form.copy()
+                for i in group:
+                    low, high = added[i].bounds
+                    direction = (
+                        1.0 if added[i].one_sided and high > 0 else (-1.0 if added[i].one_sided else sign)
+                    )
+                    scaled_values[i] = np.clip(direction * strength, low, high)
+                if not np.any([scaled_values[i] != 0 for i in group]):
                     continue
-                change = signature(problem, parent, axes, positions)
+                change = signature(problem, parent, parameters, scaled_values)
                 if change is None:
                     continue
                 projected = project(*change)
-                signatures.append((positions, projected))
+                signatures.append((scaled_values, projected))
                 size = float(projected @ projected)
                 along = float(residual @ projected)
-                starts.append(Start(positions, 2 * along - size))
-                scale = float(np.clip(along / size, -4.0, 4.0)) if size > 0 else 0.0
-                scaled = positions.copy()
-                for i in pattern:
-                    low, high = own[i].bounds
-                    scaled[i] = np.clip(scale * positions[i], low, high)
-                if abs(scale) > 0.02 and (scale > 0 or not all(own[i].one_sided for i in pattern)):
-                    starts.append(Start(scaled, 0.9 * along**2 / size if size > 0 else 0.0))
+                starts.append(Start(scaled_values, 2 * along - size))
+                scale = float(np.clip(along / size, -MOST_SCALE, MOST_SCALE)) if size > 0 else 0.0
+                at_best = scaled_values.copy()
+                for i in group:
+                    low, high = added[i].bounds
+                    at_best[i] = np.clip(scale * scaled_values[i], low, high)
+                if abs(scale) > LEAST_SCALE and (scale > 0 or not all(added[i].one_sided for i in group)):
+                    starts.append(Start(at_best, SCALED_SHARE * along**2 / size if size > 0 else 0.0))
                 if strength == POLICY.screening.strengths[0] and size > 0:
                     here = POLICY.screening.strengths[0] / np.sqrt(size)
                     if here < error:
                         error = here
                         estimate = (
-                            abs(float(along / size * strength)) if along > 0 or len(patterns) > 1 else 0.0
+                            abs(float(along / size * strength)) if along > 0 or len(groups) > 1 else 0.0
                         )
         return signatures
 
     seen: list[tuple[float, int, Array, list[tuple[Array, Array]]]] = []
-    for place, form in enumerate(forms(own)):
+    for place, form in enumerate(forms(added)):
         begun = len(starts)
         signatures = tried(
             form, POLICY.screening.strengths if place == 0 else POLICY.screening.strengths[1:2]
@@ -150,22 +174,22 @@ def preview(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> 
     for rank, (_, place, form, signatures) in enumerate(seen):
         if rank < POLICY.screening.forms_in_full and place > 0:
             signatures += tried(form, (POLICY.screening.strengths[0], *POLICY.screening.strengths[2:]))
-        if len(patterns) > 1 and signatures:
-            starts += _joint(own, patterns, signatures, residual, form)
+        if len(groups) > 1 and signatures:
+            starts += _joint(added, groups, signatures, residual, form)
     starts.sort(key=lambda s: -s.gain)
     kept: list[Start] = []
     for start in starts:
-        if all(_apart(start.positions, k.positions) for k in kept):
+        if all(_apart(start.scaled_values, k.scaled_values) for k in kept):
             kept.append(start)
-        if len(kept) == 4:
+        if len(kept) == MOST_STARTS:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
-    return Preview(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(own)))
+    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)))
 
 
 def _joint(
-    own: Sequence[Coordinate],
-    patterns: list[list[int]],
+    added: Sequence[FreeParameter],
+    groups: list[list[int]],
     signatures: list[tuple[Array, Array]],
     residual: Array,
     form: Array,
@@ -174,70 +198,77 @@ def _joint(
     found = []
     for strength in POLICY.screening.strengths[:2]:
         columns, places = [], []
-        for pattern in patterns:
+        for group in groups:
             near = [
-                (abs(abs(pos[pattern[0]]) - strength), -float(residual @ s), pos, s)
+                (abs(abs(pos[group[0]]) - strength), -float(residual @ s), pos, s)
                 for pos, s in signatures
-                if pos[pattern[0]] != 0
+                if pos[group[0]] != 0
             ]
             if near:
                 _, _, pos, s = min(near, key=lambda n: (n[0], n[1]))
-                columns.append(s / pos[pattern[0]])
-                places.append(pattern)
+                columns.append(s / pos[group[0]])
+                places.append(group)
         if not columns:
             continue
         matrix = np.column_stack(columns)
-        square = matrix.T @ matrix + np.eye(len(columns)) * 0.01
+        square = matrix.T @ matrix + np.eye(len(columns)) * RIDGE
         best = np.linalg.solve(square, matrix.T @ residual)
-        positions = form.copy()
-        for amount, pattern in zip(best, places, strict=True):
-            for i in pattern:
-                positions[i] = np.clip(amount, *own[i].bounds)
-        found.append(Start(positions, 0.8 * float(best @ (matrix.T @ residual))))
+        scaled_values = form.copy()
+        for amount, group in zip(best, places, strict=True):
+            for i in group:
+                scaled_values[i] = np.clip(amount, *added[i].bounds)
+        found.append(Start(scaled_values, JOINT_SHARE * float(best @ (matrix.T @ residual))))
     return found
 
 
 def _apart(a: Array, b: Array) -> bool:
-    gap = [abs(x - y) / max(0.3, 0.5 * abs(x), 0.5 * abs(y)) for x, y in zip(a, b, strict=True)]
+    gap = [
+        abs(x - y) / max(APART, APART_SHARE * abs(x), APART_SHARE * abs(y)) for x, y in zip(a, b, strict=True)
+    ]
     return max(gap, default=0.0) > 1.0
 
 
-def beside(problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array) -> Point:
-    """The parent's optimum with an effect at `positions`, each trial's slip limits as large as they were.
+def beside(
+    problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
+) -> ParameterVector:
+    """The parent's optimum with an effect at `scaled_values`, each trial's slip limits as large as before.
 
-    Otherwise what the parent took for the trials' own friction would be there twice.
+    Otherwise friction that the random effects stand for in the parent would be there twice.
     """
-    every = against_mean(axes, np.r_[parent.point.positions, positions])
-    point = dataclasses.replace(parent.point, positions=every)
+    every = against_mean(parameters, np.r_[parent.vector.scaled_values, scaled_values])
+    vector = dataclasses.replace(parent.vector, scaled_values=every)
     try:
-        before, after = _slip_limits(problem, parent.axes, parent.point), _slip_limits(problem, axes, point)
+        before, after = (
+            _slip_limits(problem, parent.parameters, parent.vector),
+            _slip_limits(problem, parameters, vector),
+        )
     except BadInput:
-        return point
+        return vector
     scale = np.log(np.where((before > 0) & (after > 0), before / np.maximum(after, 1e-300), 1.0))
-    return dataclasses.replace(point, trial_friction=point.trial_friction + scale)
+    return dataclasses.replace(vector, trial_friction=vector.trial_friction + scale)
 
 
-def _slip_limits(problem: Problem, axes: Sequence[Coordinate], point: Point) -> Array:
+def _slip_limits(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Array:
     """Sum of both slip limits of all nodes in each trial (T,), N·m."""
     trials = enumerate(problem.trials)
-    rods = [problem.model(axes, point, t).rod(binned.trial) for t, binned in trials]
+    rods = [problem.model(parameters, vector, t).rod(binned.trial) for t, binned in trials]
     return np.array([float(rod.slip_plus_nm.sum() + rod.slip_minus_nm.sum()) for rod in rods])
 
 
 def signature(
-    problem: Problem, parent: Fit, axes: Sequence[Coordinate], positions: Array
+    problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
 ) -> tuple[Array, Array] | None:
-    """Whitened change of the model (n,) over all trials when the effect is put at `positions`, and what it
-    moves in the trials' own friction (T,)."""
-    point = beside(problem, parent, axes, positions)
+    """Whitened response of the model (n,) over all trials to an effect at `scaled_values`, and the change of
+    the trials' friction (T,) that goes with it. None where the model cannot be solved."""
+    vector = beside(problem, parent, parameters, scaled_values)
     trials = range(len(problem.trials))
     try:
-        readings = problem.predict(axes, point)
+        readings = problem.predict(parameters, vector)
     except (SolverError, BadInput):
         return None
     after = problem.residuals(readings, trials)
     change = []
     for t in trials:
         change.append(parent.residuals[t] + problem.nuisance[t] @ parent.nuisance - after[t])
-    found, moved = np.concatenate(change), point.trial_friction - parent.point.trial_friction
+    found, moved = np.concatenate(change), vector.trial_friction - parent.vector.trial_friction
     return (found, moved - moved.mean()) if np.all(np.isfinite(found)) else None

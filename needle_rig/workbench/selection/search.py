@@ -1,4 +1,4 @@
-"""The search for a set of effects: forward from the present model, sideways over relatives, back again.
+"""The search for a set of effects: forward from the current model, sideways over relatives, back again.
 
 Each step takes what the search knows and gives what it knows afterwards; nothing is changed in place.
 
@@ -16,23 +16,39 @@ from typing import Literal
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.cross_validation import HeldOut, held_out
-from needle_rig.workbench.estimation.map_fit import LOOSE, Fit, fit
+from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
+from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit, fit
 from needle_rig.workbench.estimation.multistart import fit_without_derivatives, through_valleys
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Point, Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import (
-    chance,
-    foretells,
+    adjusted_p,
+    improves_cross_validation,
     is_negligible,
-    may_be_ours,
     size_of,
+    within_discretisation_error,
 )
-from needle_rig.workbench.selection.screening import Preview, Start, beside, preview
+from needle_rig.workbench.selection.screening import Screening, Start, beside, screen
 
 EffectSet = frozenset[str]
+
+HALF_AS_GOOD = 0.5
+"""Share of the best start's gain from which another start is fitted, and of the promise that a fit should
+keep."""
+MOST_FITS = 3
+"""Starts of an effect that are fitted."""
+REFINED = 10
+"""Times `search.rough`: a fit whose tolerance is larger than that has ended by it, not early."""
+WORSE_FITS = 3.0
+"""Tolerances of a fit by which a child may be worse than its parent before it is fitted again."""
+NEARLY_OFF = 1e-3
+"""Scaled value of an effect that is off but for the tolerance of a fit."""
+LIKELY_CHANCE = 0.5
+"""p from which a gain is left as it was when a nuisance is added: chance as likely as not."""
+MOST_REPLACED = 2
+"""Effects of a set that relatives may replace, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +57,8 @@ class Candidate:
 
     effect: str
     fit: Fit | None
-    held: HeldOut | None
-    preview: Preview
+    validation: CrossValidation | None
+    screening: Screening
 
 
 def penalty(problem: Problem) -> float:
@@ -56,81 +72,87 @@ def score(problem: Problem, found: Fit) -> float:
 
 
 def refinable(problem: Problem, found: Fit) -> bool:
-    """Whether a first fit ended early: one that misses by far ends where a refined one would."""
-    return LOOSE * excess(problem, found.objective) < 10 * POLICY.search.rough
+    """Whether a first fit ended early: one that misses by far ends where a refined fit would."""
+    return EXCESS_TOLERANCE * excess(problem, found.objective) < REFINED * POLICY.search.rough
 
 
-def _worth_fitting(ahead: Preview) -> list[Start]:
+def _worth_fitting(ahead: Screening) -> list[Start]:
     """The best start, and those of the next two that promise half as much and more than chance."""
-    least = max(0.5 * ahead.gain, POLICY.search.promising)
-    return [*ahead.starts[:1], *(s for s in ahead.starts[1:3] if s.gain > least)]
+    least = max(HALF_AS_GOOD * ahead.gain, POLICY.search.promising)
+    return [*ahead.starts[:1], *(s for s in ahead.starts[1:MOST_FITS] if s.gain > least)]
 
 
 def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
-    """Fit `effect` on top of `parent` from its best starts, unless its preview gains less than `worth`."""
-    ahead = preview(problem, parent, effect, worth)
+    """Fit `effect` on top of `parent` from its best starts, unless screening promises less than `worth`."""
+    ahead = screen(problem, parent, effect, worth)
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     names = (*parent.effects, effect)
-    axes = problem.axes(names)
+    parameters = problem.parameters(names)
     starts = [*more, *_worth_fitting(ahead)]
     best: Fit | None = None
     for start in starts:
         found = fit(
             problem,
             names,
-            beside(problem, parent, axes, start.positions),
+            beside(problem, parent, parameters, start.scaled_values),
             nuisance=parent.nuisance,
-            enough=POLICY.search.rough,
+            tolerance=POLICY.search.rough,
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
     if best is not None and refinable(problem, best):
         if parent.objective - best.objective > POLICY.search.promising:
-            best = fit(problem, names, best.point, nuisance=best.nuisance) or best
+            best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
         best = through_valleys(problem, best)
-    room = 1.0 + 3 * LOOSE * excess(problem, parent.objective)
-    off = best is not None and bool(np.all(np.abs(best.point.positions[len(parent.axes) :]) < 1e-3))
+    room = 1.0 + WORSE_FITS * EXCESS_TOLERANCE * excess(problem, parent.objective)
+    off = best is not None and bool(
+        np.all(np.abs(best.vector.scaled_values[len(parent.parameters) :]) < NEARLY_OFF)
+    )
     if starts and not off and (best is None or best.objective > parent.objective + room):
         # from the parent's optimum with the effect off nothing can become worse
-        idle = np.zeros(len(starts[0].positions))
-        retry = fit(problem, names, beside(problem, parent, axes, idle), nuisance=parent.nuisance)
-        hoped = parent.objective - 0.5 * ahead.gain
+        idle = np.zeros(len(starts[0].scaled_values))
+        retry = fit(problem, names, beside(problem, parent, parameters, idle), nuisance=parent.nuisance)
+        hoped = parent.objective - HALF_AS_GOOD * ahead.gain
         if ahead.gain > POLICY.search.promising and (retry is None or retry.objective > hoped):
             retry = (
-                fit_without_derivatives(problem, names, beside(problem, parent, axes, starts[0].positions))
+                fit_without_derivatives(
+                    problem, names, beside(problem, parent, parameters, starts[0].scaled_values)
+                )
                 or retry
             )
         if retry is not None and (best is None or retry.objective < best.objective):
             best = retry
-    return Candidate(effect, best, held_out(problem, best) if best is not None else None, ahead)
+    return Candidate(effect, best, cross_validate(problem, best) if best is not None else None, ahead)
 
 
-def refit(problem: Problem, names: tuple[str, ...], start: Point) -> tuple[Fit | None, HeldOut | None]:
-    """Fit from a given point, with its held-out error."""
+def refit(
+    problem: Problem, names: tuple[str, ...], start: ParameterVector
+) -> tuple[Fit | None, CrossValidation | None]:
+    """Fit from a given parameter vector, with its cross-validation."""
     found = fit(problem, names, start)
-    return found, held_out(problem, found) if found is not None else None
+    return found, cross_validate(problem, found) if found is not None else None
 
 
-def without(found: Fit, effect: str) -> Point:
-    """A fit's point with one effect taken out."""
-    keep = [i for i, a in enumerate(found.axes) if a.effect != effect]
-    return Point(
-        found.point.log_friction,
-        found.point.log_rigidity,
-        found.point.positions[keep],
-        found.point.trial_friction,
+def without(found: Fit, effect: str) -> ParameterVector:
+    """A fit's parameter vector with one effect taken out."""
+    keep = [i for i, a in enumerate(found.parameters) if a.effect != effect]
+    return ParameterVector(
+        found.vector.log_friction,
+        found.vector.log_rigidity,
+        found.vector.scaled_values[keep],
+        found.vector.trial_friction,
     )
 
 
 def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
-    """A candidate that was not seen before a nuisance was added, on the scale of the new parent."""
+    """A candidate that was not significant before a nuisance was added, at the new parent's objective."""
     if candidate.fit is None:
         return candidate
     level = dataclasses.replace(candidate.fit, objective=parent.objective)
-    return Candidate(candidate.effect, level, None, candidate.preview)
+    return Candidate(candidate.effect, level, None, candidate.screening)
 
 
 @dataclass(frozen=True)
@@ -144,34 +166,36 @@ class Step:
 
 @dataclass(frozen=True)
 class SearchTrace:
-    """What a search knows: all fits are to its problem. `best` is where it stands."""
+    """State of a search: its fits, all to one problem, and the set `best` at which it stands."""
 
     problem: Problem
     names: tuple[str, ...]
     """Effects to try."""
     root: Fit
-    """The present model's, on top of which effects are added."""
-    root_held: HeldOut
+    """The current model's, on top of which effects are added."""
+    root_validation: CrossValidation
     best: EffectSet
-    fits: Mapping[EffectSet, tuple[Fit, HeldOut | None]]
+    fits: Mapping[EffectSet, tuple[Fit, CrossValidation | None]]
     """The best of each set of effects."""
     children: Mapping[EffectSet, tuple[Candidate, ...]]
     """All effects on top of a set."""
     asked: Mapping[EffectSet, float]
-    """Preview gain below which `children` of a set were not fitted."""
+    """Screening gain below which `children` of a set were not fitted."""
     negligible: Mapping[str, Fit]
-    """Effects that are seen but too small to matter, with the fit that showed each: they are nuisances."""
+    """Effects that are significant but negligible, with the fit that showed each: they are nuisances."""
     steps: tuple[Step, ...] = ()
 
     @classmethod
-    def begin(cls, problem: Problem, names: tuple[str, ...], root: Fit, root_held: HeldOut) -> SearchTrace:
-        """At the present model."""
+    def begin(
+        cls, problem: Problem, names: tuple[str, ...], root: Fit, root_validation: CrossValidation
+    ) -> SearchTrace:
+        """At the current model."""
         start = frozenset(root.effects)
-        return cls(problem, names, root, root_held, start, {start: (root, root_held)}, {}, {}, {})
+        return cls(problem, names, root, root_validation, start, {start: (root, root_validation)}, {}, {}, {})
 
     @property
     def start(self) -> EffectSet:
-        """The present model's effects."""
+        """The current model's effects."""
         return frozenset(self.root.effects)
 
     def score(self, key: EffectSet) -> float:
@@ -179,43 +203,43 @@ class SearchTrace:
         return score(self.problem, self.fits[key][0])
 
     def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
-        """What sorts sets, best first."""
+        """Sorting key of a set: score, then names; best first."""
         return self.score(key), sorted(key)
 
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
-        """Whether the child's extra effects are seen, and foretell what they have not seen."""
-        (old, old_held), (new, new_held) = self.fits[parent], self.fits[child]
-        if chance(old, new, len(self.names)) >= POLICY.evidence.significance or may_be_ours(
-            self.problem, old, new
-        ):
+        """Whether the child's extra effects are significant and improve cross-validation."""
+        (old, old_validation), (new, new_validation) = self.fits[parent], self.fits[child]
+        if adjusted_p(
+            old, new, len(self.names)
+        ) >= POLICY.evidence.significance or within_discretisation_error(self.problem, old, new):
             return False
-        if old_held is not None and not np.isfinite(old_held.error):
+        if old_validation is not None and not np.isfinite(old_validation.error):
             return True  # a single command: nothing can be left out, and the report says so
-        return foretells(old, old_held, new, new_held)
+        return improves_cross_validation(old, old_validation, new, new_validation)
 
     def named(self, key: EffectSet) -> list[str]:
-        """Effects of a set that are large enough to matter and were not in the present model."""
+        """Effects of a set that are large enough to matter and were not in the current model."""
         found = self.fits[key][0]
         return [e for e in found.effects if e not in self.start and not is_negligible(found, e)]
 
     def relatives(self, effect: str) -> list[str]:
         """Effects declared to look like this one, in either file."""
-        own = set(self.problem.library[effect].relatives)
-        own |= {n for n in self.names if effect in self.problem.library[n].relatives}
-        return sorted(own & set(self.names))
+        related = set(self.problem.library[effect].relatives)
+        related |= {n for n in self.names if effect in self.problem.library[n].relatives}
+        return sorted(related & set(self.names))
 
-    def keep(self, found: Fit | None, held: HeldOut | None) -> SearchTrace:
-        """With a fit, if it is the best of its set of effects."""
+    def keep(self, found: Fit | None, validation: CrossValidation | None) -> SearchTrace:
+        """The search with a fit added, if it is the best of its set of effects."""
         if found is None:
             return self
         key = frozenset(found.effects)
         old = self.fits.get(key)
         if old is not None and found.objective >= old[0].objective - 1e-9:
             return self
-        return dataclasses.replace(self, fits={**self.fits, key: (found, held)})
+        return dataclasses.replace(self, fits={**self.fits, key: (found, validation)})
 
     def stepped(self, kind: Literal["forward", "set aside", "taken out", "back"]) -> SearchTrace:
-        """With one more step, which led to where it stands."""
+        """The search with one more step, which led to `best`."""
         return dataclasses.replace(self, steps=(*self.steps, Step(kind, self.best, self.score(self.best))))
 
 
@@ -223,14 +247,14 @@ def search(
     problem: Problem,
     names: tuple[str, ...],
     root: Fit,
-    root_held: HeldOut,
+    root_validation: CrossValidation,
     *,
     max_effects: int,
     work: Work,
 ) -> SearchTrace:
     """Search among `names` on top of `root`, until nothing more passes or more would be named."""
     work.share(problem)
-    trace = SearchTrace.begin(problem, names, root, root_held)
+    trace = SearchTrace.begin(problem, names, root, root_validation)
     frontier = [trace.start]
     while True:
         trace, options = _forward(trace, work, frontier)
@@ -257,7 +281,7 @@ def search(
 def next_move(
     trace: SearchTrace, chosen: EffectSet, max_effects: int
 ) -> tuple[Literal["take out", "set aside", "end", "forward"], str]:
-    """What to do with the best of the next sets, and its effect that is too small to matter ("": none)."""
+    """The move that follows from the best of the next sets, and its negligible effect ("": none)."""
     found = trace.fits[chosen][0]
     small = next((e for e in sorted(chosen - trace.best) if is_negligible(found, e)), "")
     if small and size_of(found, small) < POLICY.search.no_size:
@@ -278,10 +302,11 @@ def _frontier(trace: SearchTrace, options: Sequence[EffectSet], max_effects: int
 
 
 def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) -> SearchTrace:
-    """With all effects on top of the set `key`; with `worth` only those whose preview reaches it.
+    """The search with all effects fitted on top of the set `key`; with `worth` only where screening reaches
+    it.
 
-    A preview orders the work on sets that may come to nothing; on a set that comes near the noise, every
-    effect is fitted.
+    Screening saves fits on sets that may come to nothing; on a set that comes near the noise, every effect is
+    fitted.
     """
     known = {c.effect: c for c in trace.children.get(key, ())}
     before = trace.asked.get(key, np.inf)
@@ -290,14 +315,14 @@ def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) 
     wanted = [
         n
         for n in names
-        if n not in known or (known[n].fit is None and worth < before and known[n].preview.may_reach(worth))
+        if n not in known or (known[n].fit is None and worth < before and known[n].screening.may_reach(worth))
     ]
     if not wanted:
         return dataclasses.replace(trace, children={**trace.children, key: trace.children.get(key, ())})
     known |= {c.effect: c for c in work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
     found = _from_limits(trace.problem, work, parent, [known[n] for n in names])
     for candidate in found:
-        trace = trace.keep(candidate.fit, candidate.held)
+        trace = trace.keep(candidate.fit, candidate.validation)
     return dataclasses.replace(
         trace,
         children={**trace.children, key: tuple(found)},
@@ -306,14 +331,17 @@ def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) 
 
 
 def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Candidate]) -> list[Candidate]:
-    """Fit again, from the effects that a candidate becomes at an extreme, what fits worse than these."""
+    """Candidates refitted from their special cases where they fit worse than these.
+
+    A special case is an effect that a candidate becomes at an extreme of its parameters.
+    """
     fitted = {c.effect: c.fit for c in found if c.fit is not None}
     tasks, places = [], []
     for place, candidate in enumerate(found):
         limits = problem.library[candidate.effect].limits
         known = [(fitted[limit], limit, extremes) for limit, extremes in limits.items() if limit in fitted]
         lowest = min((fit.objective for fit, _, _ in known), default=np.inf)
-        if known and (candidate.fit is None or candidate.fit.objective > lowest + 0.5):
+        if known and (candidate.fit is None or candidate.fit.objective > lowest + POLICY.search.rough):
             starts = tuple(_limit_start(problem, candidate.effect, *k) for k in known)
             tasks.append((parent, candidate.effect, starts))
             places.append(place)
@@ -328,24 +356,28 @@ def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Cand
 def _limit_start(
     problem: Problem, effect: str, known: Fit, limit: str, extremes: Mapping[str, float]
 ) -> Start:
-    """Where `effect` is the fitted `limit`: fields of the same name taken over, the rest extreme."""
-    own = problem.axes([effect])
+    """A start at which `effect` equals its fitted special case `limit`.
+
+    Fields of the same name are taken over; the others stand at their `extremes`.
+    """
+    added = problem.parameters([effect])
     values = {
         (a.field, a.item): a.value(float(x))
-        for a, x in zip(known.axes, known.point.positions, strict=True)
+        for a, x in zip(known.parameters, known.vector.scaled_values, strict=True)
         if a.effect == limit
     }
-    positions = np.zeros(len(own))
-    for i, axis in enumerate(own):
-        value = extremes.get(axis.field, values.get((axis.field, axis.item)))
-        if value is not None and (value != axis.info.off or axis.info.shapes):
-            inside = min(max(value, axis.info.lower), axis.info.upper)
-            positions[i] = np.clip(axis.position(inside), *axis.bounds)
-    return Start(positions, np.inf)
+    scaled_values = np.zeros(len(added))
+    for i, parameter in enumerate(added):
+        value = extremes.get(parameter.field, values.get((parameter.field, parameter.item)))
+        if value is not None and (value != parameter.info.off or parameter.info.shapes):
+            inside = min(max(value, parameter.info.lower), parameter.info.upper)
+            scaled_values[i] = np.clip(parameter.scaled_value(inside), *parameter.bounds)
+    return Start(scaled_values, np.inf)
 
 
 def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
-    """A fit with an effect of no size in it is a better fit of the others: they are fitted from there."""
+    """The search with an effect of no size removed from a set: the others are refitted from that lower
+    fit."""
     found, _ = trace.fits[key]
     names = tuple(e for e in found.effects if e != idle)
     rest = {k: v for k, v in trace.fits.items() if k != key}
@@ -354,9 +386,9 @@ def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
 
 
 def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> SearchTrace:
-    """With an effect of the set `key` that is seen but too small to matter as a nuisance of that small size.
+    """The search with a significant but negligible effect of the set `key` as a nuisance of that small size.
 
-    It then neither earns a name nor leaves a residual that another effect could claim.
+    It is then not named, and leaves no residual that another effect could fit.
     """
     found = trace.fits[key][0]
     problem = dataclasses.replace(trace.problem, nuisance=_with_direction(trace.problem, found, effect))
@@ -366,18 +398,23 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
     again = [
         c.effect
         for c in stale
-        if c.fit is not None and c.effect != effect and chance(parent, c.fit, len(trace.names)) < 0.5
+        if c.fit is not None
+        and c.effect != effect
+        and adjusted_p(parent, c.fit, len(trace.names)) < LIKELY_CHANCE
     ]
-    fits: dict[EffectSet, tuple[Fit, HeldOut | None]] = {
-        trace.start: (trace.root, trace.root_held),
+    fits: dict[EffectSet, tuple[Fit, CrossValidation | None]] = {
+        trace.start: (trace.root, trace.root_validation),
         trace.best: trace.fits[trace.best],
     }
-    for fitted, (old, old_held) in fits.items():
-        new, new_held = refit(problem, old.effects, old.point)
+    for fitted, (old, old_validation) in fits.items():
+        new, new_validation = refit(problem, old.effects, old.vector)
         if new is None:
-            new, new_held = dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)), old_held
-        fits[fitted] = new, new_held
-    root, root_held = fits[trace.start]
+            new, new_validation = (
+                dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)),
+                old_validation,
+            )
+        fits[fitted] = new, new_validation
+    root, root_validation = fits[trace.start]
     parent = fits[trace.best][0]
     redone = {c.effect: c for c in work.run(try_effect, [(parent, n) for n in sorted(again)])}
     kept = tuple(redone.get(c.effect) or _silenced(c, parent) for c in stale if c.effect != effect)
@@ -385,25 +422,25 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
         trace,
         problem=problem,
         root=root,
-        root_held=root_held or trace.root_held,
+        root_validation=root_validation or trace.root_validation,
         fits=fits,
         children={trace.best: kept},
         asked={trace.best: -1.0},
         negligible={**trace.negligible, effect: found},
     )
     for candidate in kept:
-        trace = trace.keep(candidate.fit, candidate.held)
+        trace = trace.keep(candidate.fit, candidate.validation)
     return trace.stepped("set aside")
 
 
 def _with_direction(problem: Problem, found: Fit, effect: str) -> tuple[Array, ...]:
     """Nuisances (n, q + 1) a trial with what `effect` does in a fit, at the smallest size that matters."""
-    off = found.point.positions.copy()
-    for i, axis in enumerate(found.axes):
-        if axis.effect == effect and not axis.info.shapes:
+    off = found.vector.scaled_values.copy()
+    for i, parameter in enumerate(found.parameters):
+        if parameter.effect == effect and not parameter.info.shapes:
             off[i] = 0.0
-    on = problem.predict(found.axes, found.point)
-    gone = problem.predict(found.axes, dataclasses.replace(found.point, positions=off))
+    on = problem.predict(found.parameters, found.vector)
+    gone = problem.predict(found.parameters, dataclasses.replace(found.vector, scaled_values=off))
     largest = size_of(found, effect)
     return tuple(
         np.hstack([n, w(a - b)[:, None] / largest])
@@ -412,23 +449,23 @@ def _with_direction(problem: Problem, found: Fit, effect: str) -> tuple[Array, .
 
 
 def _least(trace: SearchTrace, key: EffectSet) -> float:
-    """The preview gain that earns a fit on top of `key`: any at the start and where the noise is near.
+    """The screening gain that earns a fit on top of `key`: any at the start and where the noise is near.
 
-    As long as most of the error is not explained, what promises next to nothing of it cannot be the next.
+    While most of the error is not explained, an effect that promises next to nothing of it is not fitted.
     """
     left = excess(trace.problem, trace.fits[key][0].objective)
     return POLICY.search.faint_share * left if key != trace.start and left > trace.problem.size else -1.0
 
 
 def asked_beside(gain: float) -> float:
-    """What screening must promise on a set beside the best, where an effect gains `gain`."""
+    """Screening gain that earns a fit on a set beside the best one, which an effect improves by `gain`."""
     return max(POLICY.search.beside_gain, POLICY.search.frontier_share * gain)
 
 
 def _forward(
     trace: SearchTrace, work: Work, frontier: Sequence[EffectSet]
 ) -> tuple[SearchTrace, list[EffectSet]]:
-    """With the frontier expanded; sets with one effect more than where it stands that pass, best first."""
+    """The search with its frontier expanded, and the sets with one effect more that pass, best first."""
     trace = expand(trace, work, frontier[0], _least(trace, frontier[0]))
     fitted = [c.fit.objective for c in trace.children[frontier[0]] if c.fit is not None]
     for key in frontier[1:]:
@@ -452,10 +489,10 @@ def clearly_lower(after: float, before: float) -> bool:
 
 
 def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTrace, EffectSet]:
-    """With each effect's relatives tried in its place, as long as that helps; the best set."""
-    if len(key - trace.start) < 2:
+    """The search with each effect's relatives tried in its place, as long as that helps, and the best set."""
+    if len(key - trace.start) <= 1:
         return trace, key
-    for _ in range(2):
+    for _ in range(MOST_REPLACED):
         found = trace.fits[key][0]
         tasks = []
         for effect in sorted(key - trace.start):
@@ -467,7 +504,7 @@ def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTra
                 if relative not in key and rest | {relative} not in trace.fits:
                     tasks.append((trace.fits[rest][0], relative))
         for candidate in work.run(try_effect, tasks):
-            trace = trace.keep(candidate.fit, candidate.held)
+            trace = trace.keep(candidate.fit, candidate.validation)
         near = [
             k for k in trace.fits if len(k) == len(key) and len(k & key) == len(key) - 1 and trace.start <= k
         ]
@@ -479,7 +516,7 @@ def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTra
 
 
 def _back(trace: SearchTrace, work: Work) -> SearchTrace:
-    """With what is no longer needed dropped."""
+    """The search with effects dropped whose removal still passes (backward elimination)."""
     while len(trace.best - trace.start) > 1:
         found = trace.fits[trace.best][0]
         for effect in sorted(trace.best - trace.start):
@@ -494,7 +531,7 @@ def _back(trace: SearchTrace, work: Work) -> SearchTrace:
 
 
 def _with_rest(trace: SearchTrace, work: Work, found: Fit, effect: str) -> SearchTrace:
-    """With the set of a fit without one effect fitted."""
+    """The search with a fit's set refitted without one effect."""
     names = tuple(e for e in found.effects if e != effect)
     if frozenset(names) in trace.fits:
         return trace

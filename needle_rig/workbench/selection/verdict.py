@@ -10,7 +10,7 @@ from typing import Literal
 from needle_rig.workbench.observations.snaps import Snap, sentence
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
-from needle_rig.workbench.selection.residual_patterns import Leftover
+from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
 
 Verdict = Literal["none", "effect", "unknown"]
 """Nothing is missing, the named effects are, or something that they are not."""
@@ -21,11 +21,11 @@ class Findings:
     """What the rules judge: the effects that a search names, and what they leave."""
 
     named: tuple[str, ...]
-    left: Leftover
+    left: ResidualPatterns
     lack: LackOfFit | None
     explained_share: float
     held_out_error: float
-    """In units of the noise."""
+    """Root mean square error of cross-validation, in units of the noise."""
     snaps: tuple[Snap, ...] = ()
 
 
@@ -110,7 +110,7 @@ RULES: tuple[Callable[[Findings], str | None], ...] = (
 
 
 def reasons(found: Findings) -> tuple[Reason, ...]:
-    """What the rules say."""
+    """The rules that found something unexplained, each with its sentence."""
     said = ((rule.__name__, rule(found)) for rule in RULES)
     return tuple(Reason(name, sentence) for name, sentence in said if sentence is not None)
 

@@ -21,6 +21,9 @@ from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import WINDOW_S, Turn, carried_out
 
 REST_S = 0.5
+"""Rest before the first motion."""
+SLOWEST_HZ, FASTEST_HZ = 5.0, 10_000.0
+"""Samples a second: fewer do not resolve motions, more hold nothing that a needle does."""
 SAMPLES_LIMIT = 1_000_000
 """Of one trial: five hours at 50 a second, which take 1 GB and some seconds."""
 DIAMETER_M = 0.39e-3
@@ -43,8 +46,8 @@ def simulate_dataset(
     Raises BadInput for rates that cannot resolve the motions.
     """
     noise = noise or Noise()
-    if not 5.0 <= rate_hz <= 10_000.0:
-        raise BadInput(f"rate_hz is {rate_hz:g}; give 5 to 10000 samples a second")
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        raise BadInput(f"rate_hz is {rate_hz:g}; give {SLOWEST_HZ:g} to {FASTEST_HZ:g} samples a second")
     stated = _needle(model)
     error = noise.rigidity_error * float(np.random.default_rng([seed, 0]).standard_normal())
     true = dataclasses.replace(model, torsional_rigidity_nm2=model.torsional_rigidity_nm2 * math.exp(error))

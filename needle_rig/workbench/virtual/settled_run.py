@@ -52,7 +52,7 @@ class Drive(Protocol):
     """Turns the base; remembers where it stands and what the time is."""
 
     def rest(self) -> Turn:
-        """What comes before the first motion."""
+        """The turn before the first motion, at whose end the first reading is taken."""
 
     def turn(self, waypoint: Waypoint, speed_rad_s: float, settle_s: float) -> Turn:
         """The next motion. Raises BadInput."""
@@ -77,7 +77,7 @@ class SettledRun:
 
     @property
     def position_m(self) -> Array:
-        """Places of those nodes, shape (nodes,)."""
+        """Positions along the needle of the nodes of `shaft_rad`, shape (nodes,)."""
         last = self.needles[-1]
         return last.position_m[last.tissue]
 
@@ -181,7 +181,7 @@ class Recorded(Strategy):
         return replace(waypoint, angle_rad=rad(self.base_deg[waypoint.name]))
 
     def expected_motions(self) -> int:
-        """As many as the strategy's."""
+        """Number of motions that the inner strategy expects."""
         return self.inner.expected_motions()
 
 
@@ -221,9 +221,9 @@ class RampDrive:
             fade[-1] = 0.0
             rate = 2.0 * math.pi * waypoint.dither.frequency_hz
             base = base + waypoint.dither.amplitude_rad * fade * np.sin(rate * times)
-        held = times[-1] + settle_s + np.array([0.0, 0.5 * WINDOW_S, WINDOW_S])
-        times = np.append(times, held)
-        base = np.append(base, np.full(len(held), waypoint.angle_rad))
+        still_s = times[-1] + settle_s + np.array([0.0, 0.5 * WINDOW_S, WINDOW_S])
+        times = np.append(times, still_s)
+        base = np.append(base, np.full(len(still_s), waypoint.angle_rad))
         path = Trial(self._time_s + times, base)
         moved_s, self._time_s = self._time_s, self._time_s + float(times[-1])
         self._base_rad = waypoint.angle_rad

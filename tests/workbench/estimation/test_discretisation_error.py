@@ -4,27 +4,27 @@ import numpy as np
 import pytest
 
 from needle_rig.model import load_parameters
-from needle_rig.workbench.estimation import discretisation_error as own_error
-from needle_rig.workbench.estimation.baseline import as_compared, prepare
-from needle_rig.workbench.estimation.cross_validation import held_out
+from needle_rig.workbench.estimation import discretisation_error
+from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
+from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.discretisation_error import (
-    at_own_error,
     by_every_sample,
-    solver_error,
+    whitened_error,
+    with_discretisation_error,
 )
 from needle_rig.workbench.estimation.map_fit import fit
-from needle_rig.workbench.estimation.parameters import positions_of
+from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.evidence import may_be_ours
+from needle_rig.workbench.selection.evidence import within_discretisation_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
 
 
-def test_our_own_error_is_a_direction_of_every_fit():
+def test_the_discretisation_error_is_a_nuisance_of_every_fit():
     data = dataset(seed=21)
-    prepared = prepare(data, None, few())
-    problem, found = prepared.problem, prepared.present
+    baseline = fit_baseline(data, None, few())
+    problem, found = baseline.problem, baseline.current
     error = np.concatenate([n[:, 0] for n in problem.nuisance])
     assert 0.05 < np.linalg.norm(error) < 10.0
     assert found.nuisance.shape == (1,)
@@ -36,79 +36,79 @@ def test_our_own_error_is_a_direction_of_every_fit():
             mean[c, use] += 20.0 * np.linalg.solve(inverse, n[w.channel == c, 0]) / np.linalg.norm(error)
         shifted.append(dataclasses.replace(b, mean=mean))
     moved = dataclasses.replace(problem, trials=tuple(shifted))
-    again = fit(moved, (), found.point)
+    again = fit(moved, (), found.vector)
     assert again.nuisance[0] > found.nuisance[0] + 0.5
 
 
-def test_a_claim_under_three_times_our_own_error_is_refused():
+def test_a_gain_within_three_times_the_discretisation_error_is_refused():
     data = dataset(seed=22)
-    prepared = prepare(data, None, few())
-    problem, parent = prepared.problem, prepared.present
+    baseline = fit_baseline(data, None, few())
+    problem, parent = baseline.problem, baseline.current
 
     def child(times):
         rows = tuple(r - times * n[:, 0] for r, n in zip(parent.residuals, problem.nuisance, strict=True))
         return dataclasses.replace(parent, residuals=rows)
 
-    assert may_be_ours(problem, parent, child(2.9))
-    assert may_be_ours(problem, parent, child(-1.0))
-    assert not may_be_ours(problem, parent, child(3.1))
+    assert within_discretisation_error(problem, parent, child(2.9))
+    assert within_discretisation_error(problem, parent, child(-1.0))
+    assert not within_discretisation_error(problem, parent, child(3.1))
     freed = dataclasses.replace(child(1.0), pull_rigidity=parent.pull_rigidity + 12.0)
-    assert not may_be_ours(problem, parent, freed)
-    own = parent.point.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
-    steadied = dataclasses.replace(child(1.0), point=dataclasses.replace(parent.point, trial_friction=own))
-    assert not may_be_ours(problem, parent, steadied)
+    assert not within_discretisation_error(problem, parent, freed)
+    own = parent.vector.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
+    steadied = dataclasses.replace(child(1.0), vector=dataclasses.replace(parent.vector, trial_friction=own))
+    assert not within_discretisation_error(problem, parent, steadied)
 
 
-def test_a_finer_solver_leaves_less_of_our_own_error():
+def test_a_finer_solver_leaves_less_discretisation_error():
     data = dataset(seed=23)
-    problem = prepare(data, None, few()).problem
-    found = fit(problem, (), prepare(data, None, few()).present.point)
+    problem = fit_baseline(data, None, few()).problem
+    found = fit(problem, (), fit_baseline(data, None, few()).current.vector)
     sizes = []
     for length_m in (4e-3, 0.5e-3):
         used = dataclasses.replace(
             problem,
             base=dataclasses.replace(problem.base, element_length_m=length_m),
         )
-        error = solver_error(used, found, data.trials, 0.25e-3)
+        error = whitened_error(used, found, data.trials, 0.25e-3)
         sizes.append(float(np.linalg.norm(np.concatenate([e[:, 0] for e in error]))))
     assert sizes[1] < sizes[0]
 
 
 def ageing():
-    """(dataset, prepared present model, fit of the hidden effect on coarse paths)."""
+    """(dataset, baseline, fit of the hidden effect on coarse paths)."""
     hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
     data = dataset(hidden, seed=25)
-    prepared = prepare(data, None, few("stiction_ageing"))
-    at = positions_of(prepared.problem.axes(["stiction_ageing"]), [hidden])
+    baseline = fit_baseline(data, None, few("stiction_ageing"))
+    at = scaled_values_of(baseline.problem.parameters(["stiction_ageing"]), [hidden])
     coarse = fit(
-        prepared.problem, ["stiction_ageing"], dataclasses.replace(prepared.present.point, positions=at)
+        baseline.problem, ["stiction_ageing"], dataclasses.replace(baseline.current.vector, scaled_values=at)
     )
     assert coarse is not None
-    return data, prepared, coarse
+    return data, baseline, coarse
 
 
 @pytest.mark.slow
 def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
     """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
-    data, prepared, coarse = ageing()
-    errors = solver_error(prepared.problem, coarse, data.trials, prepared.fine_m)
+    data, baseline, coarse = ageing()
+    errors = whitened_error(baseline.problem, coarse, data.trials, baseline.fine_m)
     before = [np.linalg.norm(e) for e in errors]
     assert np.linalg.norm(before) > 5.0
-    problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
+    problem, found, validation = as_baseline(baseline, baseline.problem, coarse, None)
     assert [b.trial.time_s.size for b in problem.trials] == [t.trial.time_s.size for t in data.trials]
     assert sum(np.linalg.norm(n[:, 0]) for n in problem.nuisance) < 0.3 * sum(before)
-    assert held.error < 1.05
-    growth = found.axes[0].value(float(found.point.positions[0]))
+    assert validation.error < 1.05
+    growth = found.parameters[0].value(float(found.vector.scaled_values[0]))
     assert growth == pytest.approx(0.4, abs=0.08)
 
 
 @pytest.mark.slow
 def test_a_comparison_drives_an_adopted_model_as_finely():
-    data, prepared, coarse = ageing()
-    problem, found, held = as_compared(prepared, prepared.problem, coarse, None)
+    data, baseline, coarse = ageing()
+    problem, found, validation = as_baseline(baseline, baseline.problem, coarse, None)
     length_m = load_parameters("rig_rigid").element_length_m
-    model = dataclasses.replace(problem.model(found.axes, found.point), element_length_m=length_m)
-    assert prepare(data, model, few()).held.error == pytest.approx(held.error, abs=0.02)
+    model = dataclasses.replace(problem.model(found.parameters, found.vector), element_length_m=length_m)
+    assert fit_baseline(data, model, few()).validation.error == pytest.approx(validation.error, abs=0.02)
 
 
 def slipping(encoder_deg):
@@ -116,10 +116,12 @@ def slipping(encoder_deg):
     hidden = effect("stribeck", static_excess=0.3)
     noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)
     data = dataset(hidden, seed=42, noise=noise)
-    prepared = prepare(data, None, few("stribeck"))
-    at = positions_of(prepared.problem.axes(["stribeck"]), [hidden])
-    found = fit(prepared.problem, ["stribeck"], dataclasses.replace(prepared.present.point, positions=at))
-    return data, prepared.problem, found
+    baseline = fit_baseline(data, None, few("stribeck"))
+    at = scaled_values_of(baseline.problem.parameters(["stribeck"]), [hidden])
+    found = fit(
+        baseline.problem, ["stribeck"], dataclasses.replace(baseline.current.vector, scaled_values=at)
+    )
+    return data, baseline.problem, found
 
 
 def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison():
@@ -128,8 +130,8 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     wider, again = by_every_sample(problem, found, data.trials)
     sensors_alone = tuple(dataclasses.replace(b, from_encoder=None) for b in wider.trials)
     narrow = dataclasses.replace(wider, trials=sensors_alone, whiteners=())
-    assert held_out(narrow, fit(narrow, ["stribeck"], again.point)).error > 1.03
-    assert held_out(wider, again).error < 1.0
+    assert cross_validate(narrow, fit(narrow, ["stribeck"], again.vector)).error > 1.03
+    assert cross_validate(wider, again).error < 1.0
     assert (
         0.0 < np.linalg.norm(wider.whiteners[0].inverse[1]) < np.linalg.norm(narrow.whiteners[0].inverse[1])
     )
@@ -138,18 +140,20 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
 def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch):
     data, problem, found = slipping(encoder_deg=0.02)
     met = []
-    monkeypatch.setattr(own_error, "over_shapes", lambda _, found, steps: met.append(found) or found)
+    monkeypatch.setattr(
+        discretisation_error, "over_forms", lambda _, found, steps: met.append(found) or found
+    )
     fine_m = load_parameters("rig_rigid").element_length_m
-    before = np.linalg.norm(np.vstack(solver_error(problem, found, data.trials, fine_m)))
+    before = np.linalg.norm(np.vstack(whitened_error(problem, found, data.trials, fine_m)))
     assert before > 5.0
-    after, again = at_own_error(problem, found, data.trials, fine_m)
+    after, again = with_discretisation_error(problem, found, data.trials, fine_m)
     assert [b.trial.time_s.size for b in after.trials] == [t.trial.time_s.size for t in data.trials]
     assert np.linalg.norm(np.vstack([n[:, :1] for n in after.nuisance])) < 0.5 * before
     far = dataclasses.replace(found, objective=3.0 * problem.size)
-    assert at_own_error(problem, far, data.trials, fine_m)[0].trials == problem.trials
+    assert with_discretisation_error(problem, far, data.trials, fine_m)[0].trials == problem.trials
     # the encoder's noise moves the minimum further than derivatives between two slips tell
-    assert np.all(again.position_error > 1.5 * met[0].position_error)
-    assert np.all(np.abs(again.point.positions - [1.0, 0.0, 0.0]) < 3.0 * again.position_error)
+    assert np.all(again.scaled_errors > 1.5 * met[0].scaled_errors)
+    assert np.all(np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0]) < 3.0 * again.scaled_errors)
 
 
 def test_an_encoder_without_noise_adds_none():

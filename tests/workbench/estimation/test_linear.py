@@ -16,9 +16,9 @@ ITEMS = np.array([3, 4, 5])
 PRECISION = np.r_[0.0, 2500.0, 0.01, 0.25, 0.25, 0.25, np.full(T, 400.0), np.ones(Q)]
 
 
-def toy(*, held=(), lumped=True, blind=False, alike=False):
-    """Three trials; `lumped`: own friction is a direction of its own; `blind`: nothing tells of
-    the first position; `alike`: two positions can hardly be told apart."""
+def toy(*, constrained=(), lumped=True, blind=False, alike=False):
+    """Three trials; `lumped`: the random effect is a direction of its own; `blind`: nothing tells of
+    the first scaled value; `alike`: two scaled values can hardly be told apart."""
     random = np.random.default_rng(5)
     trials = []
     for size in SIZES:
@@ -33,9 +33,9 @@ def toy(*, held=(), lumped=True, blind=False, alike=False):
     from_centre = 0.1 * random.standard_normal(P + T + Q)
     from_centre[0] = 0.0
     from_centre[P : P + T] -= from_centre[P : P + T].mean()
-    for places in held:
+    for places in constrained:
         from_centre[places] -= from_centre[places].mean()
-    return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(held))
+    return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(constrained))
 
 
 def dense(linear, *, trials=range(T), mean_of_trials=False):
@@ -43,15 +43,15 @@ def dense(linear, *, trials=range(T), mean_of_trials=False):
     data = np.zeros((sum(SIZES), P + T + Q))
     begin = 0
     for t, terms in enumerate(linear.trials):
-        own = np.zeros((terms.residuals.size, T))
-        own[:, t] = terms.columns[:, P]
-        part = np.hstack([terms.columns[:, :P], own, terms.columns[:, P + 1 :]])
+        random_effect = np.zeros((terms.residuals.size, T))
+        random_effect[:, t] = terms.columns[:, P]
+        part = np.hstack([terms.columns[:, :P], random_effect, terms.columns[:, P + 1 :]])
         data[begin : begin + terms.residuals.size] = part
         begin += terms.residuals.size
     kept = np.repeat([t in trials for t in range(T)], SIZES)
     tight = np.sqrt(PRECISION)
     means = np.zeros((0, P + T + Q))
-    for places in [*linear.held, *([np.arange(P, P + T)] if mean_of_trials else [])]:
+    for places in [*linear.constrained_means, *([np.arange(P, P + T)] if mean_of_trials else [])]:
         row = np.zeros((1, P + T + Q))
         row[0, places] = (np.sqrt(LEVEL) if mean_of_trials else 1e6) / places.size
         means = np.vstack([means, row])
@@ -68,9 +68,9 @@ def test_a_step_is_the_least_squares_solution_of_the_stacked_rows():
     assert abs((step + linear.from_centre)[P : P + T].mean()) < 1e-4 < np.abs(step[P : P + T]).max()
 
 
-@pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(held):
-    linear = toy(held=held)
+@pytest.mark.parametrize("constrained", [(), (ITEMS,)])
+def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(constrained):
+    linear = toy(constrained=constrained)
     rows, _ = dense(linear, mean_of_trials=True)
     inverse = np.linalg.inv(rows.T @ rows)[:P, :P]
     data = rows[: sum(SIZES)]
@@ -79,34 +79,34 @@ def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_
     assert linear.covariance == pytest.approx(expected, rel=0.01, abs=1e-5)
 
 
-@pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_projection_leaves_the_residual_of_least_squares(held):
-    linear = toy(held=held)
+@pytest.mark.parametrize("constrained", [(), (ITEMS,)])
+def test_projection_leaves_the_residual_of_least_squares(constrained):
+    linear = toy(constrained=constrained)
     rows, values = dense(linear)
     left = values - rows @ np.linalg.lstsq(rows, values, rcond=None)[0]
     size = sum(SIZES) + P + T + Q
     assert linear.projection.missed == pytest.approx(left[:size], abs=1e-6)
 
 
-def test_a_held_mean_cannot_be_made_by_the_parameters():
+def test_a_constrained_mean_is_nothing_that_parameters_can_fit():
     """All items together are a direction that the fit does not have: what looks like it is left."""
-    free, held = toy().projection, toy(held=(ITEMS,)).projection
+    free, constrained = toy().projection, toy(constrained=(ITEMS,)).projection
     together = toy().columns[:, ITEMS].sum(1)
     apart = toy().columns[:, ITEMS] @ np.array([1.0, -0.5, -0.5])
     assert np.linalg.norm(free(together)) < 0.05 * np.linalg.norm(together)
-    assert np.linalg.norm(held(together)) > 0.5 * np.linalg.norm(together)
-    assert np.linalg.norm(held(apart)) < 0.05 * np.linalg.norm(apart)
+    assert np.linalg.norm(constrained(together)) > 0.5 * np.linalg.norm(together)
+    assert np.linalg.norm(constrained(apart)) < 0.05 * np.linalg.norm(apart)
 
 
-def test_a_projected_change_brings_its_share_of_the_trials_own_friction():
+def test_a_projected_change_brings_its_share_of_the_random_effects():
     linear = toy()
     rows, _ = dense(linear)
-    change, own = np.linspace(-1.0, 2.0, sum(SIZES)), np.array([0.02, -0.03, 0.01])
+    change, random_effect = np.linspace(-1.0, 2.0, sum(SIZES)), np.array([0.02, -0.03, 0.01])
     padded = np.zeros(len(rows))
     padded[: sum(SIZES)] = change
-    padded[sum(SIZES) + P : sum(SIZES) + P + T] = own * 20.0
+    padded[sum(SIZES) + P : sum(SIZES) + P + T] = random_effect * 20.0
     left = padded - rows @ np.linalg.lstsq(rows, padded, rcond=None)[0]
-    assert linear.projection(change, own) == pytest.approx(left, abs=1e-9)
+    assert linear.projection(change, random_effect) == pytest.approx(left, abs=1e-9)
 
 
 def test_projected_means_are_those_of_the_averaged_rows():
@@ -128,39 +128,39 @@ def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row()
     assert linear.projection.rigidity() == pytest.approx(left, abs=1e-9)
 
 
-@pytest.mark.parametrize("held", [(), (ITEMS,)])
-def test_without_a_trial_the_covariance_is_that_of_the_other_rows(held):
-    linear = toy(held=held)
+@pytest.mark.parametrize("constrained", [(), (ITEMS,)])
+def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained):
+    linear = toy(constrained=constrained)
     shared = np.r_[0:P, P + T : P + T + Q]
     rows, _ = dense(linear, trials=(0, 2))
     curvature, covariance = linear.without([1])
     assert covariance == pytest.approx(
         np.linalg.inv(rows.T @ rows)[np.ix_(shared, shared)], rel=1e-4, abs=1e-8
     )
-    if not held:
+    if not constrained:
         assert curvature @ covariance == pytest.approx(np.eye(shared.size), abs=1e-6)
 
 
-def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_when_its_own_friction_follows():
+def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_with_its_random_effect_profiled_out():
     linear = toy()
     terms, at = linear.trials[1], 0.05
-    rows = np.vstack([np.insert(terms.shared, 0, terms.own, axis=1), np.zeros((1, 1 + P + Q))])
+    rows = np.vstack([np.insert(terms.shared, 0, terms.random_effect, axis=1), np.zeros((1, 1 + P + Q))])
     rows[-1, 0] = 20.0
     values = np.r_[terms.residuals, -20.0 * at]
-    own = rows[:, :1]
-    left = values - own @ np.linalg.lstsq(own, values, rcond=None)[0]
-    freed = rows[:, 1:] - own @ np.linalg.lstsq(own, rows[:, 1:], rcond=None)[0]
+    random_effect = rows[:, :1]
+    left = values - random_effect @ np.linalg.lstsq(random_effect, values, rcond=None)[0]
+    freed = rows[:, 1:] - random_effect @ np.linalg.lstsq(random_effect, rows[:, 1:], rcond=None)[0]
     assert terms.push(terms.residuals, at) == pytest.approx(rows[:, 1:].T @ left, abs=1e-8)
     assert terms.information() == pytest.approx(freed.T @ freed, abs=1e-6)
 
 
-def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_held():
+def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_constrained():
     assert toy().rank == 4
-    assert toy(held=(ITEMS,)).rank == 3
+    assert toy(constrained=(ITEMS,)).rank == 3
     assert toy(blind=True).rank == 3
 
 
-def test_the_loosest_direction_is_the_one_in_which_two_positions_stand_for_each_other():
+def test_the_loosest_direction_is_the_one_in_which_two_parameters_stand_for_each_other():
     linear = toy(alike=True)
     move = linear.loosest()
     rows, _ = dense(linear, mean_of_trials=True)
@@ -176,8 +176,8 @@ def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it():
     covariance = np.diag([0.1, 0.2, 0.05]) + 0.02
     columns = random.standard_normal((5, 4))
     draws = random.multivariate_normal(np.zeros(3), covariance, 200_000)
-    own = 0.3 * random.standard_normal(200_000)
-    seen = np.cov(columns[:, :3] @ draws.T + np.outer(columns[:, 3], own))
+    random_effect = 0.3 * random.standard_normal(200_000)
+    seen = np.cov(columns[:, :3] @ draws.T + np.outer(columns[:, 3], random_effect))
     assert prediction_covariance(covariance, 0.3**2, columns) == pytest.approx(seen, abs=0.02)
 
 

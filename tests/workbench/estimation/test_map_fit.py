@@ -9,14 +9,14 @@ from scipy.optimize import minimize_scalar
 
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.workbench.estimation import multistart as minima_module
-from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.estimation.cross_validation import held_out
+from needle_rig.workbench.estimation import multistart
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.map_fit import fit
-from needle_rig.workbench.estimation.multistart import over_shapes
-from needle_rig.workbench.estimation.parameters import coordinates, make_effects, positions_of
+from needle_rig.workbench.estimation.multistart import over_forms
+from needle_rig.workbench.estimation.parameters import free_parameters, make_effects, scaled_values_of
 from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.selection.evidence import chance, held_gain
+from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few
@@ -25,75 +25,79 @@ EVERY = find_effects()
 
 
 @given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
-def test_positions_and_values_are_inverse(name, strength):
-    axes = coordinates(EVERY, [name], dataset().layout)
-    positions = np.array(
+def test_scaled_values_and_values_are_inverse(name, strength):
+    parameters = free_parameters(EVERY, [name], dataset().layout)
+    scaled_values = np.array(
         [
             0.0 if a.info.shapes else np.clip(strength if a.bounds[1] > 0 else -strength, *a.bounds)
-            for a in axes
+            for a in parameters
         ]
     )
-    made = make_effects(EVERY, axes, positions)
-    assert positions_of(axes, made) == pytest.approx(positions, abs=1e-9)
+    made = make_effects(EVERY, parameters, scaled_values)
+    assert scaled_values_of(parameters, made) == pytest.approx(scaled_values, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", sorted(EVERY))
 def test_off_is_the_origin(name):
-    axes = coordinates(EVERY, [name], dataset().layout)
-    made = make_effects(EVERY, axes, np.zeros(len(axes)))[0]
+    parameters = free_parameters(EVERY, [name], dataset().layout)
+    made = make_effects(EVERY, parameters, np.zeros(len(parameters)))[0]
     assert made.is_off()
-    for axis in axes:
-        low, high = axis.bounds
-        assert low <= 0.0 <= high or axis.info.shapes
-        if not axis.info.shapes:
-            assert axis.position(axis.info.typical) == pytest.approx(1.0)
-            assert 0 < axis.smallest < 1.2
+    for parameter in parameters:
+        low, high = parameter.bounds
+        assert low <= 0.0 <= high or parameter.info.shapes
+        if not parameter.info.shapes:
+            assert parameter.scaled_value(parameter.info.typical) == pytest.approx(1.0)
+            assert 0 < parameter.smallest < 1.2
 
 
 def test_the_null_model_finds_friction_and_the_noise():
-    prepared = prepare(dataset(), None, few())
-    friction = np.exp(prepared.present.point.log_friction)
+    baseline = fit_baseline(dataset(), None, few())
+    friction = np.exp(baseline.current.vector.log_friction)
     assert friction * 100 == pytest.approx(0.0996, rel=0.03)
-    assert abs(prepared.present.pull_rigidity) < 3
-    assert prepared.held.error == pytest.approx(1.0, abs=0.1)
-    assert 0.7 < prepared.present.chi2 / prepared.problem.size < 1.15
+    assert abs(baseline.current.pull_rigidity) < 3
+    assert baseline.validation.error == pytest.approx(1.0, abs=0.1)
+    assert 0.7 < baseline.current.chi2 / baseline.problem.size < 1.15
 
 
 def test_a_hidden_stiffness_is_found_within_its_error():
-    prepared = prepare(
+    baseline = fit_baseline(
         dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
     )
-    found = try_effect(prepared.problem, prepared.present, "tissue_elasticity")
-    axis, at, error = found.fit.axes[0], found.fit.point.positions[0], found.fit.position_error[0]
-    assert axis.value(at) == pytest.approx(0.45, rel=0.01)
-    assert abs(at - axis.position(0.45)) < 4 * error
-    assert chance(prepared.present, found.fit, 5) < 1e-6
-    assert held_gain(prepared.held, found.held) > 0
+    found = try_effect(baseline.problem, baseline.current, "tissue_elasticity")
+    parameter, at, error = (
+        found.fit.parameters[0],
+        found.fit.vector.scaled_values[0],
+        found.fit.scaled_errors[0],
+    )
+    assert parameter.value(at) == pytest.approx(0.45, rel=0.01)
+    assert abs(at - parameter.scaled_value(0.45)) < 4 * error
+    assert adjusted_p(baseline.current, found.fit, 5) < 1e-6
+    assert predictive_gain(baseline.validation, found.validation) > 0
 
 
 def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
-    parent = prepare(dataset(), None, few()).present
+    parent = fit_baseline(dataset(), None, few()).current
     gain = 2.0 * parent.scatter_dof * math.log(2.0)
     seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
     steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
     assert parent.scatter_dof == 9.0
-    assert chance(parent, seen, 22) < 0.01
+    assert adjusted_p(parent, seen, 22) < 0.01
     # t² = (2² - 1) · 7 with 7 degrees of freedom: p = 0.00254, halved for want of a second sign
-    assert chance(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
+    assert adjusted_p(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
 
 
 def test_a_child_is_never_worse_than_its_parent():
-    prepared = prepare(dataset(), None, few())
+    baseline = fit_baseline(dataset(), None, few())
     for name in few():
-        found = try_effect(prepared.problem, prepared.present, name).fit
-        assert found.objective < prepared.present.objective + 1.0
+        found = try_effect(baseline.problem, baseline.current, name).fit
+        assert found.objective < baseline.current.objective + 1.0
 
 
-def test_held_out_prediction_needs_a_second_command():
+def test_cross_validation_needs_a_second_command():
     data = dataset()
     one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
-    prepared = prepare(one, None, few())
-    assert held_out(prepared.problem, prepared.present).error == float("inf")
+    baseline = fit_baseline(one, None, few())
+    assert cross_validate(baseline.problem, baseline.current).error == float("inf")
 
 
 def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
@@ -105,26 +109,26 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
         "tip_friction",
     }
     for name in one_sided:
-        strength = coordinates(EVERY, [name], dataset().layout)[0]
+        strength = free_parameters(EVERY, [name], dataset().layout)[0]
         assert strength.one_sided
         assert strength.bounds[1] > 10
-    assert not coordinates(EVERY, ["torque_bias"], dataset().layout)[0].one_sided
+    assert not free_parameters(EVERY, ["torque_bias"], dataset().layout)[0].one_sided
 
 
 @pytest.mark.parametrize("name", ["tip_friction", "guide_friction", "platform_friction"])
-def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
+def test_a_trial_s_random_effect_scales_lumped_friction_too(name):
     """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
     quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
-    prepared = prepare(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
-    found = try_effect(prepared.problem, prepared.present, name).fit
+    baseline = fit_baseline(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
+    found = try_effect(baseline.problem, baseline.current, name).fit
     factors = [
         1.0 + 0.15 * np.random.default_rng([3, i + 1]).standard_normal()
-        for i in range(len(prepared.problem.trials))
+        for i in range(len(baseline.problem.trials))
     ]
-    own = np.exp(found.point.trial_friction)
+    own = np.exp(found.vector.trial_friction)
     assert abs(np.log(own).mean()) < 0.005
     assert own / own.mean() == pytest.approx(np.array(factors) / np.mean(factors), rel=0.01)
-    assert found.chi2 < 1.1 * prepared.problem.size
+    assert found.chi2 < 1.1 * baseline.problem.size
 
 
 @pytest.mark.parametrize(
@@ -132,17 +136,17 @@ def test_a_trial_s_own_friction_scales_lumped_friction_too(name):
     [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
 )
 def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
-    problem = prepare(dataset(), None, few(*names) if names else few()).problem
-    assert problem.lumps_friction(problem.axes(names)) is lumped
+    problem = fit_baseline(dataset(), None, few(*names) if names else few()).problem
+    assert problem.lumps_friction(problem.parameters(names)) is lumped
 
 
-def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
+def test_derivatives_by_a_random_effect_are_those_of_its_simulation():
     data = dataset(effect("tip_friction", torque_nmm=0.03))
-    prepared = prepare(data, None, few("tip_friction"))
-    problem = prepared.problem
-    found = try_effect(problem, prepared.present, "tip_friction").fit
-    moved = dataclasses.replace(found.point, trial_friction=found.point.trial_friction + STEP)
-    readings = [problem.predict(found.axes, p) for p in (found.point, moved)]
+    baseline = fit_baseline(data, None, few("tip_friction"))
+    problem = baseline.problem
+    found = try_effect(problem, baseline.current, "tip_friction").fit
+    moved = dataclasses.replace(found.vector, trial_friction=found.vector.trial_friction + STEP)
+    readings = [problem.predict(found.parameters, p) for p in (found.vector, moved)]
     for t in range(len(problem.trials)):
         change = problem.whiteners[t](readings[1][t] - readings[0][t]) / STEP
         assert found.jacobians[t][:, -1] == pytest.approx(change, rel=1e-6, abs=1e-6)
@@ -151,13 +155,13 @@ def test_derivatives_by_a_trial_s_own_friction_are_those_of_its_simulation():
     assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
 
 
-def test_commands_left_out_are_foretold_at_their_own_friction():
+def test_commands_left_out_are_predicted_at_their_random_effects():
     """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
-    prepared = prepare(data, None, few("tip_friction"))
-    found = try_effect(prepared.problem, prepared.present, "tip_friction")
-    assert np.abs(found.fit.point.trial_friction).max() > 0.1
-    assert found.held.error < 1.1
+    baseline = fit_baseline(data, None, few("tip_friction"))
+    found = try_effect(baseline.problem, baseline.current, "tip_friction")
+    assert np.abs(found.fit.vector.trial_friction).max() > 0.1
+    assert found.validation.error < 1.1
 
 
 def left_out_and_fitted_again(problem, found):
@@ -171,9 +175,9 @@ def left_out_and_fitted_again(problem, found):
             whiteners=tuple(problem.whiteners[t] for t in kept),
             nuisance=tuple(problem.nuisance[t] for t in kept),
         )
-        own = found.point.trial_friction[kept]
-        again = fit(rest, found.effects, dataclasses.replace(found.point, trial_friction=own))
-        model = problem.model(again.axes, again.point)
+        own = found.vector.trial_friction[kept]
+        again = fit(rest, found.effects, dataclasses.replace(found.vector, trial_friction=own))
+        model = problem.model(again.parameters, again.vector)
         for t in group:
 
             def of(own, model=model, again=again, t=t):
@@ -182,7 +186,7 @@ def left_out_and_fitted_again(problem, found):
                 rows = rows - problem.nuisance[t] @ again.nuisance
                 return rows @ rows + (own / found.scatter) ** 2
 
-            near = found.point.trial_friction[t]
+            near = found.vector.trial_friction[t]
             grid = np.linspace(near - 0.1, near + 0.1, 41)
             least = grid[np.argmin([of(own) for own in grid])]
             around = (least - 0.005, least + 0.005)
@@ -200,23 +204,25 @@ def left_out_and_fitted_again(problem, found):
 )
 def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, seed):
     data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
-    prepared = prepare(data, None, few(hidden.name()))
-    found = try_effect(prepared.problem, prepared.present, hidden.name())
-    exact = left_out_and_fitted_again(prepared.problem, found.fit)
+    baseline = fit_baseline(data, None, few(hidden.name()))
+    found = try_effect(baseline.problem, baseline.current, hidden.name())
+    exact = left_out_and_fitted_again(baseline.problem, found.fit)
     assert exact == pytest.approx(1.0, abs=0.06)
-    assert found.held.error == pytest.approx(exact, rel=0.01)
+    assert found.validation.error == pytest.approx(exact, rel=0.01)
 
 
 def test_leaving_a_command_out_may_take_several_steps():
     """From a place where the other commands would not leave the parameters, one linear step is not enough."""
     data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
-    prepared = prepare(data, None, few())
-    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, "tissue_elasticity").fit
-    away = dataclasses.replace(found.point, positions=0.6 * found.point.positions)
+    baseline = fit_baseline(data, None, few())
+    problem, found = baseline.problem, try_effect(baseline.problem, baseline.current, "tissue_elasticity").fit
+    away = dataclasses.replace(found.vector, scaled_values=0.6 * found.vector.scaled_values)
     there = fit(problem, found.effects, away, iterations=0)
     assert np.sqrt(there.chi2 / problem.size) > 3.0
     near = dataclasses.replace(there, objective=found.objective, scatter=found.scatter)
-    assert held_out(problem, near).error == pytest.approx(held_out(problem, found).error, rel=0.02)
+    assert cross_validate(problem, near).error == pytest.approx(
+        cross_validate(problem, found).error, rel=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -226,19 +232,19 @@ def test_leaving_a_command_out_may_take_several_steps():
 def test_the_predictive_density_is_that_of_a_linear_model(hidden):
     """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
     data = dataset(hidden, noise=Noise(friction_scatter=0.01))
-    prepared = prepare(data, None, few(hidden.name()))
-    problem, found = prepared.problem, try_effect(prepared.problem, prepared.present, hidden.name()).fit
-    p, trials, q = 2 + len(found.axes), len(problem.trials), found.nuisance.size
+    baseline = fit_baseline(data, None, few(hidden.name()))
+    problem, found = baseline.problem, try_effect(baseline.problem, baseline.current, hidden.name()).fit
+    p, trials, q = 2 + len(found.parameters), len(problem.trials), found.nuisance.size
     design = []
     for t in range(trials):
         own = np.zeros((found.jacobians[t].shape[0], trials))
         own[:, t] = found.jacobians[t][:, -1]
         design.append(np.hstack([found.jacobians[t][:, :p], problem.nuisance[t], own]))
-    point = found.point
+    vector = found.vector
     away = np.zeros(p + q + trials)
     away[1] = found.pull_rigidity * problem.rigidity_prior
-    away[2:] = np.r_[point.positions, found.nuisance, point.trial_friction]
-    tight = np.r_[0.0, problem.rigidity_prior**-2, [a.width**-2.0 for a in found.axes], np.ones(q)]
+    away[2:] = np.r_[vector.scaled_values, found.nuisance, vector.trial_friction]
+    tight = np.r_[0.0, problem.rigidity_prior**-2, [a.prior_sd**-2.0 for a in found.parameters], np.ones(q)]
     prior = np.diag(np.r_[tight, np.full(trials, found.scatter**-2)])
     if hidden.name() == "layered_friction":  # whose factors count against their mean
         prior[2:p, 2:p] += 1e8
@@ -251,80 +257,82 @@ def test_the_predictive_density_is_that_of_a_linear_model(hidden):
         rows = np.concatenate([found.residuals[t] for t in group]) - left_out @ inverse @ push
         spread = np.eye(rows.size) + left_out @ inverse @ left_out.T
         loss += rows @ np.linalg.solve(spread, rows) + np.linalg.slogdet(spread)[1]
-    assert held_out(problem, found).loss == pytest.approx(loss, abs=1.0)
+    assert cross_validate(problem, found).loss == pytest.approx(loss, abs=1.0)
 
 
 def test_wear_that_one_command_shows_foretells_better_than_scatter():
     data = dataset(effect("friction_wear", loss_per_turn=0.5))
-    prepared = prepare(data, None, few("friction_wear"))
-    found = try_effect(prepared.problem, prepared.present, "friction_wear")
-    assert found.fit.scatter < 0.5 * prepared.present.scatter
-    assert held_gain(prepared.held, found.held) > 5.0
+    baseline = fit_baseline(data, None, few("friction_wear"))
+    found = try_effect(baseline.problem, baseline.current, "friction_wear")
+    assert found.fit.scatter < 0.5 * baseline.current.scatter
+    assert predictive_gain(baseline.validation, found.validation) > 5.0
 
 
 def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
     """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
     noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
     data = dataset(effect("friction_wear", loss_per_turn=0.06), noise=noise, seed=3)
-    prepared = prepare(data, None, few("friction_wear"))
-    found = try_effect(prepared.problem, prepared.present, "friction_wear").fit
-    assert prepared.present.objective - found.objective > 9.0
-    assert found.point.positions[0] == pytest.approx(1.0, abs=0.1)
+    baseline = fit_baseline(data, None, few("friction_wear"))
+    found = try_effect(baseline.problem, baseline.current, "friction_wear").fit
+    assert baseline.current.objective - found.objective > 9.0
+    assert found.vector.scaled_values[0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
-    prepared = prepare(data, None, few("tip_friction"))
-    found = try_effect(prepared.problem, prepared.present, "tip_friction").fit
-    mean = found.scatter / np.sqrt(len(prepared.problem.trials))
+    baseline = fit_baseline(data, None, few("tip_friction"))
+    found = try_effect(baseline.problem, baseline.current, "tip_friction").fit
+    mean = found.scatter / np.sqrt(len(baseline.problem.trials))
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(mean, rel=0.3)
-    assert found.position_error[0] / found.point.positions[0] == pytest.approx(mean, rel=0.3)
-    assert abs(found.axes[0].value(found.point.positions[0]) - 0.035) < 0.035 * 3 * mean
+    assert found.scaled_errors[0] / found.vector.scaled_values[0] == pytest.approx(mean, rel=0.3)
+    assert abs(found.parameters[0].value(found.vector.scaled_values[0]) - 0.035) < 0.035 * 3 * mean
 
 
 def test_factors_of_sections_count_against_their_mean():
     """What all sections share is friction, to the last digit: only their ratios can be known, and are."""
     given = np.array([1.6, 0.8, 1.2, 1.2])
-    prepared = prepare(
+    baseline = fit_baseline(
         dataset(effect("layered_friction", factor=tuple(given))), None, few("layered_friction")
     )
-    found = try_effect(prepared.problem, prepared.present, "layered_friction").fit
+    found = try_effect(baseline.problem, baseline.current, "layered_friction").fit
     assert found is not None
-    factors = np.array([a.value(float(x)) for a, x in zip(found.axes, found.point.positions, strict=True)])
+    factors = np.array(
+        [a.value(float(x)) for a, x in zip(found.parameters, found.vector.scaled_values, strict=True)]
+    )
     assert factors.mean() == pytest.approx(1.0, abs=1e-6)
     assert factors == pytest.approx(given / given.mean(), abs=0.02)
-    errors = 0.5 * found.position_error
+    errors = 0.5 * found.scaled_errors
     assert np.all(errors < 0.02)
     assert np.all(np.abs(factors - given / given.mean()) < 4 * errors)
-    assert held_out(prepared.problem, found).error < 1.1
+    assert cross_validate(baseline.problem, found).error < 1.1
 
 
 def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(monkeypatch):
-    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(
-        prepared.present.point, positions=np.zeros(len(EVERY["stribeck"].parameters()))
+        baseline.current.vector, scaled_values=np.zeros(len(EVERY["stribeck"].parameters()))
     )
-    found = fit(prepared.problem, ["stribeck"], start)
+    found = fit(baseline.problem, ["stribeck"], start)
     assert found is not None
 
     def moved(by, worse):
-        positions = found.point.positions.copy()
-        positions[0] += by
-        point = dataclasses.replace(found.point, positions=positions)
-        return dataclasses.replace(found, point=point, objective=found.objective + worse)
+        scaled_values = found.vector.scaled_values.copy()
+        scaled_values[0] += by
+        vector = dataclasses.replace(found.vector, scaled_values=scaled_values)
+        return dataclasses.replace(found, vector=vector, objective=found.objective + worse)
 
     others = [moved(0.5, 0.0), moved(0.5, 0.9), moved(-0.7, 40.0)]
-    monkeypatch.setattr(minima_module, "_from_other_shapes", lambda *_: others)
-    spread = over_shapes(prepared.problem, found).position_error
-    assert spread[0] == pytest.approx(np.hypot(found.position_error[0], 0.5 / np.sqrt(2)), rel=0.02)
-    assert spread[1:] == pytest.approx(found.position_error[1:], rel=1e-6)
+    monkeypatch.setattr(multistart, "_from_other_forms", lambda *_: others)
+    spread = over_forms(baseline.problem, found).scaled_errors
+    assert spread[0] == pytest.approx(np.hypot(found.scaled_errors[0], 0.5 / np.sqrt(2)), rel=0.02)
+    assert spread[1:] == pytest.approx(found.scaled_errors[1:], rel=1e-6)
 
 
-def test_other_shapes_lead_out_of_a_minimum_that_is_not_the_lowest():
-    prepared = prepare(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
-    start = dataclasses.replace(prepared.present.point, positions=np.array([0.9, -0.6, 0.0]))
-    stuck = fit(prepared.problem, ["stribeck"], start)
+def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest():
+    baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, 0.0]))
+    stuck = fit(baseline.problem, ["stribeck"], start)
     assert stuck is not None
-    found = over_shapes(prepared.problem, stuck)
+    found = over_forms(baseline.problem, stuck)
     assert found.objective < stuck.objective - 10.0
-    assert found.axes[0].value(float(found.point.positions[0])) == pytest.approx(0.3, abs=0.01)
+    assert found.parameters[0].value(float(found.vector.scaled_values[0])) == pytest.approx(0.3, abs=0.01)

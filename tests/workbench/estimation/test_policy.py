@@ -14,12 +14,14 @@ from needle_rig.workbench.estimation import discretisation_error
 @pytest.mark.parametrize(("sigmas", "driven_finely"), [(3.5, False), (7.0, True)])
 def test_a_discretisation_error_of_five_sigmas_is_no_straight_nuisance(monkeypatch, sigmas, driven_finely):
     finely = []
-    monkeypatch.setattr(discretisation_error, "solver_error", lambda *_: (np.array([[sigmas]]),))
-    monkeypatch.setattr(discretisation_error, "_with_suspect", lambda problem, found, _: (problem, found))
+    monkeypatch.setattr(discretisation_error, "whitened_error", lambda *_: (np.array([[sigmas]]),))
+    monkeypatch.setattr(
+        discretisation_error, "_as_first_nuisance", lambda problem, found, _: (problem, found)
+    )
     monkeypatch.setattr(discretisation_error, "by_every_sample", lambda *a: finely.append(1) or a[:2])
-    monkeypatch.setattr(discretisation_error, "over_shapes", lambda _, found, __: found)
-    monkeypatch.setattr(discretisation_error, "_over_paths", lambda _, found, __: found)
+    monkeypatch.setattr(discretisation_error, "over_forms", lambda _, found, __: found)
+    monkeypatch.setattr(discretisation_error, "_multiple_imputation", lambda _, found, __: found)
     problem: Any = SimpleNamespace(size=100)
     found: Any = SimpleNamespace(objective=100.0)
-    discretisation_error.at_own_error(problem, found, [], 1e-3)
+    discretisation_error.with_discretisation_error(problem, found, [], 1e-3)
     assert bool(finely) is driven_finely

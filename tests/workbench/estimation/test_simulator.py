@@ -7,7 +7,7 @@ import pytest
 from needle_rig.errors import SolverError
 from needle_rig.workbench.estimation import simulator as simulator_module
 from needle_rig.workbench.estimation.baseline import null_model
-from needle_rig.workbench.estimation.posterior import start_point
+from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.simulator import CACHE_ENTRIES, Simulator
 from needle_rig.workbench.observations.binning import bin_trial
@@ -36,12 +36,12 @@ def solved(monkeypatch):
 
 def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved):
     problem = problem_of(dataset())
-    point = start_point(problem, np.log(1e-3))
-    first = problem.predict((), point)
-    again = problem.predict((), point)
-    axes = problem.axes(["torque_bias"])
-    biased = problem.predict(axes, dataclasses.replace(point, positions=np.ones(1)))
-    problem.predict((), dataclasses.replace(point, log_friction=np.log(2e-3)))
+    vector = start_vector(problem, np.log(1e-3))
+    first = problem.predict((), vector)
+    again = problem.predict((), vector)
+    parameters = problem.parameters(["torque_bias"])
+    biased = problem.predict(parameters, dataclasses.replace(vector, scaled_values=np.ones(1)))
+    problem.predict((), dataclasses.replace(vector, log_friction=np.log(2e-3)))
     assert solved == [len(problem.trials)] * 2
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert all(np.ptp((b - a)[0]) < 1e-12 < abs((b - a)[0, 0]) for a, b in zip(first, biased, strict=True))
@@ -49,8 +49,8 @@ def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved):
 
 def test_another_path_of_the_same_trial_is_solved_again(solved):
     problem = problem_of(dataset())
-    point = start_point(problem, np.log(1e-3))
-    before = problem.predict((), point)
+    vector = start_vector(problem, np.log(1e-3))
+    before = problem.predict((), vector)
     turned = [
         dataclasses.replace(
             b, trial=dataclasses.replace(b.trial, base_angle_rad=1.1 * b.trial.base_angle_rad)
@@ -60,19 +60,19 @@ def test_another_path_of_the_same_trial_is_solved_again(solved):
     shared = problem.over(turned)
     alone = dataclasses.replace(shared, simulator=Simulator())
     assert shared.simulator is problem.simulator
-    for seen, own, old in zip(shared.predict((), point), alone.predict((), point), before, strict=True):
+    for seen, own, old in zip(shared.predict((), vector), alone.predict((), vector), before, strict=True):
         assert np.array_equal(seen, own)
         assert not np.allclose(seen, old)
 
 
 def test_other_means_and_noise_share_what_was_solved(solved):
     problem = problem_of(dataset())
-    point = start_point(problem, np.log(1e-3))
-    means = problem.predict((), point)
+    vector = start_vector(problem, np.log(1e-3))
+    means = problem.predict((), vector)
     perfect = problem.with_means(means)
     louder = problem.with_noise(dataclasses.replace(problem.noise, white=2.0 * problem.noise.white))
-    rows = perfect.residuals(perfect.predict((), point), range(len(means)))
-    louder.predict((), point)
+    rows = perfect.residuals(perfect.predict((), vector), range(len(means)))
+    louder.predict((), vector)
     assert solved == [len(problem.trials)]
     assert max(np.abs(r).max() for r in rows) == 0.0
     assert perfect.whiteners is problem.whiteners
@@ -82,10 +82,10 @@ def test_other_means_and_noise_share_what_was_solved(solved):
 def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_solved():
     problem = problem_of(dataset())
     size = len(pickle.dumps(problem))
-    point = start_point(problem, np.log(1e-3))
-    here = problem.predict((), point)
+    vector = start_vector(problem, np.log(1e-3))
+    here = problem.predict((), vector)
     assert len(pickle.dumps(problem)) == size
-    there = pickle.loads(pickle.dumps(problem)).predict((), point)
+    there = pickle.loads(pickle.dumps(problem)).predict((), vector)
     assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
     with pytest.raises(dataclasses.FrozenInstanceError):
         problem.noise = None  # type: ignore[misc]
@@ -95,13 +95,13 @@ def test_only_so_much_is_kept(monkeypatch):
     monkeypatch.setattr(simulator_module, "CACHE_ENTRIES", 7)
     problem = problem_of(dataset())
     for friction_n in (1e-3, 2e-3, 4e-3):
-        problem.predict((), start_point(problem, np.log(friction_n)))
+        problem.predict((), start_vector(problem, np.log(friction_n)))
     assert len(problem.simulator._kept) == 7 < CACHE_ENTRIES
 
 
 def test_a_needle_that_takes_too_many_solves_is_not_followed_even_when_it_is_known():
     problem = problem_of(dataset())
-    point = start_point(problem, np.log(1e-3))
-    problem.predict((), point)
+    vector = start_vector(problem, np.log(1e-3))
+    problem.predict((), vector)
     with pytest.raises(SolverError, match="too many balances"):
-        problem.predict((), point, most_solves=0.01)
+        problem.predict((), vector, most_solves=0.01)

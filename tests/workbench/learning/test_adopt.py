@@ -10,8 +10,8 @@ from needle_rig.cli.history import command as history_command
 from needle_rig.dataset import in_series, write_dataset
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import load_model
-from needle_rig.workbench.estimation import discretisation_error as own_error_module
-from needle_rig.workbench.estimation.discretisation_error import solver_error
+from needle_rig.workbench.estimation import discretisation_error
+from needle_rig.workbench.estimation.discretisation_error import whitened_error
 from needle_rig.workbench.learning.adopt import Refused, adopt, undo
 from needle_rig.workbench.learning.history import ladder
 from needle_rig.workbench.learning.observations import Traces
@@ -30,9 +30,9 @@ def test_the_error_falls_step_by_step_and_steps_can_be_taken_back():
     two = adopt(data, "torque_bias", few(), one, today="2026-01-02")
     steps = ladder(two)
     assert [s.label for s in steps] == ["null", "+ tissue_elasticity", "+ torque_bias"]
-    held = [s.held_out for s in steps]
-    assert held[0] > held[1] > held[2]
-    assert held[2] < 1.1
+    validation = [s.held_out for s in steps]
+    assert validation[0] > validation[1] > validation[2]
+    assert validation[2] < 1.1
     last = steps[-1].channels["hall_4_deg"]
     assert last.held_out_after < 1.5 * last.floor
     values = two.model.values()
@@ -62,10 +62,10 @@ def test_a_model_that_cannot_be_solved_finely_is_adopted_as_it_was_found(monkeyp
     def once(*given):
         if solved:
             raise SolverError("no balance")
-        solved.append(solver_error(*given))
+        solved.append(whitened_error(*given))
         return solved[0]
 
-    monkeypatch.setattr(own_error_module, "solver_error", once)
+    monkeypatch.setattr(discretisation_error, "whitened_error", once)
     one = adopt(Traces(dataset(*TWO[:1])), "tissue_elasticity", few("tissue_elasticity"))
     stiffness = one.model.values()["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
     assert stiffness == pytest.approx(0.45, abs=0.01)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.observations.binning import bin_trial, motions_of, set_aside
+from needle_rig.workbench.observations.binning import bin_trial, direction_of, motions_of, set_aside
 from needle_rig.workbench.observations.noise import (
     _rest_offsets,
     _split,
@@ -30,6 +30,17 @@ def test_a_base_within_an_eighth_of_a_degree_holds_still(drift_deg, stop):
     base_rad = rad(np.r_[5.0, np.full(49, drift_deg), np.zeros(150)])
     ((_, found, _),) = motions_of(base_rad, np.full(200, "hold"))
     assert found == stop
+
+
+@pytest.mark.parametrize(
+    ("move_rad", "direction"), [(0.007, 0.0), (-0.007, 0.0), (0.014, 1.0), (-0.014, -1.0)]
+)
+def test_a_motion_of_half_a_degree_has_no_direction(move_rad, direction):
+    assert direction_of(np.array([move_rad])) == [direction]
+
+
+def test_with_few_rests_the_offset_is_seven_tenths_of_the_floor(binned):
+    assert _rest_offsets(binned[:2], np.tile([1.0, 0.0, 0.1], (5, 1)), np.full(5, 2.0)) == pytest.approx(1.4)
 
 
 @pytest.mark.parametrize(("sigmas", "outlier"), [(7.0, False), (11.0, True)])

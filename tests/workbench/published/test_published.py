@@ -169,7 +169,7 @@ def test_a_user_s_effect_ties_under_its_own_name(tmp_path):
 def test_what_no_plausible_effect_meets_is_unknown_and_told():
     found = diagnose_settled(paper(), few("tip_friction", "chuck_backlash", "torque_bias"))
     assert (found.verdict, found.effects) == ("unknown", ())
-    assert "final: tip lag" in found.left_over.patterns[0].sentence()
+    assert "final: tip lag" in found.residual_patterns.patterns[0].sentence()
     assert (
         "outside what is plausible" in next(r for r in found.ranking if r.effect == "chuck_backlash").against
     )
@@ -188,7 +188,7 @@ def test_nothing_hidden_is_none():
         readings(rig(0.09), data, ofs, {"hall_deg": 1.0}, seed=4), few("tissue_elasticity", "torque_gain")
     )
     assert (found.verdict, found.effects, found.next_experiment) == ("none", (), None)
-    assert found.left_over.patterns == ()
+    assert found.residual_patterns.patterns == ()
 
 
 def test_a_model_that_has_the_effect_needs_no_other():

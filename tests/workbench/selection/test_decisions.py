@@ -16,8 +16,8 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step():
     assert fit is not None
     covariance = fit.covariance.copy()
     covariance[2:, 2:] = 1e-10
-    at_off = dataclasses.replace(fit.point, positions=np.zeros(1))
-    sure = dataclasses.replace(fit, covariance=covariance, point=at_off, objective=search.root.objective)
+    at_off = dataclasses.replace(fit.vector, scaled_values=np.zeros(1))
+    sure = dataclasses.replace(fit, covariance=covariance, vector=at_off, objective=search.root.objective)
     on_top = tuple(
         dataclasses.replace(c, fit=sure) if c.effect == "tissue_elasticity" else c
         for c in search.children[search.best]

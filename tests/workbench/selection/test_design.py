@@ -5,7 +5,7 @@ from click.testing import CliRunner
 from needle_rig.cli.experiment import command
 from needle_rig.dataset import write_dataset
 from needle_rig.simulation.protocol import load_protocol
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.selection.design import commands, expected_power, proposals
 from needle_rig.workbench.selection.search import try_effect
 from tests.workbench.hidden import dataset, effect, few
@@ -14,8 +14,8 @@ NAMES = ("tip_friction", "chuck_backlash")
 
 
 def fits():
-    prepared = prepare(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
-    return prepared.problem, *(try_effect(prepared.problem, prepared.present, n).fit for n in NAMES)
+    baseline = fit_baseline(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
+    return baseline.problem, *(try_effect(baseline.problem, baseline.current, n).fit for n in NAMES)
 
 
 def test_candidates_are_ranked_by_what_a_minute_of_them_tells():

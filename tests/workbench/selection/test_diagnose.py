@@ -7,7 +7,7 @@ import pytest
 
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.units import nm
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
@@ -49,8 +49,8 @@ def test_an_effect_in_no_library_is_unknown_and_described():
     found = diagnose(dataset(ELASTIC), few("torque_bias", "hall_offset", "clock_offset"))
     assert found.verdict == "unknown"
     assert found.effects == ()
-    assert found.left_over.patterns
-    assert "%" in found.left_over.patterns[0].sentence()
+    assert found.residual_patterns.patterns
+    assert "%" in found.residual_patterns.patterns[0].sentence()
     assert found.as_json()["left_over"]["explained"] is False
 
 
@@ -65,7 +65,7 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
     assert found.explained_fraction > 0.99
     assert found.verdict == "unknown"
     assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
-    assert "time since a stop" in found.left_over.patterns[0].sentence()
+    assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
 
 
 def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch):
@@ -80,7 +80,7 @@ def test_an_effect_too_small_to_matter_is_negligible():
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "negligible"
     assert [(s.kind, s.best) for s in found.search.steps] == [("set aside", frozenset())]
-    directions = [p.nuisance[0].shape[1] for p in (found.prepared.problem, found.search.problem)]
+    directions = [p.nuisance[0].shape[1] for p in (found.baseline.problem, found.search.problem)]
     assert directions == [1, 2]
 
 
@@ -108,11 +108,11 @@ def test_friction_that_wears_is_not_taken_for_scatter():
         (effect("friction_wear", loss_per_turn=0.5), "the trials' friction changes with"),
     ],
 )
-def test_what_the_needle_or_the_trials_friction_took_up_is_left_over(hidden, law):
+def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden, law):
     found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
     assert (found.verdict, found.effects) == ("unknown", ())
-    assert law in found.left_over.patterns[0].sentence()
-    assert not found.left_over.patterns[1:]
+    assert law in found.residual_patterns.patterns[0].sentence()
+    assert not found.residual_patterns.patterns[1:]
 
 
 def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
@@ -121,7 +121,7 @@ def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
     found = diagnose(dataset(effect("chuck_backlash", play_deg=14.0)), few("chuck_backlash", "torque_bias"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert "chuck_backlash play_deg = 14 °" in found.notes[-1]
-    assert found.left_over.patterns
+    assert found.residual_patterns.patterns
 
 
 def test_the_answer_does_not_depend_on_names_and_order(tmp_path):
@@ -274,13 +274,13 @@ def test_the_seed_and_the_folder_change_no_verdict(tmp_path):
 
 
 def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
-    prepared = prepare(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
-    problem, names = prepared.problem, ("tissue_elasticity", "torque_bias")
-    good = try_effect(problem, prepared.present, "tissue_elasticity")
+    baseline = fit_baseline(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
+    problem, names = baseline.problem, ("tissue_elasticity", "torque_bias")
+    good = try_effect(problem, baseline.current, "tissue_elasticity")
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
-    idle = dataclasses.replace(good.fit.point, positions=np.r_[good.fit.point.positions, 0.0])
-    began = search.SearchTrace.begin(problem, names, prepared.present, prepared.held)
-    before = began.keep(worse, good.held).keep(*search.refit(problem, names, idle))
+    idle = dataclasses.replace(good.fit.vector, scaled_values=np.r_[good.fit.vector.scaled_values, 0.0])
+    began = search.SearchTrace.begin(problem, names, baseline.current, baseline.validation)
+    before = began.keep(worse, good.validation).keep(*search.refit(problem, names, idle))
     after = search.take_out(before, frozenset(names), "torque_bias")
     assert frozenset(names) in before.fits
     assert frozenset(names) not in after.fits

@@ -2,9 +2,9 @@ import dataclasses
 
 import pytest
 
-from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.estimation.cross_validation import HeldOut
-from needle_rig.workbench.selection.evidence import foretells
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
+from needle_rig.workbench.selection.evidence import improves_cross_validation
 from tests.workbench.hidden import dataset, few
 
 
@@ -21,14 +21,19 @@ from tests.workbench.hidden import dataset, few
 def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_them(
     loss, error, relieved_sigmas, speaks_for
 ):
-    child = prepare(dataset(seed=21), None, few()).present
+    child = fit_baseline(dataset(seed=21), None, few()).current
     child = dataclasses.replace(child, pull_rigidity=0.0)
     parent = dataclasses.replace(child, pull_rigidity=relieved_sigmas)
-    assert foretells(parent, HeldOut(1.20, 100.0, ()), child, HeldOut(error, loss, ())) is speaks_for
+    assert (
+        improves_cross_validation(
+            parent, CrossValidation(1.20, 100.0, ()), child, CrossValidation(error, loss, ())
+        )
+        is speaks_for
+    )
 
 
 def test_nothing_is_foretold_where_nothing_was_left_out():
-    found = prepare(dataset(seed=21), None, few()).present
+    found = fit_baseline(dataset(seed=21), None, few()).current
     parent = dataclasses.replace(found, pull_rigidity=5.0)
     child = dataclasses.replace(found, pull_rigidity=0.0)
-    assert not foretells(parent, None, child, HeldOut(1.0, 1.0, ()))
+    assert not improves_cross_validation(parent, None, child, CrossValidation(1.0, 1.0, ()))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import in_series
-from needle_rig.workbench.estimation.baseline import prepare
+from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
@@ -14,8 +14,8 @@ from tests.workbench.hidden import dataset, effect, few
 
 
 def checked(data):
-    prepared = prepare(data, None, few())
-    return lack_of_fit(prepared.problem, prepared.present, data.sensor_names)
+    baseline = fit_baseline(data, None, few())
+    return lack_of_fit(baseline.problem, baseline.current, data.sensor_names)
 
 
 def test_nothing_hidden_is_seldom_significant_at_any_scatter():
@@ -37,10 +37,10 @@ def test_nothing_hidden_is_seldom_significant_at_any_scatter():
 )
 def test_an_effect_is_significant_until_it_is_fitted(hidden):
     data = dataset(hidden, seed=41)
-    prepared = prepare(data, None, few())
-    before = lack_of_fit(prepared.problem, prepared.present, data.sensor_names)
-    found = try_effect(prepared.problem, prepared.present, hidden.name()).fit
-    after = lack_of_fit(prepared.problem, found, data.sensor_names)
+    baseline = fit_baseline(data, None, few())
+    before = lack_of_fit(baseline.problem, baseline.current, data.sensor_names)
+    found = try_effect(baseline.problem, baseline.current, hidden.name()).fit
+    after = lack_of_fit(baseline.problem, found, data.sensor_names)
     assert before.p < 1e-6
     assert before.statistic > 5 * after.statistic
     assert after.p > 0.001
@@ -48,15 +48,15 @@ def test_an_effect_is_significant_until_it_is_fitted(hidden):
 
 def test_a_wrong_noise_level_passes_for_no_effect():
     data = dataset(seed=43)
-    prepared = prepare(data, None, few())
-    problem, noise = prepared.problem, prepared.problem.noise
+    baseline = fit_baseline(data, None, few())
+    problem, noise = baseline.problem, baseline.problem.noise
     low = dataclasses.replace(noise, white=noise.white / 2, offset=noise.offset / 2, motion=noise.motion / 2)
     louder = problem.with_noise(low)
 
-    found = fit(louder, (), prepared.present.point)
+    found = fit(louder, (), baseline.current.vector)
     assert found.chi2 > 2.5 * louder.size
     assert lack_of_fit(louder, found, data.sensor_names).p > 0.01
-    assert prepared.present.chi2 < 1.2 * problem.size
+    assert baseline.current.chi2 < 1.2 * problem.size
 
 
 def test_it_says_where_and_how_much():

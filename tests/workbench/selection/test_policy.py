@@ -12,21 +12,26 @@ import pytest
 from scipy.special import chdtri
 
 from needle_rig.physics.library import built_in_effects
-from needle_rig.workbench.estimation.baseline import prepare
-from needle_rig.workbench.estimation.cross_validation import HeldOut
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.observations.snaps import Snap
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
 from needle_rig.workbench.published.search import Candidate as SettledCandidate
-from needle_rig.workbench.selection import screening, search
+from needle_rig.workbench.selection import residual_patterns, screening, search
 from needle_rig.workbench.selection.decisions import _decision
 from needle_rig.workbench.selection.diagnose import _contrived
-from needle_rig.workbench.selection.evidence import chance, may_be_ours
+from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
-from needle_rig.workbench.selection.residual_patterns import Leftover, Pattern, find_leftover, limit_sigmas
+from needle_rig.workbench.selection.residual_patterns import (
+    Pattern,
+    ResidualPatterns,
+    find_residual_patterns,
+    limit_sigmas,
+)
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart, promise_asked
-from needle_rig.workbench.selection.screening import Preview, Start, forms, out_of_reach, preview
+from needle_rig.workbench.selection.screening import Screening, Start, forms, out_of_reach, screen
 from needle_rig.workbench.selection.search import (
     SearchTrace,
     asked_beside,
@@ -43,14 +48,20 @@ WORKBENCH_TESTS = Path(__file__).resolve().parents[1]
 
 def fit(**known: Any) -> Any:
     """A stand-in for a fit, with what a rule looks at."""
-    point = SimpleNamespace(trial_friction=np.zeros(1))
-    common: dict[str, Any] = {"objective": 0.0, "rank": 0, "scatter": 0.025, "scatter_dof": 9.0, "axes": ()}
-    return SimpleNamespace(**{**common, "effects": (), "pull_rigidity": 0.0, "point": point, **known})
+    vector = SimpleNamespace(trial_friction=np.zeros(1))
+    common: dict[str, Any] = {
+        "objective": 0.0,
+        "rank": 0,
+        "scatter": 0.025,
+        "scatter_dof": 9.0,
+        "parameters": (),
+    }
+    return SimpleNamespace(**{**common, "effects": (), "pull_rigidity": 0.0, "vector": vector, **known})
 
 
 @pytest.fixture(scope="module")
-def prepared():
-    return prepare(dataset(seed=21), None, few())
+def baseline():
+    return fit_baseline(dataset(seed=21), None, few())
 
 
 def test_every_threshold_says_why_and_names_a_test_that_is_there():
@@ -73,34 +84,34 @@ def test_an_effect_is_seen_at_one_percent_over_the_library(p, passes):
     names = tuple("abcdefghij")
     single = 1.0 - (1.0 - p) ** (1.0 / len(names))
     parent, child = fit(objective=float(chdtri(1, 2.0 * single))), fit()
-    assert chance(parent, child, len(names)) == pytest.approx(p, rel=1e-6)
+    assert adjusted_p(parent, child, len(names)) == pytest.approx(p, rel=1e-6)
     problem = SimpleNamespace(nuisance=(np.zeros((1, 0)),))
-    held = HeldOut(1.0, 10.0, ()), HeldOut(1.0, 0.0, ())
-    fits = {frozenset(): (parent, held[0]), frozenset("a"): (child, held[1])}
+    validation = CrossValidation(1.0, 10.0, ()), CrossValidation(1.0, 0.0, ())
+    fits = {frozenset(): (parent, validation[0]), frozenset("a"): (child, validation[1])}
     trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem)
     assert SearchTrace.passes(trace, frozenset(), frozenset("a")) is passes
 
 
-@pytest.mark.parametrize(("change", "ours"), [(2.4, True), (3.6, False)])
-def test_a_change_of_three_times_our_own_error_is_not_ours(change, ours):
+@pytest.mark.parametrize(("change", "within"), [(2.4, True), (3.6, False)])
+def test_a_change_beyond_three_times_the_discretisation_error_is_none_of_it(change, within):
     problem: Any = SimpleNamespace(nuisance=(np.array([[1.0], [0.0]]),))
     parent, child = fit(residuals=(np.array([change, 0.0]),)), fit(residuals=(np.zeros(2),))
-    assert may_be_ours(problem, parent, child) is ours
+    assert within_discretisation_error(problem, parent, child) is within
 
 
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
-def test_a_size_is_limited_at_its_one_sided_95_percent(prepared, error_share, decision):
-    (axis,) = prepared.problem.axes(["torque_bias"])
-    error = axis.smallest / 1.645 * error_share
-    point = SimpleNamespace(positions=np.zeros(1))
-    found = fit(axes=(axis,), point=point, position_error=np.array([error]))
+def test_a_size_is_limited_at_its_one_sided_95_percent(baseline, error_share, decision):
+    (parameter,) = baseline.problem.parameters(["torque_bias"])
+    error = parameter.smallest / 1.645 * error_share
+    vector = SimpleNamespace(scaled_values=np.zeros(1))
+    found = fit(parameters=(parameter,), vector=vector, scaled_errors=np.array([error]))
     assert _decision("torque_bias", found, None).decision == decision
 
 
 @pytest.mark.parametrize(("information", "seen"), [(0.7, 1), (1.4, 2)])
-def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(prepared, information, seen):
-    problem = prepared.problem
-    axes = problem.axes(["torque_bias", "tip_friction"])
+def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(baseline, information, seen):
+    problem = baseline.problem
+    parameters = problem.parameters(["torque_bias", "tip_friction"])
     rows = [np.zeros(w.channel.size) for w in problem.whiteners]
     jacobians = [np.zeros((r.size, 5)) for r in rows]
     for jacobian in jacobians:
@@ -108,7 +119,7 @@ def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(prepared, 
     jacobians[0][4, 3] = np.sqrt(information)
     x = np.r_[np.log(1e-3), np.log(problem.base.torsional_rigidity_nm2), 0.0, 0.0, np.zeros(len(rows))]
     x = np.r_[x, np.zeros(problem.nuisance[0].shape[1])]
-    assert LinearisedFit.at(problem, axes, x, rows, jacobians, 1600.0).rank == seen
+    assert LinearisedFit.at(problem, parameters, x, rows, jacobians, 1600.0).rank == seen
 
 
 @pytest.mark.parametrize(
@@ -140,6 +151,16 @@ def test_a_relative_takes_a_place_for_odds_of_e(lower_by, clearly):
     assert clearly_lower(10.0 - lower_by, 10.0) is clearly
 
 
+@pytest.mark.parametrize(("left", "testable"), [(0.028, False), (0.056, True)])
+def test_a_pattern_that_the_parameters_fit_is_not_tested(left, testable):
+    assert residual_patterns.testable(np.array([left]), np.array([2.0])) == [testable]
+
+
+@pytest.mark.parametrize(("left", "distinct"), [(0.07, False), (0.14, True)])
+def test_a_pattern_that_those_found_before_make_up_is_not_another(left, distinct):
+    assert residual_patterns.distinct(np.array([left])) == [distinct]
+
+
 @pytest.mark.parametrize(("above", "refined"), [(1700.0, True), (3400.0, False)])
 def test_first_fits_that_ended_early_are_refined(above, refined):
     problem: Any = SimpleNamespace(size=200)
@@ -156,7 +177,7 @@ def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas, 
 @pytest.mark.parametrize(("second", "fitted"), [(3.5, 1), (5.0, 2)])
 def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second, fitted):
     starts = Start(np.zeros(1), 6.0), Start(np.ones(1), second)
-    assert len(search._worth_fitting(Preview("x", 6.0, starts, 1.0, 0.0))) == fitted
+    assert len(search._worth_fitting(Screening("x", 6.0, starts, 1.0, 0.0))) == fitted
 
 
 class Trace(SimpleNamespace):
@@ -197,9 +218,11 @@ def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind, taken):
     [(0.7e-3, 0, "take out"), (1.4e-3, 0, "set aside"), (0.5, 1, "set aside"), (0.5, 2, "end"),
      (1.5, 0, "forward")],
 )  # fmt: skip
-def test_what_becomes_of_an_effect_that_is_too_small(prepared, size, set_aside_before, move):
-    (axis,) = prepared.problem.axes(["torque_bias"])
-    found = fit(axes=(axis,), point=SimpleNamespace(positions=np.array([size * axis.smallest])))
+def test_what_becomes_of_an_effect_that_is_too_small(baseline, size, set_aside_before, move):
+    (parameter,) = baseline.problem.parameters(["torque_bias"])
+    found = fit(
+        parameters=(parameter,), vector=SimpleNamespace(scaled_values=np.array([size * parameter.smallest]))
+    )
     key = frozenset(["torque_bias"])
     negligible = dict.fromkeys(range(set_aside_before))
     large = key if size >= 1.0 else frozenset()
@@ -224,25 +247,25 @@ def test_forms_are_given_up_when_the_typical_one_promises_a_twentieth(gain, aske
     assert out_of_reach(gain, asked) is given_up
 
 
-def test_an_effect_is_simulated_at_three_sizes_and_few_forms(prepared, monkeypatch):
+def test_an_effect_is_simulated_at_three_sizes_and_few_forms(baseline, monkeypatch):
     tried: list[np.ndarray] = []
     monkeypatch.setattr(screening, "signature", lambda *given: tried.append(given[-1]))
-    problem = dataclasses.replace(prepared.problem, library=built_in_effects())
-    preview(problem, prepared.present, "tissue_elasticity")
+    problem = dataclasses.replace(baseline.problem, library=built_in_effects())
+    screen(problem, baseline.current, "tissue_elasticity")
     assert np.ravel(tried) == pytest.approx([0.1, 0.5, 1.5])
     tried.clear()
-    preview(problem, prepared.present, "tissue_viscoelasticity")
-    every = len(forms(problem.axes(["tissue_viscoelasticity"])))
+    screen(problem, baseline.current, "tissue_viscoelasticity")
+    every = len(forms(problem.parameters(["tissue_viscoelasticity"])))
     assert every == 6
     # the typical form and the best other one at three sizes, the rest at one
     assert len({tuple(t) for t in tried}) == every + 2 * 2
 
 
 def left(size=1.0, unit="°"):
-    return Leftover((Pattern("torque", "is off by a constant", 9.0, size, unit, 1.0),), 81.0)
+    return ResidualPatterns((Pattern("torque", "is off by a constant", 9.0, size, unit, 1.0),), 81.0)
 
 
-NOTHING_LEFT = Leftover((), 0.0)
+NOTHING_LEFT = ResidualPatterns((), 0.0)
 
 
 SNAPS = (Snap("trials/01.csv", "hold", "hall_1", 3.0, 8.0, 2.7),)
@@ -307,17 +330,19 @@ def test_patterns_and_trends_must_be_far_beyond_chance():
 
 def test_five_patterns_are_told():
     data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
-    there = prepare(data, None, few("torque_bias"))
-    told = find_leftover(there.problem, there.present, data.sensor_names).patterns
+    there = fit_baseline(data, None, few("torque_bias"))
+    told = find_residual_patterns(there.problem, there.current, data.sensor_names).patterns
     assert len([p for p in told if p.channel != "the trials' friction"]) == 5
 
 
 @pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
-def test_more_than_two_effects_are_named_with_plausible_values_only(prepared, count, described_only):
+def test_more_than_two_effects_are_named_with_plausible_values_only(baseline, count, described_only):
     names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
-    axes = prepared.problem.axes(names)
-    point = SimpleNamespace(positions=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in axes]))
-    found = fit(axes=axes, point=point, position_error=np.ones(len(axes)))
+    parameters = baseline.problem.parameters(names)
+    vector = SimpleNamespace(
+        scaled_values=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in parameters])
+    )
+    found = fit(parameters=parameters, vector=vector, scaled_errors=np.ones(len(parameters)))
     trace: Any = SimpleNamespace(best=frozenset(names), fits={frozenset(names): (found, None)})
     assert bool(_contrived(trace, names)) is described_only
 
@@ -328,22 +353,22 @@ def test_settled_values_must_leave_half_a_degree_of_freedom(freedom, testable):
     assert SettledCandidate("x", found, 1.0).testable is testable
 
 
-def _smallest(axis):
+def _smallest(parameter):
     """Position at which an effect begins to matter; of several items the first."""
-    if axis.info.shapes or axis.item not in (None, 0):
+    if parameter.info.shapes or parameter.item not in (None, 0):
         return 0.0
-    return float(np.clip(axis.position(axis.info.smallest), *axis.bounds))
+    return float(np.clip(parameter.scaled_value(parameter.info.smallest), *parameter.bounds))
 
 
-def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(prepared):
+def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(baseline):
     """The same size, measured over whole trials: between the quartiles of what the library's effects do."""
-    problem, present = prepared.problem, prepared.present
-    here = problem.predict(present.axes, present.point)
+    problem, current = baseline.problem, baseline.current
+    here = problem.predict(current.parameters, current.vector)
     angles_deg, torques_nmm = [], []
     for name in few():
-        own = problem.axes([name])
+        own = problem.parameters([name])
         at = np.array([_smallest(a) for a in own])
-        there = problem.predict((*present.axes, *own), screening.beside(problem, present, own, at))
+        there = problem.predict((*current.parameters, *own), screening.beside(problem, current, own, at))
         change = [x - y for x, y in zip(there, here, strict=True)]
         rms = [float(np.sqrt(np.mean(np.concatenate([c[k] for c in change]) ** 2))) for k in range(5)]
         torques_nmm.append(rms[0] * 1e3)

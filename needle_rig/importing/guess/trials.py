@@ -1,0 +1,43 @@
+"""Where a recording is cut into trials, and how many samples of it a dataset keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from needle_rig.dataset.table import MAX_SAMPLES
+from needle_rig.importing import names
+from needle_rig.importing.guess.series import Series
+from needle_rig.importing.mapping import ChannelPart, TrialsPart
+
+
+def trials_of(series: Sequence[Series]) -> tuple[TrialsPart, list[Series], list[str]]:
+    """A column that numbers trials, or rests; with the other series and the names of the unused ones."""
+    for s in series:
+        known = s.column.values[np.isfinite(s.column.values)]
+        changes = np.flatnonzero(np.diff(known))
+        if names.TRIAL.fullmatch(names.plain(s.column.name)) and 0 < len(changes) < 500:
+            part = TrialsPart(
+                at="column", clock=s.clock, source=s.column.name, why=f"name; {len(changes) + 1} stretches"
+            )
+            return part, [x for x in series if x is not s], []
+    part = TrialsPart(
+        at="rests", why="cut where the base rests as it stood at the start, without torque or twist"
+    )
+    return part, list(series), []
+
+
+def rate_of_dataset(series: Sequence[Series], channels: Sequence[ChannelPart]) -> float | None:
+    """Samples a second that keep a trial of the whole length below what a dataset holds; None to keep all."""
+    base = channels[0]
+    s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
+    rows = len(s.column.values)
+    if rows <= MAX_SAMPLES:
+        return None
+    length_s = float(s.time_s[-1] - s.time_s[0])
+    if length_s <= 0:
+        return None
+    allowed = min(MAX_SAMPLES / length_s, rows / length_s)
+    nice = [m * 10.0**e for e in range(-3, 6) for m in (1.0, 2.0, 5.0)]
+    return max(r for r in nice if r <= allowed)

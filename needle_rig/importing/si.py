@@ -1,0 +1,29 @@
+"""Channels from what a file holds to radians and N·m."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from needle_rig.importing import signals
+from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart
+from needle_rig.importing.unit_text import unit_of
+from needle_rig.numerics import Array
+
+
+def to_si(values: Array, parts: dict[str, ChannelPart], sensors: tuple[str, ...]) -> None:
+    """Columns of the table from what the file holds to radians and N·m, in place."""
+    rest = signals.rest_before_motion(values[:, 1])
+    for k, role in enumerate((BASE, TORQUE, *sensors), start=1):
+        part = parts.get(role)
+        if part is None:
+            continue
+        unit = unit_of(part.unit or "")
+        assert unit is not None
+        zero = part.zero
+        if zero == "start":
+            begin = values[:rest, k]
+            if not np.isfinite(begin).any():
+                begin = values[np.isfinite(values[:, k]), k][:1]
+            known = begin[np.isfinite(begin)]
+            zero = float(known.mean()) if len(known) else 0.0
+        values[:, k] = part.sign * part.scale * unit.si * (values[:, k] - zero)
