@@ -96,7 +96,7 @@ class Comparison(Shown):
     @property
     def worst(self) -> tuple[str, ...]:
         """The places above three times their noise, the worst first, in words."""
-        return tuple(f"{p['sigmas']:.0f}σ  {p['words']}" for p in self.found.as_json()["worst"])
+        return tuple(f"{_or_nan(p['sigmas']):.0f}σ  {p['words']}" for p in self.found.as_json()["worst"])
 
     def headline(self) -> str:
         """Dataset, model and the error on commands left out."""
@@ -117,10 +117,19 @@ class Comparison(Shown):
 
     def places(self) -> Table:
         """A row for every channel, motion, state and direction."""
-        words = ("channel", "motion", "state", "direction", "unit")
-        numbers = ("model", "measured", "error", "noise", "sigmas")
         return _table(
-            {name: p[name] for name in words} | {name: _or_nan(p[name]) for name in numbers}
+            {
+                "channel": p["channel"],
+                "motion": p["motion"],
+                "state": p["state"],
+                "direction": p["direction"],
+                "unit": p["unit"],
+                "model": p["model"],
+                "measured": p["measured"],
+                "error": p["error"],
+                "noise": _or_nan(p["noise"]),
+                "sigmas": _or_nan(p["sigmas"]),
+            }
             for p in self.found.places()
         )
 

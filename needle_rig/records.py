@@ -5,10 +5,9 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import Any
 
-JsonObject = dict[str, Any]
-"""A mapping as JSON and YAML have it, of keys that whoever passes it on does not know."""
+JsonObject = dict[str, object]
+"""A mapping as JSON and YAML have it, for those who pass it on: who reads it holds it against a form."""
 
 
 class DriveState(enum.IntEnum):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 import json
 import random
 import time
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NotRequired, TypedDict
 
 import numpy as np
 from detection import at_strength, detection_limit, smallest_strength
@@ -20,13 +23,13 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import against_mean, free_parameters, make_effects
-from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
 STRENGTHS = (0.5, 1.0, 3.0, 5.0, 10.0)
-IMPOSTORS = ("clock skew 10 ms", "2 % outliers", "dropped samples", "half the solver step")
 PAIRS = (
     ("tissue_elasticity", "tip_friction"),
     ("tissue_elasticity", "torque_bias"),
@@ -57,6 +60,55 @@ FEWEST_TRIALS = Protocol(
 )
 
 
+class Impostor(enum.StrEnum):
+    """What is wrong with a dataset in which no effect is hidden."""
+
+    CLOCK_SKEW = "clock skew 10 ms"
+    OUTLIERS = "2 % outliers"
+    DROPPED_SAMPLES = "dropped samples"
+    FINER_SOLVER = "half the solver step"
+
+
+class Task(TypedDict):
+    """One dataset of the plan."""
+
+    kind: str
+    setup: int
+    seed: int
+    effects: NotRequired[list[str]]
+    strength: NotRequired[float]
+    impostor: NotRequired[str]
+
+
+Limits = dict[str, tuple[float, float, float]]
+"""By effect, setup and sign: detection limit, smallest strength that matters, what multiples count from."""
+
+
+class Answer(TypedDict, total=False):
+    """What came of a dataset; which keys there are hangs on the task's kind."""
+
+    wall_s: float
+    cpu_s: float
+    limits: Limits
+    skipped: str
+    crash: str
+    verdict: str
+    named: list[str]
+    ties: dict[str, list[str]]
+    after: float | None
+    decisions: dict[str, str]
+    covered: list[bool]
+    relatives: list[str]
+    left: list[str]
+    f_test: str | None
+    aic: str | None
+    version: str
+
+
+class Row(Task, Answer):
+    """A dataset and its answer: a line of the table's file."""
+
+
 @dataclass(frozen=True)
 class Setup:
     """What a dataset is measured with, and how; without a layout it is the experiment's."""
@@ -85,7 +137,7 @@ SETUPS += (
 """The last hides much that matters: it asks whether that is admitted, at half the limit."""
 
 
-def plan(seeds: int, first: int = 0) -> list[dict]:
+def plan(seeds: int, first: int = 0) -> list[Task]:
     """Every dataset, so ordered that any beginning is a fair sample with the main rows a little ahead.
 
     Seeds count from `first`.
@@ -94,7 +146,7 @@ def plan(seeds: int, first: int = 0) -> list[dict]:
     every = range(first, first + seeds)
     half = range(first, first + (seeds + 1) // 2)
 
-    def one(strength: float) -> list[dict]:
+    def one(strength: float) -> list[Task]:
         return [
             {"kind": "one", "effects": [n], "strength": strength, "setup": (i + s) % POOR, "seed": s}
             for i, n in enumerate(names)
@@ -102,7 +154,7 @@ def plan(seeds: int, first: int = 0) -> list[dict]:
         ]
 
     parts = [(0.7, one(3.0)), (1.0, one(10.0)), (1.0, one(1.0)), (1.0, one(5.0)), (0.9, one(0.5))]
-    admitted = [
+    admitted: list[Task] = [
         {"kind": "one", "effects": [n], "strength": 0.5, "setup": POOR, "seed": s}
         for n in names
         for s in half
@@ -114,37 +166,37 @@ def plan(seeds: int, first: int = 0) -> list[dict]:
         )
     )
     for strength in (3.0, 10.0):
-        pairs = [
+        pairs: list[Task] = [
             {"kind": "pair", "effects": p, "strength": strength, "setup": (i + s) % POOR, "seed": s}
             for i, p in enumerate(map(list, PAIRS))
             for s in every
         ]
         parts.append((1.0, pairs))
-    removed = [
+    removed: list[Task] = [
         {"kind": "removed", "effects": [n], "strength": 10.0, "setup": (i + s + 1) % POOR, "seed": s}
         for i, n in enumerate(names)
         for s in half
     ]
-    spoilt = [
+    spoilt: list[Task] = [
         {"kind": "impostor", "impostor": i, "setup": s % POOR, "seed": s}
-        for i in IMPOSTORS
+        for i in Impostor
         for s in range(4 * first, 4 * (first + seeds))
     ]
     parts += [(0.8, removed), (0.9, spoilt), (1.0, admitted)]
-    placed = []
+    placed: list[tuple[float, int, Task]] = []
     for number, (weight, tasks) in enumerate(parts):
         random.Random(number).shuffle(tasks)
         placed += [(weight * (i + 0.5) / len(tasks), number, t) for i, t in enumerate(tasks)]
     return [t for _, _, t in sorted(placed, key=lambda p: p[:2])]
 
 
-def key(task: dict) -> str:
+def key(task: Task) -> str:
     """What tells a dataset from the others."""
     fields = ("kind", "effects", "strength", "setup", "seed", "impostor")
-    return json.dumps({f: task[f] for f in fields if f in task}, sort_keys=True)
+    return json.dumps({f: value for f, value in task.items() if f in fields}, sort_keys=True)
 
 
-def simulated(setup: int, effects, seed: int, finer: float = 1.0):
+def simulated(setup: int, effects: Sequence[Effect], seed: int, finer: float = 1.0) -> Dataset:
     """A dataset of a setup with these effects hidden."""
     given = SETUPS[setup]
     model = load_parameters("rig_rigid").with_effects(*effects)
@@ -172,17 +224,17 @@ def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float
     return limit, smallest, max(limit, smallest)
 
 
-def spoiled(dataset, impostor: str, seed: int):
+def spoiled(dataset: Dataset, impostor: Impostor, seed: int) -> Dataset:
     """A dataset with a fault of measurement in it."""
     generator = np.random.default_rng(seed + 5000)
     trials = []
     for given in dataset.trials:
         time_s = given.trial.time_s
         torque, hall = given.torque_nm.copy(), given.hall_rad.copy()
-        if impostor.startswith("clock"):
+        if impostor is Impostor.CLOCK_SKEW:
             late = [np.interp(time_s - 0.01, time_s, c) for c in (torque, *hall.T)]
             new = dataclasses.replace(given, torque_nm=late[0], hall_rad=np.column_stack(late[1:]))
-        elif impostor.startswith("2 %"):
+        elif impostor is Impostor.OUTLIERS:
             for column in (torque, *hall.T):
                 hit = generator.random(column.size) < 0.02
                 column[hit] += generator.standard_normal(hit.sum()) * 30 * np.std(np.diff(column[:20]))
@@ -203,12 +255,13 @@ def spoiled(dataset, impostor: str, seed: int):
     return dataclasses.replace(dataset, trials=tuple(trials))
 
 
-def judge(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
+def judge(task: Task, known: Limits) -> Row:
     """Make one dataset, diagnose it, and note what the answer was."""
     try:
         return {**task, **judged(task, known)}
     except Exception:  # noqa: BLE001 a crash is an answer too: it is counted
-        return {**task, "crash": traceback.format_exc(limit=-4)}
+        crash: Answer = {"crash": traceback.format_exc(limit=-4)}
+        return {**task, **crash}
 
 
 @dataclass(frozen=True)
@@ -216,19 +269,19 @@ class Made:
     """A dataset of the table with what is known of it."""
 
     dataset: Dataset
-    library: dict
+    library: dict[str, type[Effect]]
     truth: dict[str, dict[str, float]]
-    limits: dict[str, tuple[float, float, float]]
+    limits: Limits
 
 
-def made(task: dict, known: dict[str, tuple[float, float, float]]) -> Made | None:
+def made(task: Task, known: Limits) -> Made | None:
     """The dataset of a task; None when its effect does not show in the setup at any strength."""
     library = dict(find_effects())
     layout = SETUPS[task["setup"]].layout or load_parameters("rig_rigid").layout
     turn = -1.0 if task["seed"] % 2 else 1.0
     hidden: list[Effect] = []
     truth: dict[str, dict[str, float]] = {}
-    limits: dict[str, tuple[float, float, float]] = {}
+    limits: Limits = {}
     for name in task.get("effects", ()):
         place = f"{name} {task['setup']} {turn:+.0f}"
         limit, smallest, matters = known.get(place) or limits_of(task["setup"], name, turn)
@@ -241,17 +294,17 @@ def made(task: dict, known: dict[str, tuple[float, float, float]]) -> Made | Non
         hidden += make_effects(library, parameters, scaled_values)
         pairs = zip(parameters, against_mean(parameters, scaled_values), strict=True)
         truth[name] = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
-    impostor = task.get("impostor", "")
+    impostor = Impostor(task["impostor"]) if "impostor" in task else None
     seed = 10_000 + 7 * task["seed"] + sum(map(ord, key({**task, "seed": 0})))
-    dataset = simulated(task["setup"], hidden, seed, 2.0 if impostor.startswith("half") else 1.0)
-    if impostor and not impostor.startswith("half"):
+    dataset = simulated(task["setup"], hidden, seed, 2.0 if impostor is Impostor.FINER_SOLVER else 1.0)
+    if impostor is not None and impostor is not Impostor.FINER_SOLVER:
         dataset = spoiled(dataset, impostor, seed)
     if task["kind"] == "removed":
         library.pop(task["effects"][0])
     return Made(dataset, library, truth, limits)
 
 
-def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
+def judged(task: Task, known: Limits) -> Answer:
     """The answer to one dataset."""
     given = made(task, known)
     if given is None:
@@ -259,11 +312,12 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
     truth = given.truth
     begun, cpu = time.monotonic(), time.process_time()
     found = diagnose(given.dataset, given.library)
-    spent = {"wall_s": round(time.monotonic() - begun, 1), "cpu_s": round(time.process_time() - cpu, 1)}
+    wall_s, cpu_s = round(time.monotonic() - begun, 1), round(time.process_time() - cpu, 1)
     named = found.ranking[: len(found.effects)]
     values = [(v, truth[r.effect].get(v.name)) for r in named if r.effect in truth for v in r.values]
-    return {
-        **spent,
+    answer: Answer = {
+        "wall_s": wall_s,
+        "cpu_s": cpu_s,
         "limits": given.limits,
         "verdict": found.verdict,
         "named": list(found.effects),
@@ -273,8 +327,10 @@ def judged(task: dict, known: dict[str, tuple[float, float, float]]) -> dict:
         "covered": [v.low <= value <= v.high for v, value in values if value is not None],
         "relatives": relatives(list(truth)),
         "left": [p.sentence() for p in found.residual_patterns.patterns[:2]],
-        **(naive(found) if task["kind"] in ("one", "none") else {}),
     }
+    if task["kind"] in ("one", "none"):
+        answer["f_test"], answer["aic"] = naive(found)
+    return answer
 
 
 def relatives(effects: list[str]) -> list[str]:
@@ -285,13 +341,13 @@ def relatives(effects: list[str]) -> list[str]:
     return sorted(related - set(effects))
 
 
-def naive(found) -> dict:
+def naive(found: Diagnosis) -> tuple[str | None, str | None]:
     """What the independent-noise F-test and AIC over raw samples say of the same candidates."""
     problem, search = found.search.problem, found.search
     trials = list(range(len(problem.trials)))
     samples = sum(int(b.count.sum()) for b in problem.trials)
 
-    def squares(fit) -> float:
+    def squares(fit: Fit) -> float:
         vector = dataclasses.replace(fit.vector, trial_friction=np.zeros(len(trials)))
         readings = problem.readings([problem.model(fit.parameters, vector, t) for t in trials], trials)
         white = problem.noise.white[:, None]
@@ -311,7 +367,7 @@ def naive(found) -> dict:
         min(tests, key=tests.__getitem__, default=None),
         max(gains, key=gains.__getitem__, default=None),
     )
-    return {
-        "f_test": first if first and tests[first] < 0.01 else None,
-        "aic": best if best and gains[best] > 0 else None,
-    }
+    return (
+        first if first and tests[first] < 0.01 else None,
+        best if best and gains[best] > 0 else None,
+    )

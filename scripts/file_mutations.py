@@ -142,15 +142,14 @@ def damaged_csv(raw: bytes, rng: random.Random) -> tuple[str, bytes]:
     elif how == "rows":
         rows += [[f"{100 + n * 1e-3:.3f}", *rows[-1][1:]] for n in range(200_000)]
     elif how == "clock":
-        clock = rng.choice(
-            (
-                lambda n: "0",
-                lambda n: f"{-n}",
-                lambda n: f"{n * 1e300}",
-                lambda n: f"{n * 1e-12}",
-                lambda n: "nan",
-            )
+        clocks: tuple[Callable[[int], str], ...] = (
+            lambda n: "0",
+            lambda n: f"{-n}",
+            lambda n: f"{n * 1e300}",
+            lambda n: f"{n * 1e-12}",
+            lambda n: "nan",
         )
+        clock = rng.choice(clocks)
         for number, row in enumerate(rows[1:]):
             row[0] = clock(number)
     elif how == "line":

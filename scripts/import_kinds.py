@@ -8,7 +8,7 @@ says which column is what, in which unit and with which sign.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -685,7 +685,7 @@ def _ros(source: Source, folder: Path, plugin: str) -> Truth:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    kinds: dict[str, Any] = store.types
+    kinds: Mapping[str, Callable[..., object]] = store.types
     header, stamp_of = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
     names = ["base", "hall_1", "hall_2", "hall_3", "hall_4"]
     bag = folder / "bag"

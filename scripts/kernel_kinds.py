@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -28,12 +28,12 @@ LAYOUT = Layout(
 
 def bending(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
     """A steady law: tissue that pulls towards one angle."""
-    return -parameters[0] * (angle_rad - parameters[1])
+    return float(-parameters[0] * (angle_rad - parameters[1]))
 
 
 def swaying(parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
     """A law that depends on the time."""
-    return -parameters[0] * (angle_rad - parameters[1] * math.sin(time_s))
+    return float(-parameters[0] * (angle_rad - parameters[1] * math.sin(time_s)))
 
 
 def rod(
@@ -62,7 +62,19 @@ def rod(
     return replace(plain, **changes)
 
 
-KINDS: dict[str, dict[str, Any]] = {
+class RodValues(TypedDict, total=False):
+    """Values of `rod` that differ from the plain one's."""
+
+    viscous: float
+    stiffness: float
+    creep: tuple[float, float]
+    law: Callable[..., float]
+    static_excess: float
+    weakening_rad: float
+    ageing_per_decade: float
+
+
+KINDS: dict[str, RodValues] = {
     "rigid": {},
     "elastic": {"stiffness": 0.278},
     "viscous": {"viscous": 0.5},

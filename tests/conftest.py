@@ -88,7 +88,7 @@ def no_task_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """
     left: list[str] = []
 
-    def watch(owner: type, loop_of: Any) -> None:
+    def watch(owner: Any, loop_of: Any) -> None:
         close = owner.close
 
         def closing(self: Any) -> None:

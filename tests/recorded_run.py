@@ -83,5 +83,6 @@ def write_run(path: Path, *, target_deg: float = 45.0, pictures: bool = True, se
         for name, rows in raw.items():
             if name in tables:
                 writer.append(name, rows)
+        assert brain.state.outcome is not None
         writer.close({"status": brain.state.outcome.status, "target_deg": target_deg}, time_s=time_s)
     return path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -54,7 +54,7 @@ class Stand(Protocol):
 class BenchStand:
     """The firmware around a free needle, in virtual time; nodes other than `kind` keep their pages."""
 
-    def __init__(self, kind: str, pages: Path, overrides: dict[str, Any]) -> None:
+    def __init__(self, kind: str, pages: Path, overrides: Mapping[str, object]) -> None:
         import shutil
         import tempfile
 

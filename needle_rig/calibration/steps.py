@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,7 +39,7 @@ class Calibration:
     """What a calibration wrote, and what it says in words."""
 
     page: bytes
-    values: JsonObject
+    values: Mapping[str, object]
     lines: tuple[str, ...]
     files: tuple[Path, ...]
 
@@ -51,7 +52,9 @@ class Target:
     serial: int
     date: datetime.date
 
-    def write(self, kind: str, page: bytes, values: JsonObject, lines: list[str], png: Path) -> Calibration:
+    def write(
+        self, kind: str, page: bytes, values: Mapping[str, object], lines: list[str], png: Path
+    ) -> Calibration:
         """Write page and calibration file beside the picture."""
         hex_file, text_file = self.folder / f"{kind}.hex", self.folder / f"{kind}.yaml"
         write_page(hex_file, page)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -56,7 +56,7 @@ def learned_extra_deg(run: RunFile) -> float:
     """
     from needle_rig.errors import BadInput
 
-    result = run.result or {}
+    result: Any = run.result or {}
     try:
         motions = {motion["phase"]: motion for motion in result.get("motions", [])}
         if result.get("status") not in ("aligned", "not_aligned") or not {"overshoot", "final"} <= set(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,6 +17,7 @@ from needle_rig.cli._workbench import (
     read_saved,
     say,
 )
+from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
     from needle_rig.model import SavedModel
@@ -126,7 +127,7 @@ def _by_name(
     return adopt(observed, effect, library(directories), saved, force=force, name=None if saved else name)
 
 
-def _document(result: SavedModel, out: Path) -> dict[str, Any]:
+def _document(result: SavedModel, out: Path) -> JsonObject:
     """The step in numbers."""
     from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from needle_rig.errors import BadInput
+from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
     from needle_rig.calibration.stand import Stand
@@ -77,7 +78,7 @@ def _stand(kind: str, rig: str, pages: Path, errors: int, yes: bool) -> Stand:
     from needle_rig.calibration.stand import BenchStand, RealStand
 
     if rig == "bench":
-        overrides: dict[str, Any] = {"simulation.sensor_errors_seed": errors}
+        overrides: JsonObject = {"simulation.sensor_errors_seed": errors}
         return BenchStand(kind, pages, overrides)
     from needle_rig.config.loader import load_rig_config
 

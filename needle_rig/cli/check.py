@@ -216,7 +216,8 @@ def _calibrated(folder: Path) -> tuple[float | None, list[float]]:
         for name in ("torque.yaml", "hall.yaml")
     )
     residual = torque.get("worst_residual_nmm")
-    sensors = hall.get("sensors", [])
+    found = hall.get("sensors")
+    sensors = found if isinstance(found, list) else []
     return (
         float(residual) if isinstance(residual, int | float) else None,
         [

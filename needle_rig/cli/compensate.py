@@ -17,6 +17,7 @@ import click
 from needle_rig.cli._live import moving_bar
 from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, view
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
+from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
     from needle_rig.service.client import DaemonClient
@@ -156,7 +157,7 @@ def _order(
     for name, value in (("--target", target), ("--extra", extra), ("--settle", settle), ("--speed", speed)):
         if value is not None and not math.isfinite(value):
             raise BadInput(f"{name} {value}: is not a number to turn by; give one, as in --target 45")
-    chosen: dict[str, Any] = dict(_option(text) for text in options)
+    chosen: JsonObject = dict(_option(text) for text in options)
     if extra is not None:
         chosen["extra_deg"] = extra
     return {
@@ -168,7 +169,7 @@ def _order(
     }
 
 
-def _option(text: str) -> tuple[str, Any]:
+def _option(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not (name and equals):
         raise BadInput(f"--option {text}: write NAME=VALUE, as in --option extra_deg=12")
@@ -179,7 +180,7 @@ def _option(text: str) -> tuple[str, Any]:
 
 
 @contextmanager
-def _daemon(path: Path | None, rig: dict[str, Any]) -> Iterator[DaemonClient]:
+def _daemon(path: Path | None, rig: JsonObject) -> Iterator[DaemonClient]:
     """The running daemon, or a private one."""
     from needle_rig.cli._rig import simulated_rig_file
     from needle_rig.service.client import find_daemon, private_daemon, the_daemon

@@ -14,6 +14,7 @@ import click
 
 from needle_rig.cli._rig import bench_nodes, simulated_rig_file
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
     from needle_rig.service.daemon import Daemon
@@ -60,7 +61,7 @@ def command(
         _refuse_where_a_rig_is_set_up()
     try:
         with _place(socket, private) as path:
-            options: dict[str, Any] = {"simulation.parameters": parameters, "simulation.seed": seed}
+            options: JsonObject = {"simulation.parameters": parameters, "simulation.seed": seed}
             options["simulation.nodes"] = bench_nodes(rig, image)
             daemon = _build(config, options, model, fast, out, private=private is not None)
             _serve(daemon, path, group, private=private is not None)
@@ -101,7 +102,7 @@ def _place(socket: Path | None, private: Path | None) -> Iterator[Path]:
 
 def _build(
     config: str | None,
-    options: dict[str, Any],
+    options: JsonObject,
     model: str | None,
     fast: bool,
     out: Path | None,

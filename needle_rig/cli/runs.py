@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from needle_rig.cli._runs import config_option, directory_option, runs_directory
+from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
     from needle_rig.recording import RunSummary
@@ -65,7 +66,7 @@ def _row(run: RunSummary) -> tuple[str, ...]:
     )
 
 
-def _as_json(run: RunSummary) -> dict[str, Any]:
+def _as_json(run: RunSummary) -> JsonObject:
     return {
         "name": run.name,
         "path": str(run.path),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.records import JsonObject
-    from needle_rig.workbench.contest.strategies_table import Foretold, Table
+    from needle_rig.workbench.contest.strategies_table import Foretold, StrategyOverall, Table
     from needle_rig.workbench.virtual.noise import Noise
 
 PAIR = ("planned", "reed2008")
@@ -228,7 +228,7 @@ def _show_one(effect: str, contest: Contest) -> str:
     return f"{effect}: {told.sentence}" if told.little_gained else ""
 
 
-def _show(rows: list[JsonObject], title: str) -> None:
+def _show(rows: list[StrategyOverall], title: str) -> None:
     """A table, the straightest shaft first; then what was refused and what gave way."""
     click.echo(title)
     heads = ("tip lag °", "worst °", "mean °", "torque N·mm", "rotations", "total °", "time s")
@@ -238,8 +238,13 @@ def _show(rows: list[JsonObject], title: str) -> None:
             click.echo(f"  {row['strategy']:<17}" + f"{'refused':>15}")
             continue
         cells = [
-            f"{row[k]['median']:.{d}f} ({row[k]['q95']:.{d}f})"
-            for k, d in (("tip_lag_deg", 1), ("worst_deg", 1), ("mean_deg", 1), ("torque_nmm", 3))
+            f"{of['median']:.{d}f} ({of['q95']:.{d}f})"
+            for of, d in (
+                (row["tip_lag_deg"], 1),
+                (row["worst_deg"], 1),
+                (row["mean_deg"], 1),
+                (row["torque_nmm"], 3),
+            )
         ]
         cells += [f"{row['rotations']:g}", f"{row['total_rotation_deg']:.0f}", f"{row['time_s']:.1f}"]
         click.echo(f"  {row['strategy']:<17}" + "".join(f"{cell:>15}" for cell in cells))

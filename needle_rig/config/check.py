@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -138,7 +139,7 @@ def _text_hint(kind: str, key: str, text: str) -> str:
     return number_from_text(key, text) if kind.startswith(("float", "int")) else ""
 
 
-def _range(kind: str, key: str, value: float, context: JsonObject) -> str:
+def _range(kind: str, key: str, value: float, context: Mapping[str, float]) -> str:
     unit = symbol(key)
     if kind.startswith("greater"):
         limit = context["gt" if kind == "greater_than" else "ge"]

@@ -29,7 +29,7 @@ __all__ = [
 
 
 def load_rig_config(
-    path: str | os.PathLike[str] | None = None, overrides: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str] | None = None, overrides: Mapping[str, object] | None = None
 ) -> RigConfig:
     """The rig file at `path`, or the nearest rig.yaml; every error carries file, line and column.
 
@@ -51,8 +51,8 @@ def rig_config_text(config: RigConfig) -> str:
     return write_yaml(config.model_dump(mode="json", exclude_none=True))
 
 
-def _build(data: JsonObject, places: Places, overrides: Mapping[str, Any]) -> RigConfig:
-    given: dict[DataPath, Any] = {
+def _build(data: JsonObject, places: Places, overrides: Mapping[str, object]) -> RigConfig:
+    given: dict[DataPath, object] = {
         tuple(key.split(".")): value for key, value in overrides.items() if value is not None
     }
     # The file is judged by itself first, so that an option never hides a mistake in it.

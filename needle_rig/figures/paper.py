@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,6 +31,12 @@ class Line:
     label: str
     colour: str
     style: str = "-"
+
+
+class _Style(TypedDict):
+    color: str
+    linestyle: str
+    linewidth: float
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,7 @@ def draw(picture: Plot) -> Figure:
     for number, line in enumerate(picture.lines):
         needle = line.needle
         place = mm(needle.position_m)
-        style: dict[str, Any] = {
+        style: _Style = {
             "color": line.colour,
             "linestyle": line.style,
             "linewidth": 3.2 - 0.45 * number,

@@ -26,7 +26,7 @@ BASE = "#000000"
 SENSORS = ("#56B4E9", "#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#8C6D31", "#7F7F7F")
 MOTIONS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D31")
 SHADES = ("#F1F1EE", "#E2E5E8")
-STYLE: dict[str, Any] = {"fontsize": 9}
+FONT_PT = 9
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def _draw_angles(axes: Axes, ticks: Rows, begin_s: float, config: RigConfig, tar
     axes.set_ylabel("angle, °")
     axes.tick_params(labelbottom=False)
     _tidy(axes)
-    axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, **STYLE)
+    axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, fontsize=FONT_PT)
 
 
 def _draw_torque(axes: Axes, run: RunFile, ticks: Rows, begin_s: float, config: RigConfig) -> None:
@@ -164,7 +164,7 @@ def _draw_torque(axes: Axes, run: RunFile, ticks: Rows, begin_s: float, config: 
     axes.set_ylabel("base torque, N·mm")
     axes.set_xlabel("time, s")
     _tidy(axes)
-    axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, **STYLE)
+    axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, fontsize=FONT_PT)
 
 
 def _running_mean(time_s: Array, values: Array, window_s: float) -> Array:
@@ -192,7 +192,7 @@ def _shade(axes: Axes, motions: tuple[Motion, ...], begin_s: float, *, named: bo
                 va="bottom",
                 rotation=35 if crowded else 0,
                 color="#333333",
-                **STYLE,
+                fontsize=FONT_PT,
             )
     axes.set_xlim(low, high)
 
@@ -268,7 +268,7 @@ def _draw_shaft(
     axes.set_xlabel(f"distance from the base, mm   (marks: measured; {lines})")
     axes.set_ylabel("angle after each motion, °")
     _tidy(axes)
-    axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, **STYLE)
+    axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, fontsize=FONT_PT)
 
 
 def _picture_of(motion: Motion, pictures: Rows | None) -> Array | None:

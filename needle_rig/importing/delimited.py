@@ -158,7 +158,7 @@ def _frame(path: Path, encoding: str, dialect: _Dialect, shown: str) -> Any:
         source = _recoded(path, encoding, dialect, shown)
         lines = 0
     names = [f"c{k}" for k in range(dialect.width)]
-    options: dict[str, Any] = {
+    options: dict[str, object] = {
         "has_header": False,
         "separator": "\t" if dialect.delimiter == " " else dialect.delimiter,
         "skip_lines": lines,

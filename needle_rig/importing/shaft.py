@@ -22,11 +22,12 @@ def read_rig(path: Path) -> RigPart:
     if data.get("format") == "needle-rig/1":
         return _of_rig_file(file)
     if "rig" in data:
-        data, inner = data["rig"], ("rig",)
-        if not isinstance(data, dict):
+        inside, inner = data["rig"], ("rig",)
+        if not isinstance(inside, dict):
             raise places.error(
                 inner, "is no mapping; write needle, needle_length_mm, tissue_sections_mm, hall_sensors"
             )
+        data = inside
     rig = validate(RigPart, data, places)
     for part in (rig, rig.needle):
         for key in part.model_extra or {}:

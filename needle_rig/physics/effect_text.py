@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 
+Parameter = float | tuple[float, ...]
+"""One number, or one for each sensor or section."""
+
 
 def parse_effects(texts: Iterable[str], library: Mapping[str, type[Effect]]) -> tuple[Effect, ...]:
     """The effects that `texts` name; texts of one name add up. Raises BadInput."""
-    given: dict[str, dict[str, Any]] = {}
+    given: dict[str, dict[str, Parameter]] = {}
     for text in texts:
         left, equals, right = text.partition("=")
         name, _, field = left.strip().partition(":")
@@ -42,7 +44,7 @@ def effect_called(name: str, library: Mapping[str, type[Effect]]) -> type[Effect
     raise BadInput(f"there is no effect {name}; {meant}")
 
 
-def _fields(effect: type[Effect], field: str, numbers: list[float], text: str) -> dict[str, Any]:
+def _fields(effect: type[Effect], field: str, numbers: list[float], text: str) -> dict[str, Parameter]:
     infos = effect.parameters()
     if field and field not in infos:
         raise BadInput(f"--effect {text}: {effect.name()} has no {field}; it has {', '.join(infos)}")
@@ -66,5 +68,5 @@ def _number(text: str, whole: str) -> float:
         raise BadInput(f"--effect {whole}: {text!r} is not a number; write NAME=VALUE") from None
 
 
-def _plain(effect: Effect) -> dict[str, Any]:
+def _plain(effect: Effect) -> dict[str, Parameter]:
     return {name: getattr(effect, name) for name in effect.parameters()}

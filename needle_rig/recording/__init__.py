@@ -14,10 +14,11 @@ from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
 from needle_rig.recording.retention import mark_read, retain
 from needle_rig.recording.tables import run_attributes, run_tables, sample_row
-from needle_rig.recording.writer import RunWriter, new_run
+from needle_rig.recording.writer import NotWritten, RunWriter, new_run
 
 __all__ = [
     "Event",
+    "NotWritten",
     "RunFile",
     "RunSummary",
     "RunWriter",

@@ -109,7 +109,7 @@ def _summary(path: Path) -> RunSummary:
         path=path,
         simulated=run.simulated,
         started_utc=str(known.get("started_utc", "")),
-        target_deg=float(known.get("target_deg", math.nan)),
+        target_deg=run.number("target_deg"),
         strategy=str(known.get("strategy", "")),
         parameters=str(known.get("parameters", "")),
         status=status,

@@ -6,7 +6,7 @@ import datetime
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +63,7 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _channel(writer: Writer, name: str, properties: JsonObject) -> int:
+def _channel(writer: Writer, name: str, properties: Mapping[str, object]) -> int:
     schema = {"type": "object", "title": name, "properties": properties}
     schema_id = writer.register_schema(f"needle_rig.{name}", "jsonschema", json.dumps(schema).encode())
     return int(writer.register_channel(topic=f"/{name}", message_encoding="json", schema_id=schema_id))

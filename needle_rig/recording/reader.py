@@ -95,6 +95,11 @@ class RunFile:
         """Whether no real needle was turned."""
         return self.attributes.get("kind") == "simulated"
 
+    def number(self, name: str, default: float = math.nan) -> float:
+        """Attribute `name`, or `default` where there is none that is a number."""
+        value = self.attributes.get(name)
+        return float(value) if isinstance(value, int | float) else default
+
     @property
     def complete(self) -> bool:
         """Whether its writer closed it; False while it is written and after a kill."""

@@ -34,6 +34,14 @@ class RunExists(BadInput):
     """A run of this name is there already."""
 
 
+class NotWritten(RigFault):
+    """A run cannot be written on; its first `kept_rows` rows are kept."""
+
+    def __init__(self, sentence: str, kept_rows: int) -> None:
+        super().__init__(sentence)
+        self.kept_rows = kept_rows
+
+
 class RunWriter:
     """One run being written to the journal beside `path`; `close` makes the HDF5 file at `path` of it.
 
@@ -227,9 +235,10 @@ class RunWriter:
         self._shape.take(number, payload)
 
     def _fail(self, error: OSError) -> NeedleRigError:
-        self._trouble = self._trouble or RigFault(
+        self._trouble = self._trouble or NotWritten(
             f"{show_path(self.path)}: the run cannot be written: {refusal(error)};"
-            f" its first {self.rows} rows are kept; free some space"
+            f" its first {self.rows} rows are kept; free some space",
+            self.rows,
         )
         return self._trouble
 

@@ -18,11 +18,11 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
 
+from needle_rig.records import JsonObject
 from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, application
 from needle_rig.service.connections import REQUEST_S, SPARE, Connections, HttpConnection, WatcherConnection
 from needle_rig.service.documents import Answered, Asked, Message
@@ -195,7 +195,7 @@ class _Rarely(logging.Filter):
         return True
 
 
-def _complain(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def _complain(_: asyncio.AbstractEventLoop, context: JsonObject) -> None:
     error = context.get("exception")
     reason = context["message"] if error is None else f"{context['message']}: {error!r}"
     logging.getLogger("api").warning("%s", reason)

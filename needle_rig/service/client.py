@@ -60,7 +60,7 @@ class DaemonClient:
     @contextmanager
     def lease(self, holder: str) -> Iterator[None]:
         """Be the one who commands, inside a with block; BadInput says who does when it is somebody else."""
-        self._lease = self._ask("POST", "/lease", {"holder": holder})["lease"]
+        self._lease = str(self._ask("POST", "/lease", {"holder": holder})["lease"])
         try:
             yield
         finally:

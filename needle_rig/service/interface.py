@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 _TIMEOUT_S = 5.0
 
@@ -37,7 +37,30 @@ def look_at(name: str) -> Interface | None:
         return None
 
 
-def parse(link: dict[str, Any]) -> Interface:
+class _Timing(TypedDict, total=False):
+    bitrate: int
+
+
+class _Data(TypedDict, total=False):
+    state: str
+    bittiming: _Timing
+    restart_ms: int
+
+
+class _Info(TypedDict, total=False):
+    info_kind: str
+    info_data: _Data
+
+
+class Link(TypedDict, total=False):
+    """What is read of one object of `ip -details -json link`; another kind of interface has less of it."""
+
+    link_type: str
+    flags: list[str]
+    linkinfo: _Info
+
+
+def parse(link: Link) -> Interface:
     """The interface in one object of `ip -details -json link`."""
     info = link.get("linkinfo", {})
     data = info.get("info_data", {})

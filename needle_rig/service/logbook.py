@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from needle_rig.service.systemd import LOG
 
@@ -62,7 +62,7 @@ class Logbook:
             (self._folder / _ENDING).unlink()
 
 
-def _told(before: dict[str, Any], ending: str, boot_id: str) -> str:
+def _told(before: dict[str, str], ending: str, boot_id: str) -> str:
     """The end of the daemon before, in one sentence."""
     if "how" in before:
         return f"{before.get('ended_utc', '')}: {before['how']}"
@@ -81,11 +81,11 @@ def _told(before: dict[str, Any], ending: str, boot_id: str) -> str:
     return f"{since} ended without a word; {LOG} may know why"
 
 
-def _document(path: Path) -> dict[str, Any]:
+def _document(path: Path) -> dict[str, str]:
     with suppress(ValueError):
         found = json.loads(_read(path))
         if isinstance(found, dict):
-            return found
+            return {str(key): str(value) for key, value in found.items()}
     return {}
 
 

@@ -53,7 +53,7 @@ def openapi_document() -> JsonObject:
     _, schemas = models_json_schema(
         [(model, "validation") for model in MODELS.values()], ref_template=_REFERENCE
     )
-    paths: JsonObject = {}
+    paths: dict[str, JsonObject] = {}
     for route in ROUTES:
         paths.setdefault(route.path, {})[route.method.lower()] = _operation(route)
     error = {

@@ -30,12 +30,15 @@ class Reply(TypedDict, total=False):
     ready: bool
     error: str
     exit_code: int
+    kept_rows: int
+    """Beside an error: the rows of the open run that are kept; none follow."""
     opened: str
     closed: str
     complete: bool
     removed: list[str]
     unread_bytes: int
     text: str
+    torn_bytes: int
 
 
 class Gone(RigFault):

@@ -11,6 +11,7 @@ import json
 import pickle
 import signal
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 from needle_rig.config.schema import RecordingSection, RigConfig
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.recording import (
+    NotWritten,
     RunFile,
     RunWriter,
     new_run,
@@ -56,7 +58,7 @@ class Keeper:
             if number:
                 self._answer(number=number, **answer)
 
-    def begin(self, directory: Path, config: RigConfig, request: JsonObject) -> Reply:
+    def begin(self, directory: Path, config: RigConfig, request: Mapping[str, Any]) -> Reply:
         """Open a new run."""
         self._leave()
         remove_empty_runs(directory)
@@ -121,7 +123,8 @@ class Keeper:
         if torn_bytes:
             text += f"; {torn_bytes} bytes at its end are torn and left out"
         writer.close_unfinished(text, result)
-        return {"complete": complete, "text": f"{path} is closed" if complete else f"{text}: {path}"}
+        said = f"{path} is closed" if complete else f"{text}: {path}"
+        return {"complete": complete, "text": said, "torn_bytes": torn_bytes}
 
     def orphaned(self) -> None:
         """The daemon is gone: its run is left as it is, for the next daemon to find and tell."""
@@ -149,7 +152,9 @@ class Keeper:
         if what in ("rows", "event", "sync"):
             self._broken = self._broken or sentence
         if not told:
-            self._answer(number=number, error=sentence, exit_code=(BadInput if bad else RigFault).exit_code)
+            kept = {"kept_rows": error.kept_rows} if isinstance(error, NotWritten) else {}
+            exit_code = (BadInput if bad else RigFault).exit_code
+            self._answer(number=number, error=sentence, exit_code=exit_code, **kept)
 
     def _answer(self, **content: Any) -> None:
         with suppress(BrokenPipeError):  # the daemon is gone: the messages end with the next one

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from needle_rig.records import JsonObject
+
 TABLE = "judged by scripts/diagnosis_table: 920 datasets with known answers"
 CHOSEN = "chosen, not derived; " + TABLE
 
@@ -361,9 +363,9 @@ class Policy:
     size: SizePolicy = SizePolicy()
     verdict: VerdictPolicy = VerdictPolicy()
 
-    def as_json(self) -> dict[str, dict[str, Any]]:
+    def as_json(self) -> dict[str, JsonObject]:
         """Values by group and name."""
-        found: dict[str, dict[str, Any]] = {}
+        found: dict[str, JsonObject] = {}
         for row in thresholds(self):
             value = list(row.value) if isinstance(row.value, tuple) else row.value
             found.setdefault(row.group, {})[row.name] = value

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 import pytest
 
@@ -15,6 +14,7 @@ from needle_rig.control.reports import Request
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.records import DriveFault, DriveState, Phase
 from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench_lines import Said
 from needle_rig.units import rad
 from tests.bench.ticking import Ticking
 
@@ -26,10 +26,11 @@ REACTION_S = 0.05
 async def drive_fault_seen(bench: Bench) -> tuple[DriveFault, float]:
     """Why the drive stopped by itself, and when by the bench's clock: without the time that others took."""
 
-    def fault(said: dict[str, Any]) -> bool:
+    def fault(said: Said) -> bool:
         return said.get("event") == "drive" and said["state"] == "fault"
 
     said = await asyncio.to_thread(bench.wait_for, fault, 10)
+    assert isinstance(said["faults"], int)
     return DriveFault(said["faults"]), said["time_s"] - said["late_s"]
 
 
@@ -51,8 +52,8 @@ async def turning(config: RigConfig) -> AsyncIterator[tuple[Ticking, Brain]]:
         await rig.close()
 
 
-async def stop_seen(bench: Bench) -> dict[str, Any]:
-    def stop(said: dict[str, Any]) -> bool:
+async def stop_seen(bench: Bench) -> Said:
+    def stop(said: Said) -> bool:
         return said.get("event") == "command" and not said["enable"]
 
     return await asyncio.to_thread(bench.wait_for, stop, 10)

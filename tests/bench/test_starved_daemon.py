@@ -9,13 +9,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from needle_rig.config.loader import load_rig_config, rig_config_text
 from needle_rig.simulation import bench as bench_module
 from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench_lines import Said
 
 NEEDLE_RIG = [sys.executable, "-m", "needle_rig"]
 STOP_S = 0.06
@@ -26,7 +26,7 @@ def wait_s(seconds: float) -> None:
     select.select([], [], [], seconds)
 
 
-def status(bench: Bench) -> dict[str, Any]:
+def status(bench: Bench) -> Said:
     bench.tell("status")
     return bench.wait_for(lambda said: "base_deg" in said, 10)
 

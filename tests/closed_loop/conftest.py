@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from needle_rig.config.loader import load_rig_config
-from needle_rig.config.schema import RigConfig
+from needle_rig.config.schema import RigConfig, SimulationSection
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.model import load_parameters
@@ -15,6 +15,12 @@ from needle_rig.simulation.run import VirtualRun, run_virtual
 from needle_rig.units import rad
 
 Align = Callable[..., VirtualRun]
+
+
+def simulation_of(config: RigConfig) -> SimulationSection:
+    """How its rig is simulated."""
+    assert config.simulation is not None
+    return config.simulation
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +45,7 @@ def align(config: RigConfig) -> Align:
         **simulation: Any,
     ) -> VirtualRun:
         quiet = {} if noise else {"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0}
-        settings = config.simulation.model_copy(update={"seed": seed, **quiet, **simulation})
+        settings = simulation_of(config).model_copy(update={"seed": seed, **quiet, **simulation})
         model = load_parameters(parameters, layout=layout) if layout else load_parameters(parameters)
         plant = Plant(model.with_effects(*effects), settings)
         rig = config

@@ -74,7 +74,7 @@ def cut_torque(rig: Any) -> None:
     rig.links.torque.fault = "silence"
 
 
-HARMS = {
+HARMS: dict[Callable[[Any], None], DriveFault] = {
     stick: DriveFault.STALL,
     halve: DriveFault.STALL,
     reverse: DriveFault.DIRECTION,

@@ -41,7 +41,7 @@ class Loop:
 
     @property
     def true_deg(self) -> float:
-        return deg(self.rig.true_base_rad)
+        return float(deg(self.rig.true_base_rad))
 
     def turn_by_hand(self, by_deg: float, seconds: float) -> None:
         ticks = round(seconds / TICK_S)

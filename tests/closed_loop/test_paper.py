@@ -6,10 +6,14 @@ import itertools
 
 import pytest
 
+from needle_rig.config.schema import RigConfig
+from needle_rig.control.reports import BrainState
+from needle_rig.records import Sample
 from needle_rig.units import deg, nmm
+from tests.closed_loop.conftest import Align, simulation_of
 
 
-def test_the_rigid_rig_lags_by_26_degrees_and_ends_aligned(align):
+def test_the_rigid_rig_lags_by_26_degrees_and_ends_aligned(align: Align) -> None:
     run = align("rig_rigid")
     assert deg(run.settled[0].tip_lag_rad) == pytest.approx(26.0, abs=0.5)
     assert abs(deg(run.outcome.tip_lag_rad)) <= 0.5
@@ -17,7 +21,7 @@ def test_the_rigid_rig_lags_by_26_degrees_and_ends_aligned(align):
     assert deg(run.outcome.lag_rad) == pytest.approx(26.0, abs=0.5)
 
 
-def test_the_elastic_rig_lags_by_26_degrees_and_keeps_12(align):
+def test_the_elastic_rig_lags_by_26_degrees_and_keeps_12(align: Align) -> None:
     run = align("rig_elastic")
     assert deg(run.settled[0].tip_lag_rad) == pytest.approx(26.0, abs=1.0)
     assert deg(run.outcome.tip_lag_rad) == pytest.approx(12.0, abs=1.0)
@@ -26,13 +30,13 @@ def test_the_elastic_rig_lags_by_26_degrees_and_keeps_12(align):
     assert "needle-rig diagnose RUN" in run.outcome.text
 
 
-def test_twelve_degrees_further_leave_between_3_and_6(align):
+def test_twelve_degrees_further_leave_between_3_and_6(align: Align) -> None:
     run = align("rig_elastic", "reed2008_elastic", options={"extra_deg": 12})
     assert 3.0 <= deg(run.outcome.tip_lag_rad) <= 6.0
     assert run.outcome.status == "aligned"
 
 
-def test_the_other_direction_is_the_mirror_image(align):
+def test_the_other_direction_is_the_mirror_image(align: Align) -> None:
     there = align("rig_elastic", noise=False)
     back = align("rig_elastic", target_deg=-45.0, noise=False)
     for a, b in zip(there.settled, back.settled, strict=True):
@@ -42,7 +46,7 @@ def test_the_other_direction_is_the_mirror_image(align):
     assert "the tip lags 12°" in back.outcome.text
 
 
-def test_a_second_run_learns_its_extra_turn_from_the_first(config):
+def test_a_second_run_learns_its_extra_turn_from_the_first(config: RigConfig) -> None:
     from needle_rig.control.brain import Brain
     from needle_rig.control.reports import Request
     from needle_rig.model import load_parameters
@@ -50,9 +54,9 @@ def test_a_second_run_learns_its_extra_turn_from_the_first(config):
     from needle_rig.simulation.run import run_virtual
     from needle_rig.units import rad
 
-    brain, left = Brain(config), []
+    brain, left = Brain(config), list[float]()
     for strategy in ("reed2008", "reed2008_elastic", "reed2008_elastic"):
-        plant = Plant(load_parameters("rig_elastic"), config.simulation)
+        plant = Plant(load_parameters("rig_elastic"), simulation_of(config))
         if left:  # another rig for the same brain: a person says where its base stands
             plant.advance(0.005)
             brain.step(plant.read(), 0.005)
@@ -68,8 +72,8 @@ def test_a_second_run_learns_its_extra_turn_from_the_first(config):
     ("gain", "delay_ms", "load_nmm"), list(itertools.product((0.7, 1.3), (0.0, 10.0), (-0.5, 0.5)))
 )
 def test_the_base_neither_overshoots_nor_stays_away_at_any_corner_of_the_drive(
-    config, gain, delay_ms, load_nmm
-):
+    config: RigConfig, gain: float, delay_ms: float, load_nmm: float
+) -> None:
     import random
 
     from needle_rig.control.brain import Brain
@@ -79,13 +83,13 @@ def test_the_base_neither_overshoots_nor_stays_away_at_any_corner_of_the_drive(
     from needle_rig.simulation.run import run_virtual
     from needle_rig.units import nm, rad
 
-    settings = config.simulation.model_copy(update={"drive_gain": gain, "drive_delay_ms": delay_ms})
+    settings = simulation_of(config).model_copy(update={"drive_gain": gain, "drive_delay_ms": delay_ms})
     plant = Plant(load_parameters("rig_elastic"), settings, load_nm=nm(load_nmm))
     random_ticks = random.Random(7)
     ticks = (0.005 * random_ticks.uniform(0.7, 1.3) for _ in itertools.count())
     way: dict[str, list[tuple[float, float]]] = {}
 
-    def follow(sample, state):
+    def follow(sample: Sample, state: BrainState) -> None:
         if state.waypoint_rad is not None:
             way.setdefault(sample.motion, []).append((deg(plant.motor.angle_rad), deg(state.waypoint_rad)))
 

@@ -15,7 +15,7 @@ from needle_rig.control.planning.effort import CALL_SOLVES, Effort, Spent
 from needle_rig.control.planning.search import Aim, carry_out, cheapest, likeliest_plans, rate
 from needle_rig.control.strategies import planned as planned_module
 from needle_rig.control.strategies.planned import PLAN_SOLVES, Planned
-from needle_rig.control.strategy import Reason, Strategy, Task, Trust, Waypoint, make_strategy
+from needle_rig.control.strategy import History, Reason, Strategy, Task, Trust, Waypoint, make_strategy
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
 from needle_rig.physics.effect import Trial
@@ -123,7 +123,7 @@ def test_a_rigid_uniform_needle_ends_on_the_two_front_optimum() -> None:
     assert ours.cost_rad <= closed_form.cost_rad + rad(0.05)
 
 
-def _run_history(model: NeedleModel, task: Task):  # type: ignore[no-untyped-def]
+def _run_history(model: NeedleModel, task: Task) -> History:
     run = run_settled(model, make_strategy("none", {}), task, np.random.default_rng(0), NO_NOISE)
     return run.history[:1]
 

@@ -4,27 +4,32 @@ import asyncio
 import dataclasses
 import math
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
+from needle_rig.config.schema import RigConfig, SimulationSection
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.model import load_parameters
-from needle_rig.records import Command, DriveFault, DriveState
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.records import Command, DriveFault, DriveState, Sample
 from needle_rig.simulation.drive_guard import DriveGuard
 from needle_rig.simulation.motor import Motor, MotorSettings
 from needle_rig.simulation.plant import Plant
 from needle_rig.simulation.run import run_virtual
 from needle_rig.units import deg, nm, nmm, rad
+from tests.closed_loop.conftest import simulation_of
+from tests.values import now
 
 
 @pytest.fixture(scope="module")
-def elastic():
+def elastic() -> NeedleModel:
     return load_parameters("rig_elastic")
 
 
-def awake(model, settings, **options):
+def awake(model: NeedleModel, settings: SimulationSection, **options: Any) -> Plant:
     plant = Plant(model, settings, **options)
     for command in (Command(), Command(clear=True), *[Command()] * 5):
         plant.write(command)
@@ -33,16 +38,18 @@ def awake(model, settings, **options):
     return plant
 
 
-def turned(plant, velocity_rad_s, seconds, tick_s=0.005):
+def turned(plant: Plant, velocity_rad_s: float, seconds: float, tick_s: float = 0.005) -> Plant:
     for _ in range(round(seconds / tick_s)):
         plant.write(Command(velocity_rad_s, enable=True))
         plant.advance(tick_s)
     return plant
 
 
-def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_not(config, elastic):
-    def rows(seed):
-        settings = config.simulation.model_copy(update={"seed": seed})
+def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_not(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
+    def rows(seed: int) -> tuple[Sample, ...]:
+        settings = simulation_of(config).model_copy(update={"seed": seed})
         run = run_virtual(Brain(config), Plant(elastic, settings), Request(0.5, "none", settle_s=0.5))
         return run.samples
 
@@ -50,8 +57,8 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_n
     assert rows(3) != rows(4)
 
 
-def test_the_tick_does_not_change_what_the_needle_does(config, elastic):
-    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+def test_the_tick_does_not_change_what_the_needle_does(config: RigConfig, elastic: NeedleModel) -> None:
+    quiet = simulation_of(config).model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
     ends = []
     for tick_s in (0.002, 0.005, 0.010):
         run = run_virtual(
@@ -61,10 +68,12 @@ def test_the_tick_does_not_change_what_the_needle_does(config, elastic):
     assert ends == pytest.approx([ends[0]] * 3, abs=0.1)
 
 
-def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path(config, elastic):
+def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
     from needle_rig.physics.effect import Trial
 
-    plant = awake(elastic, config.simulation)
+    plant = awake(elastic, simulation_of(config))
     times, angles = [0.0], [plant.motor.angle_rad]
     for velocity in (0.8, -0.8, 0.4):
         for _ in range(100):
@@ -77,8 +86,10 @@ def test_a_small_continued_step_gives_the_same_as_one_solution_of_the_whole_path
     assert plant.shaft_rad()[-1] == pytest.approx(whole.tip_rad[-1], abs=rad(0.02))
 
 
-def test_a_base_that_creeps_winds_the_needle_up_as_a_quick_one_does(config, elastic):
-    quick, creeping = Plant(elastic, config.simulation), Plant(elastic, config.simulation)
+def test_a_base_that_creeps_winds_the_needle_up_as_a_quick_one_does(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
+    quick, creeping = (Plant(elastic, simulation_of(config)) for _ in range(2))
     for plant, velocity_deg_s, ticks in ((quick, 20.0, 10), (creeping, 0.04, 5000)):
         for _ in range(ticks):
             plant.turn_by_hand(rad(velocity_deg_s), 0.005)
@@ -89,8 +100,8 @@ def test_a_base_that_creeps_winds_the_needle_up_as_a_quick_one_does(config, elas
     assert nmm(creeping.torque_nm) == pytest.approx(nmm(quick.torque_nm), rel=0.1)
 
 
-def test_sensors_are_quantised_and_as_noisy_as_stated(config, elastic):
-    settings = config.simulation
+def test_sensors_are_quantised_and_as_noisy_as_stated(config: RigConfig, elastic: NeedleModel) -> None:
+    settings = simulation_of(config)
     plant = Plant(elastic, settings)
     torque, hall = [], []
     for _ in range(2000):
@@ -108,10 +119,12 @@ def test_sensors_are_quantised_and_as_noisy_as_stated(config, elastic):
     assert abs(np.mean(hall)) < 0.02
 
 
-def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(config, elastic):
+def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
     from needle_rig.physics.effects.torque_bias import TorqueBias
 
-    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+    quiet = simulation_of(config).model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
     (field,) = TorqueBias.parameters()
     biased = elastic.with_effects(TorqueBias(**{field: 0.02}))
     plain, shifted = awake(elastic, quiet), awake(biased, quiet)
@@ -122,11 +135,14 @@ def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(config
     assert difference == pytest.approx(0.02, abs=2e-4)
 
 
-def test_effects_on_the_sensors_remember_for_longer_than_readings_are_kept(config, elastic):
+def test_effects_on_the_sensors_remember_for_longer_than_readings_are_kept(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
     from needle_rig.physics.effects.bearing_drag import BearingDrag
     from needle_rig.physics.effects.torque_low_pass import TorqueLowPass
 
-    quiet = config.simulation.model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
+    noiseless = {"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0}
+    quiet = simulation_of(config).model_copy(update=noiseless)
     plain, draggy = awake(elastic, quiet), awake(elastic.with_effects(BearingDrag(0.02)), quiet)
     slow = awake(elastic.with_effects(TorqueLowPass(1000.0)), quiet)
     for plant in (plain, draggy, slow):
@@ -138,12 +154,12 @@ def test_effects_on_the_sensors_remember_for_longer_than_readings_are_kept(confi
     assert left[1] / left[0] == pytest.approx(math.exp(-1.0), abs=0.02)
 
 
-def test_effects_at_the_base_remember_from_tick_to_tick(config, elastic):
+def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elastic: NeedleModel) -> None:
     from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 
     (field,) = ChuckBacklash.parameters()
     loose = elastic.with_effects(ChuckBacklash(**{field: 6.0}))
-    plant = awake(loose, config.simulation)
+    plant = awake(loose, simulation_of(config))
     turned(turned(plant, 0.5, 2.0), 0.0, 0.5)
     wound = plant.hall_rad.copy()
     before = deg(plant.motor.angle_rad)
@@ -155,9 +171,9 @@ def test_effects_at_the_base_remember_from_tick_to_tick(config, elastic):
     assert plant.hall_rad[0] < wound[0] - rad(1.0)
 
 
-def test_raw_readings_come_with_counters_and_times(config, elastic):
+def test_raw_readings_come_with_counters_and_times(config: RigConfig, elastic: NeedleModel) -> None:
     rows = []
-    plant = Plant(elastic, config.simulation, raw=lambda source, row: rows.append((source, row)))
+    plant = Plant(elastic, simulation_of(config), raw=lambda source, row: rows.append((source, row)))
     for _ in range(3):
         plant.advance(0.005)
     torque = [row for source, row in rows if source == "torque"]
@@ -167,9 +183,9 @@ def test_raw_readings_come_with_counters_and_times(config, elastic):
     assert [len(row) for source, row in rows if source == "drive"] == [6] * 4
 
 
-def test_it_opens_and_closes_as_a_rig(config, elastic):
-    async def use():
-        plant = Plant(elastic, config.simulation)
+def test_it_opens_and_closes_as_a_rig(config: RigConfig, elastic: NeedleModel) -> None:
+    async def use() -> None:
+        plant = Plant(elastic, simulation_of(config))
         await plant.open()
         turned(plant, 0.5, 0.1)
         await plant.close()
@@ -181,13 +197,13 @@ def test_it_opens_and_closes_as_a_rig(config, elastic):
 class Guarded:
     """A guard that is stepped every millisecond, its torque node alive, its shaft as asked."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.guard, self.now_us, self.said = DriveGuard(), 0, 0
-        self.asked = self.angle_mdeg = 0
+        self.asked, self.angle_mdeg = 0, 0.0
         self.step(Command())
         self.step(Command())
 
-    def step(self, command=None, torque_nm=0.0):
+    def step(self, command: Command | None = None, torque_nm: float = 0.0) -> float:
         if command is not None:
             self.said += 1
             self.guard.receive(self.now_us, command, self.said % 16, self.said)
@@ -198,16 +214,16 @@ class Guarded:
         self.now_us += 1000
         return velocity
 
-    def rest(self, milliseconds):
+    def rest(self, milliseconds: int) -> None:
         for _ in range(milliseconds):
             self.step(Command())
 
     @property
-    def state(self):
+    def state(self) -> tuple[DriveState, DriveFault]:
         return self.guard.state, self.guard.faults
 
 
-def running():
+def running() -> Guarded:
     guarded = Guarded()
     guarded.step(Command(clear=True))
     guarded.rest(20)
@@ -216,20 +232,20 @@ def running():
 
 
 class TestDriveGuard:
-    def test_silent_until_cleared_and_still_until_the_supply_is_on(self):
+    def test_silent_until_cleared_and_still_until_the_supply_is_on(self) -> None:
         guarded = Guarded()
         assert guarded.step(Command(0.5, enable=True)) == 0.0
-        assert guarded.state == (DriveState.SILENT, DriveFault.NONE)
-        assert not guarded.guard.supply
+        assert now(guarded.state) == (DriveState.SILENT, DriveFault.NONE)
+        assert not now(guarded.guard.supply)
         guarded.step(Command(clear=True))
-        assert guarded.state == (DriveState.READY, DriveFault.NONE)
+        assert now(guarded.state) == (DriveState.READY, DriveFault.NONE)
         assert guarded.guard.supply
         assert guarded.step(Command(0.5, enable=True)) == 0.0
         guarded.rest(20)
         assert guarded.step(Command(0.5, enable=True)) == 0.5
         assert guarded.state == (DriveState.RUNNING, DriveFault.NONE)
 
-    def test_without_commands_it_stops_after_50_ms(self):
+    def test_without_commands_it_stops_after_50_ms(self) -> None:
         guarded = running()
         # the command came in the step before the first of these
         assert next(ms for ms in range(1, 1000) if guarded.step() == 0.0) == 51
@@ -243,7 +259,9 @@ class TestDriveGuard:
         ("torque", "velocity", "bit"),
         [(nm(2.1), 0.5, DriveFault.TORQUE_TRIP), (0.0, rad(91.0), DriveFault.VELOCITY)],
     )
-    def test_latching_faults_want_rest_before_a_clear(self, torque, velocity, bit):
+    def test_latching_faults_want_rest_before_a_clear(
+        self, torque: float, velocity: float, bit: DriveFault
+    ) -> None:
         guarded = running()
         assert guarded.step(Command(velocity, enable=True), torque) == 0.0
         assert guarded.state == (DriveState.FAULT, bit)
@@ -254,7 +272,7 @@ class TestDriveGuard:
         guarded.step(Command(clear=True))
         assert guarded.state == (DriveState.READY, DriveFault.NONE)
 
-    def test_a_stuck_clear_clears_once(self):
+    def test_a_stuck_clear_clears_once(self) -> None:
         guarded = running()
         guarded.step(torque_nm=nm(3.0))
         for _ in range(200):
@@ -265,7 +283,7 @@ class TestDriveGuard:
             guarded.step(Command(clear=True))
         assert guarded.state == (DriveState.FAULT, DriveFault.TORQUE_TRIP)
 
-    def test_at_its_angle_limit_it_holds_and_may_turn_back(self):
+    def test_at_its_angle_limit_it_holds_and_may_turn_back(self) -> None:
         guarded = Guarded()
         guarded.rest(110)
         assert guarded.guard.reference(guarded.now_us, guarded.said, rad(720.5))
@@ -278,7 +296,7 @@ class TestDriveGuard:
 
 
 class TestMotor:
-    def test_gain_delay_and_lag(self):
+    def test_gain_delay_and_lag(self) -> None:
         motor = Motor(MotorSettings(gain=1.2, delay_s=0.010, time_constant_s=0.020))
         motor.turn(1.0)
         motor.advance(0.010, 0.0)
@@ -287,14 +305,14 @@ class TestMotor:
         assert motor.velocity_rad_s == pytest.approx(1.2 * (1.0 - math.exp(-1.0)))
         assert motor.angle_rad == pytest.approx(1.2 * (0.020 - 0.020 * (1.0 - math.exp(-1.0))))
 
-    def test_the_path_has_its_kinks(self):
+    def test_the_path_has_its_kinks(self) -> None:
         motor = Motor(MotorSettings(delay_s=0.002))
         motor.turn(1.0)
         path = motor.advance(0.005, 0.0)
         assert [time_s for time_s, _ in path] == pytest.approx([0.002, 0.005])
         assert [angle for _, angle in path] == pytest.approx([0.0, 0.003])
 
-    def test_long_and_short_steps_agree(self):
+    def test_long_and_short_steps_agree(self) -> None:
         ends = []
         for steps in (1, 7):
             motor = Motor(MotorSettings(1.1, 0.003, 0.015, 5.0, nm(0.1)))
@@ -304,7 +322,7 @@ class TestMotor:
             ends.append((motor.angle_rad, motor.velocity_rad_s))
         assert ends[0] == pytest.approx(ends[1])
 
-    def test_droop_pushes_back_only_while_powered(self):
+    def test_droop_pushes_back_only_while_powered(self) -> None:
         motor = Motor(MotorSettings(droop_rad_s_per_nm=100.0))
         motor.turn(0.0)
         motor.advance(1.0, 1e-3)
@@ -314,8 +332,8 @@ class TestMotor:
         assert motor.angle_rad == pytest.approx(-0.1)
 
 
-def test_a_whole_run_is_many_times_faster_than_the_rig(config, elastic):
-    brain, plant = Brain(config), Plant(elastic, config.simulation)
+def test_a_whole_run_is_many_times_faster_than_the_rig(config: RigConfig, elastic: NeedleModel) -> None:
+    brain, plant = Brain(config), Plant(elastic, simulation_of(config))
     start = time.process_time()
     run = run_virtual(brain, plant, Request(rad(45.0)))
     spent = time.process_time() - start
@@ -323,8 +341,8 @@ def test_a_whole_run_is_many_times_faster_than_the_rig(config, elastic):
     assert spent < run.time_s / 4.0
 
 
-def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config, elastic):
-    plant = turned(awake(elastic, config.simulation), 0.5, 0.5)
+def test_a_cut_off_brain_leaves_the_drive_to_stop_itself(config: RigConfig, elastic: NeedleModel) -> None:
+    plant = turned(awake(elastic, simulation_of(config)), 0.5, 0.5)
     assert plant.read().drive_state is DriveState.RUNNING
     for _ in range(80):
         plant.advance(0.001)

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from needle_rig.physics.effect import Trial
+from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.library import find_effects
 from needle_rig.simulation.base_drive import Motion, base_path
 
 USERS = Path(__file__).parents[1] / "data" / "effects"
 LIBRARY = find_effects([USERS])
 """The built-in effects and a user's: all are held to the same contract."""
+
+
+def make_effect(name: str, *values: Any, **named: Any) -> Effect:
+    """An effect of the library by its name, with values for its parameters."""
+    make: Callable[..., Effect] = LIBRARY[name]
+    return make(*values, **named)
 
 
 def path(*knots: tuple[float, float], rate_hz: float = 50.0) -> Trial:

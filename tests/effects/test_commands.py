@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +11,7 @@ from needle_rig.cli.main import run
 from tests.effects.common import USERS
 
 
-def test_parameters_lists_every_set(capsys):
+def test_parameters_lists_every_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["parameters"]) == 0
     out = capsys.readouterr().out
     for name in ("paper_literal", "figure_3", "rig_rigid", "rig_elastic", "stiff_needle"):
@@ -18,7 +19,7 @@ def test_parameters_lists_every_set(capsys):
     assert "Coulomb friction 0.1058 N·mm per 100 mm" in out
 
 
-def test_parameters_shows_one(capsys):
+def test_parameters_shows_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["parameters", "rig_elastic"]) == 0
     out = capsys.readouterr().out
     assert "does not reproduce:" in out
@@ -31,7 +32,7 @@ def test_parameters_shows_one(capsys):
     assert "there is no parameter set none_such" in capsys.readouterr().err
 
 
-def test_effects_lists_built_in_and_own(capsys):
+def test_effects_lists_built_in_and_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["effects", "--effects", str(USERS)]) == 0
     out = capsys.readouterr().out
     assert "slit_membrane" in out
@@ -39,7 +40,7 @@ def test_effects_lists_built_in_and_own(capsys):
     assert "tissue_viscoelasticity" in out
 
 
-def test_effects_shows_one(capsys):
+def test_effects_shows_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["effects", "tissue_elasticity"]) == 0
     out = capsys.readouterr().out
     assert "Law:" in out
@@ -57,14 +58,14 @@ def test_effects_shows_one(capsys):
         (["effects", "--effects", "no/such"], "no/such: there is no such folder of effects"),
     ],
 )
-def test_what_is_not_there(capsys, arguments, words):
+def test_what_is_not_there(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
     assert run(arguments) == 2
     err = capsys.readouterr().err
     assert words in err
     assert err.count("\n") == 1
 
 
-def test_a_broken_file_gets_one_sentence(tmp_path, capsys):
+def test_a_broken_file_gets_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine.py").write_text("def :\n")
     assert run(["effects", "--effects", str(tmp_path)]) == 2
     err = capsys.readouterr().err
@@ -72,7 +73,9 @@ def test_a_broken_file_gets_one_sentence(tmp_path, capsys):
     assert err.count("\n") == 1
 
 
-def test_a_law_that_cannot_be_compiled_is_found_while_listing(tmp_path, capsys):
+def test_a_law_that_cannot_be_compiled_is_found_while_listing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = (USERS / "slit_membrane.py").read_text().replace("math.sin(2.0 * angle_rad)", "self.wobble")
     (tmp_path / "mine.py").write_text(text)
     assert run(["effects", "--effects", str(tmp_path)]) == 2

@@ -6,6 +6,7 @@ import ast
 import inspect
 import sys
 from dataclasses import fields, replace
+from random import Random
 
 import numpy as np
 import pytest
@@ -15,11 +16,13 @@ from hypothesis import strategies as st
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.physics.effect import Effect, Reading, Trial
+from needle_rig.physics.effects.tip_friction import TipFriction
 from needle_rig.physics.library import built_in_effects
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
+from needle_rig.physics.rod import Rod
 from needle_rig.units import nm
 from needle_rig.workbench.policy import POLICY
-from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, driven, path
+from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, driven, make_effect, path
 
 NAMES = [
     "tissue_elasticity",
@@ -78,21 +81,21 @@ def distance(one: Reading, other: Reading) -> float:
     return float(max(angle, np.abs(one.torque_nm - other.torque_nm).max() / nm(POLICY.size.largest_nmm)))
 
 
-def test_the_library_has_the_promised_effects():
+def test_the_library_has_the_promised_effects() -> None:
     assert sorted(built_in_effects()) == sorted(NAMES)
 
 
-def test_off_leaves_the_model_bit_for_bit(effect, coarse):
+def test_off_leaves_the_model_bit_for_bit(effect: type[Effect], coarse: NeedleModel) -> None:
     with_it = coarse.with_effects(off(effect))
     assert same(with_it.predict(SHORT), coarse.predict(SHORT))
 
 
-def test_all_off_together_leave_the_model_bit_for_bit(coarse):
+def test_all_off_together_leave_the_model_bit_for_bit(coarse: NeedleModel) -> None:
     with_them = coarse.with_effects(*[off(e) for e in LIBRARY.values()])
     assert same(with_them.predict(SHORT), coarse.predict(SHORT))
 
 
-def test_hooks_themselves_do_nothing_at_off(effect, coarse):
+def test_hooks_themselves_do_nothing_at_off(effect: type[Effect], coarse: NeedleModel) -> None:
     # the model leaves out what is off; the laws must vanish there by themselves too
     nothing = off(effect)
     rod = coarse.rod(SHORT)
@@ -114,12 +117,12 @@ def test_hooks_themselves_do_nothing_at_off(effect, coarse):
         assert same(nothing.observe(reading), reading)
 
 
-def test_a_little_of_it_changes_little(effect, coarse):
+def test_a_little_of_it_changes_little(effect: type[Effect], coarse: NeedleModel) -> None:
     a_little = coarse.with_effects(drawn(effect, 1e-4))
     assert distance(a_little.predict(SHORT), coarse.predict(SHORT)) < 0.2
 
 
-def test_its_typical_size_shows(effect, coarse):
+def test_its_typical_size_shows(effect: type[Effect], coarse: NeedleModel) -> None:
     # 10 s holds, so that ageing and creep have time
     long = path((0, 0), (0.5, 0), (1.5, 45), (7, 45), (7.6, 71), (9, 71), (10, 20), (12, 20))
     typical = coarse.with_effects(effect.at_strength(1.0))
@@ -137,7 +140,7 @@ def _size_that_matters(effect: type[Effect], field: str, model: NeedleModel) -> 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_declared_smallest_size_is_where_it_starts_to_matter(name, model):
+def test_the_declared_smallest_size_is_where_it_starts_to_matter(name: str, model: NeedleModel) -> None:
     effect = LIBRARY[name]
     for field, info in effect.parameters().items():
         if not info.shapes:
@@ -146,7 +149,7 @@ def test_the_declared_smallest_size_is_where_it_starts_to_matter(name, model):
             assert 0.6 < size < 1.7, f"{field}: {size:.2f} of the size that matters"
 
 
-def test_parameters_are_fully_described(effect):
+def test_parameters_are_fully_described(effect: type[Effect]) -> None:
     for name, info in effect.parameters().items():
         assert info.unit
         assert info.lower < info.upper
@@ -182,7 +185,7 @@ def _unit_in_name(name: str, unit: str) -> bool:
     return name.endswith(UNITS[unit])
 
 
-def test_text_has_law_source_and_experiment(effect):
+def test_text_has_law_source_and_experiment(effect: type[Effect]) -> None:
     text = inspect.getdoc(sys.modules[effect.__module__]) or ""
     law, source, best = (text.index(word) for word in ("\nLaw:", "\nSource:", "\nShows best:"))
     assert law < source < best
@@ -191,7 +194,7 @@ def test_text_has_law_source_and_experiment(effect):
     assert not effect.__doc__.startswith(effect.__name__ + "(")
 
 
-def test_relatives_and_limits_name_effects_and_parameters(effect):
+def test_relatives_and_limits_name_effects_and_parameters(effect: type[Effect]) -> None:
     for relative in effect.relatives:
         assert relative in LIBRARY
         assert relative != effect.name()
@@ -201,14 +204,14 @@ def test_relatives_and_limits_name_effects_and_parameters(effect):
         effect(**values)
 
 
-def test_effects_do_not_know_each_other(effect):
+def test_effects_do_not_know_each_other(effect: type[Effect]) -> None:
     tree = ast.parse(inspect.getsource(sys.modules[effect.__module__]))
     imported = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
     imported += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
     assert not [m for m in imported if m.rpartition(".")[2] in LIBRARY or m.endswith(".effects")]
 
 
-def test_values_out_of_bounds_are_refused(effect):
+def test_values_out_of_bounds_are_refused(effect: type[Effect]) -> None:
     for name, info in effect.parameters().items():
         beyond = [info.upper * 1.01 + 1, info.lower - 1, float("nan"), "0.3", True]
         if not info.shapes and np.isinf(info.off):
@@ -229,7 +232,7 @@ RATE_DEPENDENT = ("viscous_slip", "stribeck", "stiction_ageing", "tissue_viscoel
 
 
 @pytest.mark.parametrize("name", [n for n in LIBRARY if n not in RATE_DEPENDENT])
-def test_it_keeps_to_a_16_times_finer_run(name, model):
+def test_it_keeps_to_a_16_times_finer_run(name: str, model: NeedleModel) -> None:
     angle_deg, torque_nmm = _against_finer(model.with_effects(LIBRARY[name].at_strength(1.0)))
     assert angle_deg <= 0.02
     assert torque_nmm <= 2e-4
@@ -238,7 +241,7 @@ def test_it_keeps_to_a_16_times_finer_run(name, model):
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", RATE_DEPENDENT)
-def test_laws_in_time_keep_to_a_16_times_finer_run(name, model):
+def test_laws_in_time_keep_to_a_16_times_finer_run(name: str, model: NeedleModel) -> None:
     angle_deg, torque_nmm = _against_finer(model.with_effects(LIBRARY[name].at_strength(1.0)))
     assert angle_deg <= 0.02
     assert torque_nmm <= 2e-4
@@ -255,7 +258,9 @@ subsets = st.dictionaries(st.sampled_from(sorted(LIBRARY)), strength, max_size=l
 @pytest.mark.timeout(300)
 @settings(max_examples=25)
 @given(effects=subsets, speed_deg_s=st.floats(5, 180), target_deg=st.floats(-180, 180))
-def test_any_subset_composes_and_stays_finite(effects, speed_deg_s, target_deg):
+def test_any_subset_composes_and_stays_finite(
+    effects: list[Effect], speed_deg_s: float, target_deg: float
+) -> None:
     model = NeedleModel("null", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3, tuple(effects), element_length_m=5e-3)
     turn_s = abs(target_deg) / speed_deg_s + 0.1
     trial = path((0, 0), (turn_s, target_deg), (turn_s + 0.5, target_deg), (2 * turn_s + 0.5, 0))
@@ -269,7 +274,7 @@ def test_any_subset_composes_and_stays_finite(effects, speed_deg_s, target_deg):
 
 @settings(max_examples=25)
 @given(effects=subsets, random=st.randoms(use_true_random=False))
-def test_the_order_of_listing_does_not_matter(effects, random):
+def test_the_order_of_listing_does_not_matter(effects: list[Effect], random: Random) -> None:
     shuffled = list(effects)
     random.shuffle(shuffled)
     one, other = (NeedleModel("m", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3, tuple(e)) for e in (effects, shuffled))
@@ -282,7 +287,7 @@ def test_the_order_of_listing_does_not_matter(effects, random):
     effects=subsets,
     turns=st.lists(st.tuples(st.floats(-90, 90), st.floats(0.2, 1.5)), min_size=2, max_size=4),
 )
-def test_resistive_effects_never_add_energy(effects, turns):
+def test_resistive_effects_never_add_energy(effects: list[Effect], turns: list[tuple[float, float]]) -> None:
     resistive = tuple(e for e in effects if e.resistive)
     model = NeedleModel("null", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3, resistive, element_length_m=5e-3)
     knots, at = [(0.0, 0.0)], 0.0
@@ -298,16 +303,18 @@ def test_resistive_effects_never_add_energy(effects, turns):
     assert np.cumsum(steps).min() >= -1e-12 - 0.05 * within
 
 
-def test_the_energy_test_can_fail(coarse):
+def test_the_energy_test_can_fail(coarse: NeedleModel) -> None:
     # a needle that is driven by its tissue gives back more than was put in
-    pushed = coarse.with_effects(LIBRARY["bending_torque"](sine_nmm_per_100mm=-0.5, cosine_nmm_per_100mm=0.5))
+    pushed = coarse.with_effects(
+        make_effect("bending_torque", sine_nmm_per_100mm=-0.5, cosine_nmm_per_100mm=0.5)
+    )
     trial = path((0, 0), (0.5, 0), (3, 90), rate_hz=200)
     torque_nm = pushed.truth(trial).torque_nm
     steps = 0.5 * (torque_nm[1:] + torque_nm[:-1]) * np.diff(trial.base_angle_rad)
     assert np.cumsum(steps).min() < -1e-6
 
 
-def test_shapes_commute(coarse):
+def test_shapes_commute(coarse: NeedleModel) -> None:
     effects = [e.at_strength(1.0) for e in LIBRARY.values() if e.has("shape")]
     place = Trial(np.empty(0), np.empty(0), 10.0, 2, 5.0)
     forth = back = coarse.rod(place)
@@ -321,11 +328,11 @@ def test_shapes_commute(coarse):
             np.testing.assert_allclose(one, other, rtol=1e-12, err_msg=field.name)
 
 
-def test_a_place_in_the_series_is_all_that_shape_is_told(model):
+def test_a_place_in_the_series_is_all_that_shape_is_told(model: NeedleModel) -> None:
     seen = []
 
-    class Nosy(LIBRARY["tip_friction"]):
-        def shape(self, rod, trial):
+    class Nosy(TipFriction):
+        def shape(self, rod: Rod, trial: Trial) -> Rod:
             seen.append(trial)
             return super().shape(rod, trial)
 

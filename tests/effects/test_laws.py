@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,16 +12,17 @@ from hypothesis import strategies as st
 
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
-from tests.effects.common import LIBRARY, SEQUENCE, SHORT, path
+from tests.effects.common import LIBRARY, SEQUENCE, SHORT, make_effect, path
 
 TURNED = path((0, 0), (2, 90), (3, 90))
 JG_NMM2 = 62.56
 
 
-def settled(model, trial=TURNED):
+def settled(model: NeedleModel, trial: Trial = TURNED) -> tuple[float, Array]:
     """Torque (N·mm) and angles (°) at the end of a trial."""
     reading = model.predict(trial)
     return reading.torque_nm[-1] * 1e3, np.degrees(reading.hall_rad[-1])
@@ -56,72 +58,74 @@ def sequence(model: NeedleModel, extra_deg: float = 0.0) -> tuple[float, float]:
         ("stiff_needle", 0, 25.7, 10.8),
     ],
 )
-def test_the_parameter_sets_meet_the_papers_lags(name, extra_deg, first_deg, last_deg):
+def test_the_parameter_sets_meet_the_papers_lags(
+    name: str, extra_deg: int, first_deg: float, last_deg: float
+) -> None:
     first, last = sequence(load_parameters(name), extra_deg)
     assert first == pytest.approx(first_deg, abs=0.1)
     assert last == pytest.approx(last_deg, abs=0.25)
 
 
-def test_figure_3_in_the_layout_of_the_simulation():
+def test_figure_3_in_the_layout_of_the_simulation() -> None:
     model = load_parameters("figure_3", layout=MODEL_LAYOUT)
     torque_nmm, angles_deg = settled(model, path((0, 0), (1, 45), (2, 45)))
     assert angles_deg[-1] == pytest.approx(33, abs=0.05)
     assert torque_nmm == pytest.approx(0.0582, abs=1e-5)
 
 
-def test_the_rivals_to_elasticity(coarse):
-    chuck = replace(coarse, friction_n=0.54e-3).with_effects(LIBRARY["chuck_compliance"](0.256))
+def test_the_rivals_to_elasticity(coarse: NeedleModel) -> None:
+    chuck = replace(coarse, friction_n=0.54e-3).with_effects(make_effect("chuck_compliance", 0.256))
     first, last = sequence(chuck)
     assert first == pytest.approx(26, abs=0.7)
     assert last == pytest.approx(12, abs=0.7)
     assert sequence(chuck, 12)[1] == pytest.approx(0, abs=0.7)
 
 
-def test_lumped_frictions_twist_what_lies_before_them(coarse):
+def test_lumped_frictions_twist_what_lies_before_them(coarse: NeedleModel) -> None:
     torque_nmm, angles = settled(coarse)
     for name, upto_mm in (("tip_friction", 397), ("guide_friction", 175)):
-        more_nmm, turned = settled(coarse.with_effects(LIBRARY[name](0.02)))
+        more_nmm, turned = settled(coarse.with_effects(make_effect(name, 0.02)))
         assert more_nmm - torque_nmm == pytest.approx(0.02, abs=1e-6)
         for place_mm, change in zip((220, 285, 350, 396), turned - angles, strict=True):
             assert change == pytest.approx(-np.degrees(0.02 * min(place_mm, upto_mm) / JG_NMM2), abs=1e-4)
 
 
-def test_platform_friction_adds_up(coarse):
+def test_platform_friction_adds_up(coarse: NeedleModel) -> None:
     torque_nmm, _ = settled(coarse)
     each = (0.001, 0.002, 0.003, 0.004)
-    assert settled(coarse.with_effects(LIBRARY["platform_friction"](each)))[0] - torque_nmm == pytest.approx(
-        0.01
-    )
+    assert settled(coarse.with_effects(make_effect("platform_friction", each)))[
+        0
+    ] - torque_nmm == pytest.approx(0.01)
 
 
-def test_layered_friction_is_friction_by_section(coarse):
-    by_section = coarse.with_effects(LIBRARY["layered_friction"]((0.3, 0.8, 1.3, 1.6)))
+def test_layered_friction_is_friction_by_section(coarse: NeedleModel) -> None:
+    by_section = coarse.with_effects(make_effect("layered_friction", (0.3, 0.8, 1.3, 1.6)))
     assert settled(by_section)[0] == pytest.approx(0.025 * 4.0)
-    doubled = coarse.with_effects(LIBRARY["layered_friction"](2.0))
+    doubled = coarse.with_effects(make_effect("layered_friction", 2.0))
     np.testing.assert_allclose(settled(doubled)[1], settled(replace(coarse, friction_n=2e-3))[1])
     with pytest.raises(BadInput, match=r"layered_friction\.factor: 3 values for 4 sections"):
-        coarse.with_effects(LIBRARY["layered_friction"]((1, 2, 3))).predict(SHORT)
+        coarse.with_effects(make_effect("layered_friction", (1, 2, 3))).predict(SHORT)
 
 
-def test_friction_differs_by_direction_and_falls_with_travel(coarse):
-    uneven = coarse.with_effects(LIBRARY["direction_asymmetry"](0.2))
+def test_friction_differs_by_direction_and_falls_with_travel(coarse: NeedleModel) -> None:
+    uneven = coarse.with_effects(make_effect("direction_asymmetry", 0.2))
     back = replace(TURNED, base_angle_rad=-TURNED.base_angle_rad)
     assert settled(uneven)[0] == pytest.approx(0.12)
     assert settled(uneven, back)[0] == pytest.approx(-0.08)
-    worn = coarse.with_effects(LIBRARY["friction_wear"](0.1))
+    worn = coarse.with_effects(make_effect("friction_wear", 0.1))
     assert settled(worn, replace(TURNED, travel_before_rad=2 * 2 * np.pi))[0] == pytest.approx(
         0.1 * np.exp(-0.2)
     )
     assert settled(worn, replace(TURNED, travel_before_rad=0.0))[0] == pytest.approx(0.1)
 
 
-def test_viscous_slip_adds_torque_by_rate(coarse):
-    slippery = coarse.with_effects(LIBRARY["viscous_slip"](0.05))
+def test_viscous_slip_adds_torque_by_rate(coarse: NeedleModel) -> None:
+    slippery = coarse.with_effects(make_effect("viscous_slip", 0.05))
     trial = path((0, 0), (8, 360))
     assert slippery.predict(trial).torque_nm[-1] * 1e3 == pytest.approx(0.1 + 0.05 * np.radians(45), abs=1e-5)
 
 
-def test_stribeck_peaks_at_a_restart_only(coarse):
+def test_stribeck_peaks_at_a_restart_only(coarse: NeedleModel) -> None:
     trial = path((0, 0), (2, 90), (4, 90), (6, 180), (7, 180))
     peaked = coarse.with_effects(LIBRARY["stribeck"].at_strength(1.0)).predict(trial).torque_nm * 1e3
     plain = coarse.predict(trial).torque_nm * 1e3
@@ -129,7 +133,7 @@ def test_stribeck_peaks_at_a_restart_only(coarse):
     assert abs(peaked[-1] - plain[-1]) < 1e-3
 
 
-def test_ageing_peaks_grow_with_the_rest_before(coarse):
+def test_ageing_peaks_grow_with_the_rest_before(coarse: NeedleModel) -> None:
     aged = coarse.with_effects(LIBRARY["stiction_ageing"].at_strength(1.0))
     peaks = []
     for rest_s in (0.5, 20.0):
@@ -139,9 +143,9 @@ def test_ageing_peaks_grow_with_the_rest_before(coarse):
     assert peaks[1] > 1.5 * peaks[0] > 0
 
 
-def test_viscoelasticity_becomes_elasticity_at_its_limits(coarse):
-    solid = LIBRARY["tissue_viscoelasticity"]
-    elastic = coarse.with_effects(LIBRARY["tissue_elasticity"](0.4)).predict(SHORT)
+def test_viscoelasticity_becomes_elasticity_at_its_limits(coarse: NeedleModel) -> None:
+    solid = partial(make_effect, "tissue_viscoelasticity")
+    elastic = coarse.with_effects(make_effect("tissue_elasticity", 0.4)).predict(SHORT)
     for limit in (
         solid(0.4, 0.0, 2.0),  # no relaxing spring
         solid(0.1, 0.3, 1000.0),  # too slow to relax: the glassy stiffness
@@ -152,8 +156,8 @@ def test_viscoelasticity_becomes_elasticity_at_its_limits(coarse):
         assert np.abs(reading.torque_nm - elastic.torque_nm).max() * 1e3 < 1e-3
 
 
-def test_maxwell_and_kelvin_voigt_are_limits_without_trouble(coarse):
-    solid = LIBRARY["tissue_viscoelasticity"]
+def test_maxwell_and_kelvin_voigt_are_limits_without_trouble(coarse: NeedleModel) -> None:
+    solid = partial(make_effect, "tissue_viscoelasticity")
     maxwell = [coarse.with_effects(solid(k, 0.35, 2.0)).predict(SHORT).hall_rad for k in (0.0, 1e-9, 1e-5)]
     assert np.degrees(np.abs(maxwell[0] - maxwell[1])).max() < 1e-4
     assert np.degrees(np.abs(maxwell[0] - maxwell[2])).max() < 0.05
@@ -161,10 +165,10 @@ def test_maxwell_and_kelvin_voigt_are_limits_without_trouble(coarse):
     assert np.degrees(np.abs(voigt[0] - voigt[1])).max() < 0.3
 
 
-def test_the_standard_linear_solid_relaxes_as_its_law_says():
+def test_the_standard_linear_solid_relaxes_as_its_law_says() -> None:
     # one cell behind 350 mm of needle: springs and one relaxing element in series, solved by hand
     layout = Layout(0.4, ((0.3, 0.4),), (0.4,))
-    solid = LIBRARY["tissue_viscoelasticity"](0.3, 0.6, 1.5)
+    solid = make_effect("tissue_viscoelasticity", 0.3, 0.6, 1.5)
     model = NeedleModel("one cell", layout, 62.56e-6, 0.05, (solid,), element_length_m=0.1)
     trial = path((0, 0), (0.02, 60), (8, 60))
     torque_nmm = model.predict(trial).torque_nm * 1e3
@@ -178,9 +182,9 @@ def test_the_standard_linear_solid_relaxes_as_its_law_says():
 
 
 @given(play_deg=st.floats(0, 20), targets=st.lists(st.integers(-90, 90), min_size=1, max_size=6))
-def test_play_follows_at_half_its_width(play_deg, targets):
+def test_play_follows_at_half_its_width(play_deg: float, targets: list[int]) -> None:
     trial = path(*[(float(i), t) for i, t in enumerate([0.0, *targets])])
-    play = LIBRARY["chuck_backlash"](play_deg)
+    play = make_effect("chuck_backlash", play_deg)
     held_rad = play.drive(trial)
     gap = trial.base_angle_rad - held_rad
     assert np.abs(gap).max() <= np.radians(play_deg) / 2 + 1e-12
@@ -190,8 +194,8 @@ def test_play_follows_at_half_its_width(play_deg, targets):
     assert (np.diff(held_rad)[moved] * np.diff(trial.base_angle_rad)[moved] > 0).all()
 
 
-def test_a_trial_in_pieces_is_the_whole_trial(coarse):
-    model = coarse.with_effects(LIBRARY["chuck_backlash"](6.0), LIBRARY["tissue_elasticity"](0.5))
+def test_a_trial_in_pieces_is_the_whole_trial(coarse: NeedleModel) -> None:
+    model = coarse.with_effects(make_effect("chuck_backlash", 6.0), make_effect("tissue_elasticity", 0.5))
     whole = model.truth(SEQUENCE)
     state, torque_nm = None, []
     for first in range(0, SEQUENCE.time_s.size - 1, 37):
@@ -205,7 +209,7 @@ def test_a_trial_in_pieces_is_the_whole_trial(coarse):
 
 
 @pytest.mark.parametrize("deeper_mm", [6.0, -6.0])
-def test_insertion_depth_is_the_rod_of_a_moved_layout(model, deeper_mm):
+def test_insertion_depth_is_the_rod_of_a_moved_layout(model: NeedleModel, deeper_mm: float) -> None:
     d = deeper_mm * 1e-3
     (a, b, c, (start, end)) = EXPERIMENT_LAYOUT.tissue_sections_m
     moved = Layout(
@@ -213,23 +217,23 @@ def test_insertion_depth_is_the_rod_of_a_moved_layout(model, deeper_mm):
         (*((low - d, high - d) for low, high in (a, b, c)), (start - d, end)),
         (*(x - d for x in EXPERIMENT_LAYOUT.sensor_positions_m[:3]), 0.396),
     )
-    effects = (LIBRARY["tissue_elasticity"](0.4), LIBRARY["bending_torque"](0.03, 0.01))
-    shifted = model.with_effects(*effects, LIBRARY["insertion_depth"](deeper_mm)).predict(SHORT)
+    effects = (make_effect("tissue_elasticity", 0.4), make_effect("bending_torque", 0.03, 0.01))
+    shifted = model.with_effects(*effects, make_effect("insertion_depth", deeper_mm)).predict(SHORT)
     rebuilt = replace(model, layout=moved).with_effects(*effects).predict(SHORT)
     assert np.degrees(np.abs(shifted.hall_rad - rebuilt.hall_rad)).max() < 0.02
     assert np.abs(shifted.torque_nm - rebuilt.torque_nm).max() * 1e3 < 2e-4
 
 
-def test_insertion_depth_that_does_not_fit(model):
+def test_insertion_depth_that_does_not_fit(model: NeedleModel) -> None:
     shallow = replace(
-        model, layout=Layout(0.1, ((0.02, 0.09),), (0.1,)), effects=(LIBRARY["insertion_depth"](30.0),)
+        model, layout=Layout(0.1, ((0.02, 0.09),), (0.1,)), effects=(make_effect("insertion_depth", 30.0),)
     )
     with pytest.raises(BadInput, match="30 mm does not fit a free length of 20 mm"):
         shallow.predict(SHORT)
 
 
-def test_bending_torque_rests_at_its_angle(coarse):
-    bent = LIBRARY["bending_torque"](sine_nmm_per_100mm=0.3, cosine_nmm_per_100mm=-0.3)
+def test_bending_torque_rests_at_its_angle(coarse: NeedleModel) -> None:
+    bent = make_effect("bending_torque", sine_nmm_per_100mm=0.3, cosine_nmm_per_100mm=-0.3)
     rest_rad = np.pi / 4  # tan ψ = −C/A
     assert bent.torque(rest_rad, 0.0, 0.0, 0.2) == pytest.approx(0, abs=1e-15)
     assert bent.torque(rest_rad + 0.1, 0.0, 0.0, 0.2) < 0 < bent.torque(rest_rad - 0.1, 0.0, 0.0, 0.2)
@@ -238,32 +242,35 @@ def test_bending_torque_rests_at_its_angle(coarse):
     assert settled(loose, path((0, 0), (0.5, 45), (1, 45)))[1] == pytest.approx([45] * 4, abs=1e-3)
 
 
-def reading(torque_nm, hall_rad) -> Reading:
+def reading(torque_nm: list[float], hall_rad: list[list[float]]) -> Reading:
     time_s = np.linspace(0, 1, len(torque_nm))
     return Reading(
         Trial(time_s, np.zeros_like(time_s), start_s=60.0), np.array(torque_nm), np.array(hall_rad)
     )
 
 
-def test_sensor_laws():
+def test_sensor_laws() -> None:
     seen = reading([1e-3, 2e-3, 3e-3], [[0.0, 1.0], [0.5, 1.0], [1.0, 1.0]])
-    make = {name: LIBRARY[name] for name in LIBRARY}
-    np.testing.assert_allclose(make["torque_bias"](0.1).observe(seen).torque_nm, [1.1e-3, 2.1e-3, 3.1e-3])
-    np.testing.assert_allclose(make["torque_gain"](2).observe(seen).torque_nm, [2e-3, 4e-3, 6e-3])
-    drifted = make["torque_drift"](0.06).observe(seen).torque_nm
+    np.testing.assert_allclose(
+        make_effect("torque_bias", 0.1).observe(seen).torque_nm, [1.1e-3, 2.1e-3, 3.1e-3]
+    )
+    np.testing.assert_allclose(make_effect("torque_gain", 2).observe(seen).torque_nm, [2e-3, 4e-3, 6e-3])
+    drifted = make_effect("torque_drift", 0.06).observe(seen).torque_nm
     np.testing.assert_allclose(drifted, seen.torque_nm + 1e-6 * np.array([60, 60.5, 61]))
-    offset = make["hall_offset"]((1, -2)).observe(seen).hall_rad
+    offset = make_effect("hall_offset", (1, -2)).observe(seen).hall_rad
     np.testing.assert_allclose(offset, seen.hall_rad + np.radians([1, -2]))
-    stretched = make["hall_gain"]((0.1, 0)).observe(seen).hall_rad
+    stretched = make_effect("hall_gain", (0.1, 0)).observe(seen).hall_rad
     np.testing.assert_allclose(stretched, seen.hall_rad * [1.1, 1])
-    swung = make["hall_eccentricity"](3, 2).observe(seen).hall_rad - seen.hall_rad
+    swung = make_effect("hall_eccentricity", 3, 2).observe(seen).hall_rad - seen.hall_rad
     expected = np.radians(3) * np.sin(seen.hall_rad) + np.radians(2) * np.cos(seen.hall_rad)
     np.testing.assert_allclose(swung, expected)
-    late = make["clock_offset"](torque_delay_ms=250, hall_delay_ms=-500).observe(seen)
+    late = make_effect("clock_offset", torque_delay_ms=250, hall_delay_ms=-500).observe(seen)
     np.testing.assert_allclose(late.torque_nm, [1e-3, 1.5e-3, 2.5e-3])
     np.testing.assert_allclose(late.hall_rad[:, 0], [0.5, 1.0, 1.0])
 
 
-def test_gain_acts_before_what_is_added(coarse):
-    both = coarse.with_effects(LIBRARY["torque_bias"](0.1), LIBRARY["torque_gain"](0.5)).predict(SHORT)
+def test_gain_acts_before_what_is_added(coarse: NeedleModel) -> None:
+    both = coarse.with_effects(make_effect("torque_bias", 0.1), make_effect("torque_gain", 0.5)).predict(
+        SHORT
+    )
     np.testing.assert_allclose(both.torque_nm, 0.5 * coarse.predict(SHORT).torque_nm + 1e-4)

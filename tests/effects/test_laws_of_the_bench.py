@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
 from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Layout
@@ -19,23 +20,23 @@ from tests.effects.common import LIBRARY, SEQUENCE, SHORT, path
 JG_NM2 = 62.56e-6
 
 
-def torque_through(effect: Effect, trial: Trial, torque_nm: np.ndarray | float = 0.0) -> np.ndarray:
+def torque_through(effect: Effect, trial: Trial, torque_nm: Array | float = 0.0) -> Array:
     """What the cell shows of `torque_nm`, N·mm."""
     torque = np.broadcast_to(np.asarray(torque_nm, dtype=float), trial.time_s.shape).copy()
     return effect.observe(Reading(trial, torque, np.zeros((trial.time_s.size, 0)))).torque_nm * 1e3
 
 
-def hall_through(effect: Effect, hall_deg: list[list[float]]) -> np.ndarray:
+def hall_through(effect: Effect, hall_deg: list[list[float]]) -> Array:
     hall_rad = np.radians(np.array(hall_deg, dtype=float))
     still = Trial(np.arange(len(hall_rad)) * 1.0, np.zeros(len(hall_rad)))
     return np.degrees(effect.observe(Reading(still, np.zeros(len(hall_rad)), hall_rad)).hall_rad)
 
 
-def uneven(end_s: float, samples: int, seed: int = 4) -> np.ndarray:
+def uneven(end_s: float, samples: int, seed: int = 4) -> Array:
     return np.sort(np.r_[0.0, np.random.default_rng(seed).uniform(0.0, end_s, samples - 2), end_s])
 
 
-def test_inertia_shows_the_acceleration_of_the_drive():
+def test_inertia_shows_the_acceleration_of_the_drive() -> None:
     # a ramp through two equal lags L accelerates by v t/L² e^(−t/L)
     speed_rad_s, inertia_gcm2 = 1.5, 25.0
     time_s = np.linspace(0.0, 1.2, 1201)
@@ -47,7 +48,7 @@ def test_inertia_shows_the_acceleration_of_the_drive():
     assert seen_nmm.max() == pytest.approx(inertia_gcm2 * 1e-4 * speed_rad_s / LAG_S / np.e, rel=1e-3)
 
 
-def test_inertia_takes_the_change_of_momentum_however_uneven_the_samples():
+def test_inertia_takes_the_change_of_momentum_however_uneven_the_samples() -> None:
     time_s = uneven(2.0, 90)
     angle_rad = 0.4 * np.sin(2.5 * time_s) + 0.2 * time_s
     seen_nm = torque_through(LIBRARY["chuck_inertia"](30.0), Trial(time_s, angle_rad)) * 1e-3
@@ -57,7 +58,7 @@ def test_inertia_takes_the_change_of_momentum_however_uneven_the_samples():
     assert impulse_nms == pytest.approx(30e-7 * (rate_rad_s[-1] - rate_rad_s[0]), rel=1e-9)
 
 
-def test_drag_is_dry_and_viscous_while_turning_and_dry_at_rest():
+def test_drag_is_dry_and_viscous_while_turning_and_dry_at_rest() -> None:
     drag = LIBRARY["bearing_drag"](torque_nmm=0.03, viscous_nmms_per_rad=0.02, presliding_deg=4.0)
     trial = path((0, 0), (1, 0), (3, 90), (5, 90), (6, 60), (7, 60), rate_hz=100)
     seen_nmm = torque_through(drag, trial)
@@ -69,21 +70,21 @@ def test_drag_is_dry_and_viscous_while_turning_and_dry_at_rest():
     assert at[6.5] == pytest.approx(-0.03)
 
 
-def test_drag_builds_up_over_the_presliding_angle():
+def test_drag_builds_up_over_the_presliding_angle() -> None:
     drag = LIBRARY["bearing_drag"](torque_nmm=0.03, presliding_deg=4.0)
     trial = path((0, 0), (1, 3), (2, 10), (3, 7), (4, 0))
     seen_nmm = torque_through(drag, trial)[[50, 100, 150, 200]]
     np.testing.assert_allclose(seen_nmm, np.array([0.75, 1.0, 0.25, -1.0]) * 0.03, atol=1e-12)
 
 
-def test_the_low_pass_answers_as_its_differential_equation():
+def test_the_low_pass_answers_as_its_differential_equation() -> None:
     time_s = uneven(1.0, 60)
     torque_nm = 1e-4 * np.interp(time_s, [0.0, 0.2, 0.5, 0.6, 1.0], [0.2, 1.0, 1.0, -0.8, -0.5])
     smoothed_nmm = torque_through(
         LIBRARY["torque_low_pass"](80.0), Trial(time_s, np.zeros_like(time_s)), torque_nm
     )
 
-    def slope(t: float, y: np.ndarray) -> np.ndarray:
+    def slope(t: float, y: Array) -> Array:
         return (np.interp(t, time_s, torque_nm) * 1e3 - y) / 0.08
 
     followed = solve_ivp(
@@ -92,7 +93,7 @@ def test_the_low_pass_answers_as_its_differential_equation():
     np.testing.assert_allclose(smoothed_nmm, followed.y[0], atol=1e-7)
 
 
-def test_the_low_pass_is_a_delay_for_even_torque():
+def test_the_low_pass_is_a_delay_for_even_torque() -> None:
     time_s = np.linspace(0, 2, 101)
     still = Trial(time_s, np.zeros_like(time_s))
     smoothed_nmm = torque_through(LIBRARY["torque_low_pass"](50.0), still, 1e-4 * time_s)
@@ -100,7 +101,7 @@ def test_the_low_pass_is_a_delay_for_even_torque():
 
 
 @pytest.mark.parametrize("name", ["torque_low_pass", "bearing_drag"])
-def test_what_a_sensor_remembers_goes_on_in_the_next_piece(name, coarse):
+def test_what_a_sensor_remembers_goes_on_in_the_next_piece(name: str, coarse: NeedleModel) -> None:
     effect = LIBRARY[name].at_strength(1.0)
     truth = coarse.predict(SHORT)
     whole = effect.observe(truth).torque_nm
@@ -117,19 +118,19 @@ def test_what_a_sensor_remembers_goes_on_in_the_next_piece(name, coarse):
     assert np.abs(alone - whole[cut:]).max() > 1e-6
 
 
-def test_the_curve_of_a_cell_by_hand():
+def test_the_curve_of_a_cell_by_hand() -> None:
     still = Trial(np.arange(3.0), np.zeros(3))
     torque_nm = np.array([-0.2e-3, 0.0, 0.1e-3])
     seen_nmm = torque_through(LIBRARY["torque_nonlinearity"](0.5, 5.0), still, torque_nm)
     np.testing.assert_allclose(seen_nmm, [-0.2 + 0.02 - 0.04, 0.0, 0.1 + 0.005 + 0.005])
 
 
-def test_harmonics_are_what_the_arctangent_makes_of_unequal_and_bent_channels():
+def test_harmonics_are_what_the_arctangent_makes_of_unequal_and_bent_channels() -> None:
     turn_deg = np.arange(0.0, 360.0, 5.0)
     theta = np.radians(turn_deg)
     small = 0.01
 
-    def angle_deg(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def angle_deg(sine: Array, cosine: Array) -> Array:
         return np.degrees(np.unwrap(np.arctan2(sine, cosine)))
 
     share_deg = np.degrees(small)
@@ -157,7 +158,7 @@ def test_harmonics_are_what_the_arctangent_makes_of_unequal_and_bent_channels():
         np.testing.assert_allclose(law_deg + offset_deg, read_deg, atol=1.2 * np.degrees(small**2))
 
 
-def test_cross_talk_adds_the_neighbours_fields():
+def test_cross_talk_adds_the_neighbours_fields() -> None:
     angles_deg = [[0.0, 0.0, 0.0, 0.0], [10.0, 40.0, 55.0, 20.0], [400.0, 430.0, 370.0, -300.0]]
     field = np.exp(1j * np.radians(np.array(angles_deg)))
     beside = np.zeros_like(field)
@@ -170,12 +171,12 @@ def test_cross_talk_adds_the_neighbours_fields():
     assert np.abs(seen_deg - angles_deg).max() < 30
 
 
-def test_a_sensor_without_neighbours_has_no_cross_talk():
+def test_a_sensor_without_neighbours_has_no_cross_talk() -> None:
     seen_deg = hall_through(LIBRARY["hall_crosstalk"](0.3), [[12.0], [48.0]])
     assert seen_deg.ravel() == pytest.approx([12.0, 48.0], abs=1e-12)
 
 
-def test_an_eccentric_encoder_turns_all_that_follows_the_base_alike(coarse):
+def test_an_eccentric_encoder_turns_all_that_follows_the_base_alike(coarse: NeedleModel) -> None:
     loose = replace(coarse, friction_n=0.0).with_effects(LIBRARY["encoder_eccentricity"](2.0, -1.5))
     trial = path((0, 0), (4, 180), (8, -90))
     shown_deg = np.degrees(trial.base_angle_rad)
@@ -186,7 +187,7 @@ def test_an_eccentric_encoder_turns_all_that_follows_the_base_alike(coarse):
     assert seen.hall_rad[0] == pytest.approx(0.0, abs=1e-15)
 
 
-def test_an_encoders_error_comes_before_the_play_behind_it(coarse):
+def test_an_encoders_error_comes_before_the_play_behind_it(coarse: NeedleModel) -> None:
     effects = (LIBRARY["encoder_eccentricity"](3.0, 0.0), LIBRARY["chuck_backlash"](8.0))
     held_rad, _ = coarse.with_effects(*effects).held_path(SHORT)
     true_rad = SHORT.base_angle_rad - np.radians(3.0) * np.sin(SHORT.base_angle_rad)
@@ -197,7 +198,7 @@ def test_an_encoders_error_comes_before_the_play_behind_it(coarse):
 
 def followed_on_a_mount(
     layout: Layout, friction_n: float, mount_rad_per_nm: float, chuck_rad_per_nm: float, trial: Trial
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Array, Array, Array]:
     """Torque (N·m), sensors and tip (rad) of dry nodes on a body that turns: a box-constrained least square.
 
     Nodes turn by Θ − F r with the flexibility F of chuck and needle; the body by Σ r/K. What the nodes take
@@ -232,7 +233,7 @@ BACK_AND_FORTH = path((0, 0), (1, 45), (1.3, 45), (2, 10), (3, 60), (4, -30), ra
 
 
 @pytest.mark.parametrize("chuck", [{}, {"stiffness_nmm_per_rad": 0.7}])
-def test_a_phantom_on_a_spring_moves_as_a_small_model_of_springs_and_sliders(chuck):
+def test_a_phantom_on_a_spring_moves_as_a_small_model_of_springs_and_sliders(chuck: dict[str, float]) -> None:
     model = on_a_mount(**chuck)
     chuck_rad_per_nm = 1e3 / 0.7 if chuck else 0.0
     torque_nm, sensor_rad, tip_rad = followed_on_a_mount(
@@ -247,7 +248,7 @@ def test_a_phantom_on_a_spring_moves_as_a_small_model_of_springs_and_sliders(chu
     np.testing.assert_allclose(solution.state.angle_rad, solution.shaft_rad[-1], atol=1e-15)
 
 
-def test_a_phantom_on_a_spring_can_be_followed_in_pieces():
+def test_a_phantom_on_a_spring_can_be_followed_in_pieces() -> None:
     model = on_a_mount(stiffness_nmm_per_rad=0.7).with_effects(LIBRARY["tissue_elasticity"](0.5))
     whole = model.truth(BACK_AND_FORTH)
     state = None
@@ -260,7 +261,9 @@ def test_a_phantom_on_a_spring_can_be_followed_in_pieces():
         np.testing.assert_allclose(solution.sensor_rad, whole.sensor_rad[piece], atol=1e-7)
 
 
-def test_a_phantom_on_a_spring_turns_sensors_beyond_the_tissue_by_what_the_torque_winds_it(model):
+def test_a_phantom_on_a_spring_turns_sensors_beyond_the_tissue_by_what_the_torque_winds_it(
+    model: NeedleModel,
+) -> None:
     # deep in the tissue nothing has slipped yet: there the needle turns with the phantom alone
     mounted = model.with_effects(LIBRARY["mount_compliance"](1.0))
     reading = mounted.predict(path((0, 0), (1, 15)))
@@ -268,7 +271,7 @@ def test_a_phantom_on_a_spring_turns_sensors_beyond_the_tissue_by_what_the_torqu
     assert reading.torque_nm[-1] > 2e-5
 
 
-def test_a_mount_that_pushes_back_is_refused(model):
+def test_a_mount_that_pushes_back_is_refused(model: NeedleModel) -> None:
     rod = replace(model.rod(SEQUENCE), mount_compliance_rad_per_nm=-1.0)
     with pytest.raises(BadInput, match=r"rod\.mount_compliance_rad_per_nm is -1; it must be 0 or more"):
         _ = rod.coefficients

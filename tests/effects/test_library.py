@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,17 +13,25 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.compiled import compiled_torque
 from needle_rig.physics.effect_text import parse_effects
 from needle_rig.physics.library import built_in_effects, find_effects
-from tests.effects.common import LIBRARY, SHORT, USERS
+from needle_rig.physics.needle_model import NeedleModel
+from tests.effects.common import LIBRARY, SHORT, USERS, make_effect
 
 GOOD = (USERS / "slit_membrane.py").read_text()
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def broken(folder, text: str, name: str = "mine") -> str:
+def place_in(sentence: str, pattern: str = r".*?\.py:(\d+):") -> int:
+    """The line that a sentence names."""
+    found = re.match(pattern, sentence)
+    assert found is not None
+    return int(found[1])
+
+
+def broken(folder: Path, text: str, name: str = "mine") -> str:
     (folder / f"{name}.py").write_text(text)
     with pytest.raises(BadInput) as caught:
         find_effects([folder])
@@ -36,18 +45,18 @@ def line_of(text: str, part: str) -> int:
     return text[: text.index(part)].count("\n") + 1
 
 
-def test_a_dropped_file_is_found_by_its_name(folder):
+def test_a_dropped_file_is_found_by_its_name(folder: Path) -> None:
     shutil.copy(USERS / "slit_membrane.py", folder / "my_membrane.py")
     found = find_effects([folder])
     assert set(found) == {*built_in_effects(), "my_membrane"}
     assert found["my_membrane"].name() == "my_membrane"
 
 
-def test_a_missing_folder_is_an_empty_one(folder):
+def test_a_missing_folder_is_an_empty_one(folder: Path) -> None:
     assert set(find_effects([folder / "nothing"])) == set(built_in_effects())
 
 
-def test_an_edited_file_is_read_again(folder):
+def test_an_edited_file_is_read_again(folder: Path) -> None:
     file = folder / "mine.py"
     file.write_text(GOOD)
     assert find_effects([folder])["mine"].parameters()["torque_nmm"].typical == 0.03
@@ -55,14 +64,14 @@ def test_an_edited_file_is_read_again(folder):
     assert find_effects([folder])["mine"].parameters()["torque_nmm"].typical == 0.04
 
 
-def test_files_that_start_with_an_underscore_are_helpers(folder):
+def test_files_that_start_with_an_underscore_are_helpers(folder: Path) -> None:
     (folder / "_shared.py").write_text("1 +")
     assert set(find_effects([folder])) == set(built_in_effects())
 
 
-def test_the_worked_example_acts_where_its_law_says(model):
+def test_the_worked_example_acts_where_its_law_says(model: NeedleModel) -> None:
     # twice a turn, at one place: no other effect does this
-    slit = LIBRARY["slit_membrane"](torque_nmm=0.05, place_mm=315)
+    slit = make_effect("slit_membrane", torque_nmm=0.05, place_mm=315)
     assert slit.torque(np.pi / 4, 0.0, 0.0, 0.315) == pytest.approx(-0.05e-3 / 5e-3)
     assert slit.torque(np.pi / 4, 0.0, 0.0, 0.310) == 0
     assert slit.torque(np.pi / 2, 0.0, 0.0, 0.315) == pytest.approx(0, abs=1e-12)
@@ -71,10 +80,10 @@ def test_the_worked_example_acts_where_its_law_says(model):
     assert change_deg[2] > 1
 
 
-def test_other_values_need_no_compilation(model):
-    slit = LIBRARY["slit_membrane"]
-    compiled = compiled_torque(slit)
-    laws = [model.with_effects(slit(torque_nmm=t)).rod(SHORT).laws[0] for t in (0.01, 0.02)]
+def test_other_values_need_no_compilation(model: NeedleModel) -> None:
+    compiled = compiled_torque(LIBRARY["slit_membrane"])
+    slits = [make_effect("slit_membrane", torque_nmm=t) for t in (0.01, 0.02)]
+    laws = [model.with_effects(slit).rod(SHORT).laws[0] for slit in slits]
     assert laws[0].law is laws[1].law is compiled
     assert laws[0].parameters[0] != laws[1].parameters[0]
 
@@ -83,19 +92,21 @@ def test_other_values_need_no_compilation(model):
     ("law", "steady"),
     [("2.0 * angle_rad", True), ("rate_rad_s", False), ("angle_rad + time_s", False)],
 )
-def test_a_law_is_steady_unless_it_reads_rate_or_time(model, folder, law, steady):
+def test_a_law_is_steady_unless_it_reads_rate_or_time(
+    model: NeedleModel, folder: Path, law: str, steady: bool
+) -> None:
     assert "2.0 * angle_rad" in GOOD
     (folder / "mine.py").write_text(GOOD.replace("2.0 * angle_rad", law))
-    mine = find_effects([folder])["mine"](torque_nmm=0.02)
+    mine = find_effects([folder])["mine"].at_strength(1.0)
     assert model.with_effects(mine).rod(SHORT).laws[0].steady is steady
 
 
-def test_taking_the_name_of_a_built_in_effect(folder):
+def test_taking_the_name_of_a_built_in_effect(folder: Path) -> None:
     sentence = broken(folder, GOOD, "tip_friction")
     assert "the name tip_friction is taken by a built-in effect; rename the file" in sentence
 
 
-def test_the_same_name_in_two_folders(folder):
+def test_the_same_name_in_two_folders(folder: Path) -> None:
     for name in ("a", "b"):
         (folder / name).mkdir()
         (folder / name / "mine.py").write_text(GOOD)
@@ -132,14 +143,16 @@ def test_the_same_name_in_two_folders(folder):
         ("(Effect)", "(object)", "", "0 classes derive from Effect"),
     ],
 )
-def test_a_broken_file_is_named_with_its_line(folder, old, new, line, words):
+def test_a_broken_file_is_named_with_its_line(
+    folder: Path, old: str, new: str, line: str, words: str
+) -> None:
     assert old in GOOD
     sentence = broken(folder, GOOD.replace(old, new, 1))
     assert words in sentence
-    assert int(re.match(r".*?\.py:(\d+):", sentence)[1]) == (line_of(GOOD, line) if line else 1)
+    assert place_in(sentence) == (line_of(GOOD, line) if line else 1)
 
 
-def test_two_effects_in_one_file(folder):
+def test_two_effects_in_one_file(folder: Path) -> None:
     second = GOOD[GOOD.index("@dataclass") :].replace("class SlitMembrane", "class Another")
     assert "2 classes derive from Effect" in broken(folder, GOOD + "\n\n" + second)
 
@@ -156,7 +169,9 @@ def test_two_effects_in_one_file(folder):
         ("return math.sinn(angle_rad)", "module 'math' has no attribute 'sinn'"),
     ],
 )
-def test_a_torque_that_cannot_be_compiled_is_named_with_its_line(folder, model, law, words):
+def test_a_torque_that_cannot_be_compiled_is_named_with_its_line(
+    folder: Path, model: NeedleModel, law: str, words: str
+) -> None:
     text = GOOD[: GOOD.index("        if abs(position_m")] + f"        {law}\n"
     (folder / "mine.py").write_text(text)
     effect = find_effects([folder])["mine"].at_strength(1.0)
@@ -165,11 +180,11 @@ def test_a_torque_that_cannot_be_compiled_is_named_with_its_line(folder, model, 
     sentence = str(caught.value)
     assert "\n" not in sentence
     assert words in sentence
-    line = int(re.match(rf"{re.escape(str(folder))}/mine\.py:(\d+): torque of mine cannot", sentence)[1])
+    line = place_in(sentence, rf"{re.escape(str(folder))}/mine\.py:(\d+): torque of mine cannot")
     assert line in (line_of(text, law), line_of(text, "    def torque("))
 
 
-def test_a_torque_with_a_value_per_sensor_is_refused(folder, model):
+def test_a_torque_with_a_value_per_sensor_is_refused(folder: Path, model: NeedleModel) -> None:
     (folder / "mine.py").write_text(GOOD.replace('unit="N·mm",', 'unit="N·mm",\n        per="sensor",'))
     with pytest.raises(BadInput, match="torque_nmm has one value per sensor; the torque hook takes single"):
         model.with_effects(find_effects([folder])["mine"].at_strength(1.0)).rod(SHORT)
@@ -188,7 +203,7 @@ def test_a_torque_with_a_value_per_sensor_is_refused(folder, model):
         (["hall_eccentricity:cosine_deg=1,2,3,4"], {"sine_deg": 0, "cosine_deg": (1, 2, 3, 4)}),
     ],
 )
-def test_effects_as_written_on_a_command_line(texts, values):
+def test_effects_as_written_on_a_command_line(texts: list[str], values: dict[str, object]) -> None:
     (effect,) = parse_effects(texts, LIBRARY)
     assert {name: getattr(effect, name) for name in values} == values
 
@@ -206,6 +221,6 @@ def test_effects_as_written_on_a_command_line(texts, values):
         ("chuck_backlash=nan", "nan is not a number"),
     ],
 )
-def test_what_cannot_be_understood_on_a_command_line(text, words):
+def test_what_cannot_be_understood_on_a_command_line(text: str, words: str) -> None:
     with pytest.raises(BadInput, match=re.escape(words)):
         parse_effects([text], LIBRARY)

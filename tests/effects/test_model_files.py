@@ -21,12 +21,13 @@ from needle_rig.model import (
     parameter_sets,
     save_model,
 )
-from tests.effects.common import LIBRARY, SHORT, USERS
+from needle_rig.physics.needle_model import NeedleModel
+from tests.effects.common import SHORT, USERS, make_effect
 
 SETS = ("figure_3", "paper_literal", "rig_elastic", "rig_rigid", "stiff_needle")
 
 
-def test_the_published_sets_are_there_with_their_sources():
+def test_the_published_sets_are_there_with_their_sources() -> None:
     assert set(SETS) <= set(parameter_sets())
     for name in SETS:
         found = load_parameter_set(name)
@@ -37,7 +38,7 @@ def test_the_published_sets_are_there_with_their_sources():
 
 
 @pytest.mark.parametrize("name", [name for name in SETS if name != "paper_literal"])
-def test_a_set_becomes_a_model_in_the_layout_asked_for(name):
+def test_a_set_becomes_a_model_in_the_layout_asked_for(name: str) -> None:
     model = load_parameters(name)
     assert model.layout == EXPERIMENT_LAYOUT
     assert load_parameters(name, layout=MODEL_LAYOUT, element_length_m=1e-3).layout == MODEL_LAYOUT
@@ -46,8 +47,9 @@ def test_a_set_becomes_a_model_in_the_layout_asked_for(name):
     )
 
 
-def test_the_literal_set_is_for_the_explicit_scheme():
+def test_the_literal_set_is_for_the_explicit_scheme() -> None:
     found = load_parameter_set("paper_literal")
+    assert found.karnopp is not None
     assert found.karnopp.static_nmm_per_100mm == 0.45
     with pytest.raises(
         BadInput, match=r"paper_literal\.yaml:\d+:\d+: paper_literal is for the solver explicit_kar"
@@ -55,7 +57,7 @@ def test_the_literal_set_is_for_the_explicit_scheme():
         load_parameters("paper_literal")
 
 
-def test_an_unknown_set_is_answered_with_those_there_are():
+def test_an_unknown_set_is_answered_with_those_there_are() -> None:
     with pytest.raises(
         BadInput, match="there is no parameter set rig_soft; there are figure_3, paper_literal, rig"
     ):
@@ -65,10 +67,10 @@ def test_an_unknown_set_is_answered_with_those_there_are():
 @pytest.fixture
 def saved() -> SavedModel:
     model = load_parameters("rig_rigid").with_effects(
-        LIBRARY["tissue_elasticity"](0.45),
-        LIBRARY["tip_friction"](0.0),
-        LIBRARY["chuck_compliance"](float("inf")),
-        LIBRARY["hall_offset"]((1.0, 2.0, 3.0, -4.5)),
+        make_effect("tissue_elasticity", 0.45),
+        make_effect("tip_friction", 0.0),
+        make_effect("chuck_compliance", float("inf")),
+        make_effect("hall_offset", (1.0, 2.0, 3.0, -4.5)),
     )
     history = HistoryEntry(
         added=("tissue_elasticity",),
@@ -84,11 +86,11 @@ def saved() -> SavedModel:
     return SavedModel(model, "rig_rigid", uncertainties, (history,))
 
 
-def close(one, other) -> bool:
+def close(one: NeedleModel, other: NeedleModel) -> bool:
     return one.effects == other.effects and one.values() == pytest.approx(other.values(), rel=1e-12)
 
 
-def test_a_model_file_comes_back(saved, tmp_path):
+def test_a_model_file_comes_back(saved: SavedModel, tmp_path: Path) -> None:
     path = tmp_path / "learnt.yaml"
     save_model(path, saved)
     again = load_model(path)
@@ -103,7 +105,7 @@ def test_a_model_file_comes_back(saved, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["learnt.yaml"]
 
 
-def test_a_model_file_stands_in_its_own_layout(saved, tmp_path):
+def test_a_model_file_stands_in_its_own_layout(saved: SavedModel, tmp_path: Path) -> None:
     save_model(
         tmp_path / "m.yaml", SavedModel(load_parameters("rig_rigid", layout=MODEL_LAYOUT), "rig_rigid")
     )
@@ -112,8 +114,8 @@ def test_a_model_file_stands_in_its_own_layout(saved, tmp_path):
     assert load_parameters(tmp_path / "m.yaml", layout=EXPERIMENT_LAYOUT).layout == EXPERIMENT_LAYOUT
 
 
-def test_a_users_effect_in_a_model_file(tmp_path, monkeypatch):
-    model = load_parameters("rig_rigid").with_effects(LIBRARY["slit_membrane"](0.02))
+def test_a_users_effect_in_a_model_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = load_parameters("rig_rigid").with_effects(make_effect("slit_membrane", 0.02))
     save_model(tmp_path / "m.yaml", SavedModel(model, "rig_rigid"))
     again = load_model(tmp_path / "m.yaml", effects=[USERS])
     assert again.model.predict(SHORT).torque_nm == pytest.approx(model.predict(SHORT).torque_nm)
@@ -122,10 +124,11 @@ def test_a_users_effect_in_a_model_file(tmp_path, monkeypatch):
     (tmp_path / "config" / "effects").mkdir(parents=True)
     shutil.copy(USERS / "slit_membrane.py", tmp_path / "config" / "effects")
     monkeypatch.chdir(tmp_path)
-    assert load_model(tmp_path / "m.yaml").model.effects[0].torque_nmm == 0.02
+    (effect,) = load_model(tmp_path / "m.yaml").model.effects
+    assert vars(effect)["torque_nmm"] == 0.02
 
 
-def test_a_missing_folder_of_effects():
+def test_a_missing_folder_of_effects() -> None:
     with pytest.raises(BadInput, match="no/such: there is no such folder of effects"):
         load_parameters("rig_elastic", effects=["no/such"])
 
@@ -152,7 +155,9 @@ def test_a_missing_folder_of_effects():
         ("needle_length_mm: 397", "needle_length_mm: 3", "format:", "leaves the needle"),
     ],
 )
-def test_a_mistake_in_a_model_file_is_named_with_its_line(saved, tmp_path, old, new, at, words):
+def test_a_mistake_in_a_model_file_is_named_with_its_line(
+    saved: SavedModel, tmp_path: Path, old: str, new: str, at: str, words: str
+) -> None:
     path = tmp_path / "m.yaml"
     save_model(path, saved)
     text = path.read_text(encoding="utf-8")
@@ -172,7 +177,7 @@ def test_a_mistake_in_a_model_file_is_named_with_its_line(saved, tmp_path, old, 
         assert int(line[1]) == text[: text.index(at)].count("\n") + 1
 
 
-def test_a_bad_value_in_a_parameter_set(tmp_path):
+def test_a_bad_value_in_a_parameter_set(tmp_path: Path) -> None:
     text = parameter_sets()["rig_elastic"].read_text(encoding="utf-8")
     path = tmp_path / "soft.yaml"
     path.write_text(text.replace("0.278", "-1"), encoding="utf-8")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needle_rig.cli.main import run as needle_rig
@@ -16,12 +20,12 @@ from needle_rig.recording import RunFile, RunWriter, run_tables
 
 
 @pytest.fixture
-def figures(monkeypatch):
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """Every figure that is saved."""
     saved: list[Figure] = []
     save = Figure.savefig
 
-    def keep(self, *arguments, **options):
+    def keep(self: Figure, *arguments: Any, **options: Any) -> None:
         saved.append(self)
         return save(self, *arguments, **options)
 
@@ -29,7 +33,14 @@ def figures(monkeypatch):
     return saved
 
 
-def rewritten(path, run_path, change, *, end=None, raw=True):
+def rewritten(
+    path: Path,
+    run_path: Path,
+    change: Callable[[np.ndarray], np.ndarray],
+    *,
+    end: str | None = None,
+    raw: bool = True,
+) -> tuple[RunFile, RunWriter]:
     """A copy of a run with its ticks changed; `end` is the status it ended with, None leaves it cut off."""
     whole = RunFile(run_path)
     attributes = {name: value for name, value in whole.attributes.items() if name != "result"}
@@ -42,15 +53,15 @@ def rewritten(path, run_path, change, *, end=None, raw=True):
     return RunFile(path), writer
 
 
-def texts(axes):
+def texts(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
 
-def labels(axes):
+def labels(axes: Axes) -> list[str]:
     return axes.get_legend_handles_labels()[1]
 
 
-def test_motions_are_found_where_the_waypoint_changes(run_path):
+def test_motions_are_found_where_the_waypoint_changes(run_path: Path) -> None:
     ticks = RunFile(run_path).table("ticks")
     motions = find_motions(ticks)
     assert [motion.name for motion in motions] == ["rotate", "overshoot", "back", "forward", "final"]
@@ -64,7 +75,7 @@ def test_motions_are_found_where_the_waypoint_changes(run_path):
     np.testing.assert_allclose(settled[0], [45.0, 31.0, 25.0, 21.0, 19.0], atol=0.15)
 
 
-def test_the_picture_of_a_whole_run(tmp_path, run_path, figures):
+def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures: list[Figure]) -> None:
     path = draw_run(RunFile(run_path), tmp_path / "new" / "run.png")
     pixels = matplotlib.image.imread(path)
     assert pixels.shape[1] == 1500
@@ -75,18 +86,18 @@ def test_the_picture_of_a_whole_run(tmp_path, run_path, figures):
     sensors = [f"hall_{k} ({at} mm)" for k, at in ((1, 220), (2, 285), (3, 350), (4, 396))]
     assert labels(angles) == ["target ±5°", *sensors, "base", "waypoint"]
     base = next(line for line in angles.lines if line.get_label() == "base")
-    assert base.get_ydata()[-1] == pytest.approx(45.0, abs=0.1)
+    assert np.asarray(base.get_ydata())[-1] == pytest.approx(45.0, abs=0.1)
     cell = next(line for line in torque.lines if line.get_label() == "cell, every reading")
     assert np.max(cell.get_ydata()) == pytest.approx(0.0996, abs=0.004)
     motions = [f"after {name}" for name in ("rotate", "overshoot", "back", "forward", "final")]
     assert labels(shaft) == ["tissue", *motions, "target"]
     assert "the simulated shaft" in shaft.get_xlabel()
     picture = shaft.lines[0]
-    assert picture.get_xdata()[-1] == pytest.approx(396.0)
-    assert picture.get_ydata()[-1] == pytest.approx(19.0, abs=0.1)
+    assert np.asarray(picture.get_xdata())[-1] == pytest.approx(396.0)
+    assert np.asarray(picture.get_ydata())[-1] == pytest.approx(19.0, abs=0.1)
 
 
-def test_a_run_cut_off_says_so(tmp_path, run_path, figures):
+def test_a_run_cut_off_says_so(tmp_path: Path, run_path: Path, figures: list[Figure]) -> None:
     run, writer = rewritten(tmp_path / "cut.h5", run_path, lambda ticks: ticks[: len(ticks) // 2])
     draw_run(run, tmp_path / "cut.png")
     writer.close()
@@ -98,8 +109,8 @@ def test_a_run_cut_off_says_so(tmp_path, run_path, figures):
 
 
 @pytest.mark.parametrize("status", ["aborted", "fault"])
-def test_a_stopped_run_says_why(tmp_path, run_path, figures, status):
-    def stopped(ticks):
+def test_a_stopped_run_says_why(tmp_path: Path, run_path: Path, figures: list[Figure], status: str) -> None:
+    def stopped(ticks: np.ndarray) -> np.ndarray:
         ticks = ticks[: len(ticks) // 2].copy()
         ticks["phase"][-5:] = status.encode()
         return ticks
@@ -110,11 +121,13 @@ def test_a_stopped_run_says_why(tmp_path, run_path, figures, status):
     assert texts(angles)[-1] == status
     assert labels(shaft)[-2] == "stopped in back"
     cell = next(line for line in torque.lines if line.get_label() == "cell, every reading")
-    assert len(cell.get_ydata()) == len(run.table("ticks"))
+    assert len(np.asarray(cell.get_ydata())) == len(run.table("ticks"))
 
 
-def test_many_short_motions_keep_their_own_colours(tmp_path, run_path, figures):
-    def stepped(ticks):
+def test_many_short_motions_keep_their_own_colours(
+    tmp_path: Path, run_path: Path, figures: list[Figure]
+) -> None:
+    def stepped(ticks: np.ndarray) -> np.ndarray:
         ticks = ticks.copy()
         ticks["motion"] = [f"step_{1 + number * 20 // len(ticks)}".encode() for number in range(len(ticks))]
         return ticks
@@ -122,12 +135,12 @@ def test_many_short_motions_keep_their_own_colours(tmp_path, run_path, figures):
     run, _ = rewritten(tmp_path / "steps.h5", run_path, stepped, end="not_aligned")
     draw_run(run, tmp_path / "steps.png")
     shaft = figures[0].axes[2]
-    marks = {str(line.get_color()) for line in shaft.lines if line.get_marker() in "so"}
+    marks = {str(line.get_color()) for line in shaft.lines if line.get_marker() in ("s", "o")}
     assert len(marks) == 20
 
 
-def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path, run_path):
-    def gappy(ticks):
+def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path: Path, run_path: Path) -> None:
+    def gappy(ticks: np.ndarray) -> np.ndarray:
         ticks = ticks.copy()
         ticks["hall_rad"][100:200, 2] = np.nan
         ticks["torque_nm"][300:310] = np.nan
@@ -137,7 +150,7 @@ def test_gaps_in_the_readings_are_drawn_as_gaps(tmp_path, run_path):
     assert draw_run(run, tmp_path / "gaps.png").stat().st_size > 20_000
 
 
-def test_nothing_to_draw_and_nowhere_to_draw_it(tmp_path, run_path):
+def test_nothing_to_draw_and_nowhere_to_draw_it(tmp_path: Path, run_path: Path) -> None:
     run, _ = rewritten(tmp_path / "empty.h5", run_path, lambda ticks: ticks[:0], end="aborted")
     with pytest.raises(BadInput, match="holds no tick"):
         draw_run(run, tmp_path / "empty.png")
@@ -146,7 +159,9 @@ def test_nothing_to_draw_and_nowhere_to_draw_it(tmp_path, run_path):
         draw_run(RunFile(run_path), tmp_path / "file" / "run.png")
 
 
-def test_export_draws_the_picture_once(tmp_path, monkeypatch, run_path, capsys):
+def test_export_draws_the_picture_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert needle_rig(["export", str(run_path), "--png"]) == 0
     assert capsys.readouterr().out == f"{run_path.stem}.png\n"

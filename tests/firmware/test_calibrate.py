@@ -6,6 +6,7 @@ import asyncio
 import datetime
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,7 +76,8 @@ def test_the_calibrated_load_cell_weighs_right(pages: Path) -> None:
 
 def test_it_finds_what_was_planted(pages: Path) -> None:
     planted = SensorErrors.planted(SEED, 4)
-    drive, torque, hall = (read_yaml(pages / f"{node}.yaml")[0] for node in ("drive", "torque", "hall"))
+    documents: list[Any] = [read_yaml(pages / f"{node}.yaml")[0] for node in ("drive", "torque", "hall")]
+    drive, torque, hall = documents
     assert drive["counts_per_turn"] == pytest.approx(360_000 * planted.encoder_gain, rel=1e-3)
     assert torque["nmm_per_count"] == pytest.approx(1e-5 / planted.torque_gain, rel=1e-3)
     assert torque["offset_counts"] == pytest.approx(planted.torque_offset_counts, abs=50)

@@ -12,6 +12,7 @@ from needle_rig.control.limits import DRIVE_SENTENCES
 from needle_rig.firmware.host import HostNodes
 from needle_rig.records import COMMAND_AGE_S, DriveFault, DriveState
 from tests.firmware.harness import Guard
+from tests.values import now
 
 EDGE = (-1000, -100, -10, -2, -1, 0, 1, 2, 10, 100, 1000)
 
@@ -88,10 +89,10 @@ def test_a_stuck_clear_bit_clears_nothing_twice(nodes: HostNodes) -> None:
     guard.tick(10)
     guard.host_alive = False
     guard.tick(60)
-    assert guard.state is DriveState.SILENT
+    assert now(guard.state) is DriveState.SILENT
     guard.host_alive = True
     guard.tick(200)
-    assert guard.state is DriveState.SILENT
+    assert now(guard.state) is DriveState.SILENT
     guard.clear = False
     guard.tick(10)
     guard.clear = True
@@ -104,7 +105,7 @@ def test_a_clear_stands_until_its_cause_is_gone_and_falls_with_its_bit(nodes: Ho
     guard.tick(10)
     guard.clear = True
     guard.tick(20)
-    assert guard.state is DriveState.SILENT
+    assert now(guard.state) is DriveState.SILENT
     guard.torque_alive = True
     guard.tick(2)
     assert guard.state is DriveState.READY
@@ -124,7 +125,7 @@ def test_host_that_leaves_a_standing_drive_must_ask_again(nodes: HostNodes) -> N
     guard = Guard(nodes).ready()
     guard.host_alive = False
     guard.tick(45)
-    assert guard.state is DriveState.READY
+    assert now(guard.state) is DriveState.READY
     guard.tick(15)
     assert guard.state is DriveState.SILENT
     assert guard.faults == DriveFault.NONE
@@ -369,12 +370,12 @@ def test_every_fault_is_entered_held_and_left(nodes: HostNodes, reason: DriveFau
     for _ in range(200):
         guard.tick()
         assert guard.c.supply == (guard.state is DriveState.RUNNING), "the supply opens in the same tick"
-    assert guard.faults == reason
-    assert guard.state is DriveState.FAULT
+    assert now(guard.faults) == reason
+    assert now(guard.state) is DriveState.FAULT
     _mend(guard)
     guard.enable, guard.velocity = True, 100_000
     assert guard.tick(200) == 0, "a fault does not end by itself"
-    assert guard.faults == reason
+    assert now(guard.faults) == reason
     assert not guard.c.supply
     guard.clear_now()
     assert guard.state is DriveState.READY
@@ -500,7 +501,7 @@ def test_a_clear_forgives_damaged_frames_to_the_last(nodes: HostNodes) -> None:
     guard.step()
     _break_frames(guard)
     guard.step()
-    assert guard.faults == DriveFault.FRAME
+    assert now(guard.faults) == DriveFault.FRAME
     guard.enable, guard.velocity = False, 0
     guard.say()
     guard.clear = True

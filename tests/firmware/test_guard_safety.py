@@ -7,6 +7,7 @@ import pytest
 from needle_rig.firmware.host import HostNodes
 from needle_rig.records import DriveFault, DriveState
 from tests.firmware.harness import Guard
+from tests.values import now
 
 
 def foreign(guard: Guard) -> bool:
@@ -56,7 +57,7 @@ def test_the_emergency_stop_ends_ready_too_and_holds_off_every_clear(nodes: Host
     guard = Guard(nodes, emergency_stop=True)
     guard.tick(10)
     guard.clear_now()
-    assert guard.state is DriveState.SILENT
+    assert now(guard.state) is DriveState.SILENT
     guard.emergency_stop = False
     guard.ready()
     guard.emergency_stop = True
@@ -65,7 +66,7 @@ def test_the_emergency_stop_ends_ready_too_and_holds_off_every_clear(nodes: Host
     assert not guard.c.supply
     guard.tick(200)
     guard.clear_now()
-    assert guard.state is DriveState.FAULT
+    assert now(guard.state) is DriveState.FAULT
     guard.emergency_stop = False
     guard.clear_now()
     assert guard.state is DriveState.READY
@@ -155,7 +156,7 @@ def test_a_clear_waits_for_the_other_master_to_be_gone(nodes: HostNodes) -> None
     for _ in range(150):
         guard.tick()
         foreign(guard)
-    assert guard.state is DriveState.FAULT
+    assert now(guard.state) is DriveState.FAULT
     guard.tick(60)
     assert guard.state is DriveState.READY
 
@@ -232,7 +233,7 @@ def test_damaged_frames_of_one_window_are_counted_together(nodes: HostNodes) -> 
     guard = fresh_window(Guard(nodes).running(0))
     damage(guard, 6)
     guard.tick(20)
-    assert guard.faults == DriveFault.NONE
+    assert now(guard.faults) == DriveFault.NONE
     damage(guard, 5)
     guard.tick()
     assert guard.faults == DriveFault.FRAME

@@ -263,12 +263,16 @@ def test_what_moves_while_idle_loses_its_supply(nodes: HostNodes, drift_deg_s: f
     assert shaft.beyond_deg < BOUND_DEG
 
 
+def until_400_ms(speed_deg_s: float) -> Callable[[int], float]:
+    return lambda ms: speed_deg_s if ms < 400 else 0.0
+
+
 def test_a_stuck_encoder_while_almost_nothing_is_asked_does_not_creep(nodes: HostNodes) -> None:
     """A motion whose last part an encoder that stands still does not see; then nothing for a minute."""
     for speed_deg_s in (1.0, 10.0, 60.0):
         for last_ms in (5, 20, 40):
             shaft = Shaft(nodes, gain=1.3, droop_deg_s_per_nmm=0.0, torque_nmm=0.2).ready()
-            shaft.turning(lambda ms, v=speed_deg_s: v if ms < 400 else 0.0).run(400 - last_ms)
+            shaft.turning(until_400_ms(speed_deg_s)).run(400 - last_ms)
             shaft.encoder_stuck = True
             shaft.run(1000)
             before_deg = shaft.true_deg
@@ -301,6 +305,10 @@ def profile(rng: random.Random, speed_deg_s: float) -> Callable[[int], float]:
     return lambda ms: asked[ms]
 
 
+def up_to(late_ms: int, rng: random.Random) -> Callable[[int], int]:
+    return lambda _ms: rng.randrange(late_ms + 1)
+
+
 def nuisance(nodes: HostNodes, trials: int) -> None:
     rng = random.Random(2)
     for _ in range(trials):
@@ -313,7 +321,7 @@ def nuisance(nodes: HostNodes, trials: int) -> None:
             delay_ms=delay_ms,
             torque_nmm=rng.choice((-2.0, -1.0, 0.0, 0.2, 2.0)),
             period_ms=rng.choice((1, 5, 10, 20)),
-            jitter=lambda _ms, late_ms=late_ms: rng.randrange(late_ms + 1),
+            jitter=up_to(late_ms, rng),
         ).ready()
         shaft.turning(profile(rng, rng.choice((0.1, 1.0, 5.0, 20.0, 45.0, 60.0, 90.0)))).run(1500)
         shaft.enable = False

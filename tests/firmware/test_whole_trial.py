@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import pytest
 
@@ -22,7 +23,7 @@ def trial(nodes: str) -> tuple[VirtualRun, tuple[bytes, ...]]:
     config = load_rig_config(None, {"sequence.settle_s": 0.5, "simulation.nodes": nodes})
     plant = build_plant(config)
     frames: list[bytes] = []
-    rig = plant if nodes == "python" else FirmwareRig(config, plant, heard=frames.append)
+    rig: Any = plant if nodes == "python" else FirmwareRig(config, plant, heard=frames.append)
     return run_virtual(Brain(config), rig, REQUEST), tuple(frames)
 
 

@@ -44,7 +44,7 @@ def rod(
     return replace(plain, **changes)
 
 
-def lumped(node_name, torque_nmm, **options):
+def lumped(node_name: str, torque_nmm: float, **options: Any) -> Rod:
     """A rod with friction on one node."""
     plain = rod(**options)
     node = getattr(plain, node_name)

@@ -4,7 +4,9 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from numba.core.dispatcher import Dispatcher
@@ -29,8 +31,11 @@ def run(x):
 ASK = "from two_files.outer import run; print(run(1.0), sum(run.stats.cache_hits.values()))"
 
 
+Ask = Callable[[str], tuple[float, int]]
+
+
 @pytest.fixture(params=["beside the sources", "NUMBA_CACHE_DIR"])
-def ask(request, tmp_path):
+def ask(request: pytest.FixtureRequest, tmp_path: Path) -> Ask:
     """Asks a package of two files, kept as the kernel is, in a new process: its answer and the cache hits."""
     package = tmp_path / "two_files"
     package.mkdir()
@@ -52,15 +57,16 @@ def ask(request, tmp_path):
     return asked
 
 
-def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(ask):
+def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(ask: Ask) -> None:
     assert ask("1.0") == (2.0, 0)
     assert ask("1.0") == (2.0, 1)
     assert ask("100.0") == (101.0, 0)
     assert ask("100.0") == (101.0, 1)
 
 
-def test_every_function_in_the_machine_code_stands_in_a_file_of_the_package():
-    seen, to_see = set(), [_run]
+def test_every_function_in_the_machine_code_stands_in_a_file_of_the_package() -> None:
+    seen: set[Any] = set()
+    to_see: list[Any] = [_run]
     while to_see:
         function = to_see.pop()
         seen.add(function)

@@ -1,10 +1,12 @@
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn
 
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout, build_rod
@@ -26,7 +28,7 @@ from tests.physics.rods import EXPERIMENT, JG, rod
         ((math.nan, (), ()), "must be above 0"),
     ],
 )
-def test_impossible_layouts_are_refused(arguments, message):
+def test_impossible_layouts_are_refused(arguments: tuple[Any, Any, Any], message: str) -> None:
     with pytest.raises(BadInput, match=message):
         Layout(*arguments)
 
@@ -43,7 +45,7 @@ def test_impossible_layouts_are_refused(arguments, message):
         ({"element_length_m": 1e-9}, "more than"),
     ],
 )
-def test_impossible_constants_are_refused(change, message):
+def test_impossible_constants_are_refused(change: dict[str, float], message: str) -> None:
     arguments = {"torsional_rigidity_nm2": JG, "friction_n": 1e-3, "element_length_m": 0.5e-3} | change
     with pytest.raises(BadInput, match=message):
         build_rod(EXPERIMENT, **arguments)
@@ -53,7 +55,7 @@ def test_impossible_constants_are_refused(change, message):
     "name",
     ["slip_plus_nm", "slip_minus_nm", "compliance_rad_per_nm", "viscous_nms_per_rad", "static_excess"],
 )
-def test_a_negative_coefficient_names_its_node(name):
+def test_a_negative_coefficient_names_its_node(name: str) -> None:
     plain = build_rod(EXPERIMENT, JG, 1e-3)
     values = getattr(plain, name).copy()
     values[7] = -1.0
@@ -64,7 +66,7 @@ def test_a_negative_coefficient_names_its_node(name):
 
 
 @st.composite
-def layouts(draw):
+def layouts(draw: DrawFn) -> Layout:
     """Any layout: up to four sections, touching or apart, sensors anywhere, coincident with ends or not."""
     cuts = sorted(draw(st.lists(st.integers(0, 80), min_size=2, max_size=8, unique=True)))
     pairs = list(zip(cuts[::2], cuts[1::2], strict=False))
@@ -79,7 +81,7 @@ def layouts(draw):
 
 
 @given(layouts(), st.floats(0.3e-3, 20e-3))
-def test_a_rod_holds_its_layout_whatever_the_mesh(layout, element_length_m):
+def test_a_rod_holds_its_layout_whatever_the_mesh(layout: Layout, element_length_m: float) -> None:
     rod = build_rod(layout, JG, 1e-3, element_length_m)
     _ = rod.coefficients
     position = rod.position_m
@@ -106,7 +108,9 @@ def test_a_rod_holds_its_layout_whatever_the_mesh(layout, element_length_m):
     [(0.0, 0.05, 0.0, False), (0.3, 8.0, 0.0, False), (0.3, 2.0, 0.0, True), (0.25, 0.05, 0.1, True),
      (0.25, 0.05, 0.13, False)],
 )  # fmt: skip
-def test_a_needle_snaps_where_neither_slip_length_nor_damping_keeps_it(excess, weakening_deg, viscous, snaps):
+def test_a_needle_snaps_where_neither_slip_length_nor_damping_keeps_it(
+    excess: float, weakening_deg: float, viscous: float, snaps: bool
+) -> None:
     """Exponential at 0.2 rad/s: 0.25 · 0.0996 N·mm per 100 mm falls by 0.1245 N·mm·s per 100 mm at most."""
     made = rod(
         static_excess=excess,

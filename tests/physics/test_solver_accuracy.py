@@ -1,12 +1,15 @@
 """Default settings against runs with finer samples, steps and cells, for every kind of coefficient."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 
 from needle_rig.physics.reference import KarnoppRod, largest_stable_step_s, paper_literal, simulate
-from needle_rig.physics.rod import TorqueLaw
+from needle_rig.physics.rod import Rod, TorqueLaw
 from needle_rig.physics.solver import solve
 from tests.physics.rods import EXPERIMENT, JG, MODEL, compensation, errors, lumped, path, refined, rod
 
@@ -14,12 +17,12 @@ WORST_DEG = 0.02
 WORST_NMM = 2e-4
 
 
-def one_sided(**options):
+def one_sided(**options: Any) -> Rod:
     plain = rod(**options)
     return replace(plain, slip_plus_nm=1.3 * plain.slip_plus_nm)
 
 
-def layered(**options):
+def layered(**options: Any) -> Rod:
     plain = rod(**options)
     factor = np.array([0.5, 1.5, 0.2, 1.8, 0.0])[plain.section]
     return replace(
@@ -27,21 +30,23 @@ def layered(**options):
     )
 
 
-def bend(parameters, angle_rad, rate_rad_s, time_s, position_m):
-    return parameters[0] * np.sin(angle_rad - parameters[1])
+def bend(
+    parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
+    return float(parameters[0] * np.sin(angle_rad - parameters[1]))
 
 
-def bent(steady=False, **options):
+def bent(steady: bool = False, **options: Any) -> Rod:
     plain = rod(**options)
     law = TorqueLaw(bend, np.array([0.03e-2, 0.5]), plain.tissue_length_m, steady)
     return replace(plain, laws=(law,))
 
 
 DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 2.8)
-CASES = (
+CASES: dict[str, Callable[..., Rod]] = (
     {"null": rod, "elastic": lambda **o: rod(stiffness=0.278, **o)}
-    | {f"viscous {b}": lambda b=b, **o: rod(viscous=b, **o) for b in DAMPINGS}
-    | {f"viscous {b}, elastic": lambda b=b, **o: rod(viscous=b, stiffness=0.278, **o) for b in DAMPINGS}
+    | {f"viscous {b}": partial(rod, viscous=b) for b in DAMPINGS}
+    | {f"viscous {b}, elastic": partial(rod, viscous=b, stiffness=0.278) for b in DAMPINGS}
     | {
         "kelvin-voigt": lambda **o: rod(creep=(0.3, 1.0), **o),
         "standard solid": lambda **o: rod(stiffness=0.5, creep=(0.3, 1.0), **o),
@@ -71,7 +76,7 @@ CASES = (
 
 @pytest.mark.parametrize("finer", [4, pytest.param(16, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CASES)
-def test_default_settings_meet_a_much_finer_run(name, finer):
+def test_default_settings_meet_a_much_finer_run(name: str, finer: int) -> None:
     make = CASES[name]
     time, base = path(compensation())
     fine = refined(time, base, finer)
@@ -81,7 +86,7 @@ def test_default_settings_meet_a_much_finer_run(name, finer):
     assert torque_nmm < WORST_NMM
 
 
-def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue():
+def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue() -> None:
     """Angles hardly differ there while torques do."""
     time, base = path([10.0, -5.0], settle_s=1.0)
     plain = rod(creep=(0.3, 1.0))
@@ -92,7 +97,7 @@ def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue():
 
 
 @pytest.mark.parametrize("inertia", [False, True])
-def test_the_papers_explicit_scheme_agrees(inertia):
+def test_the_papers_explicit_scheme_agrees(inertia: bool) -> None:
     """An independent implementation: Karnopp friction with static = kinetic, explicit steps."""
     viscous = 0.06
     disks = KarnoppRod(EXPERIMENT, JG, 0.0996e-2, 0.0996e-2, viscous * 1e-2, 1e-9)
@@ -106,7 +111,7 @@ def test_the_papers_explicit_scheme_agrees(inertia):
     assert np.abs(ours.torque_nm - explicit.torque_nm).max() * 1e3 < WORST_NMM
 
 
-def test_the_papers_literal_law_depends_on_an_unstated_velocity_band():
+def test_the_papers_literal_law_depends_on_an_unstated_velocity_band() -> None:
     """No kinetic level: inside the band the 0.45 N·mm hold the tip at 0°, below it the tip nearly follows."""
     assert largest_stable_step_s(paper_literal(MODEL)) == pytest.approx(5.6e-5, rel=0.01)
     time, base = path([45.0], settle_s=20.0)

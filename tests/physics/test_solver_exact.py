@@ -1,6 +1,7 @@
 """Against closed forms: rigid tissue, uniform friction, one section."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ FREE, TISSUE = 0.175, 0.1
 UPSILON = 0.0582e-2
 
 
-def turned(*targets_rad, **options):
+def turned(*targets_rad: float, **options: Any) -> tuple[np.ndarray, np.ndarray]:
     """Base torque and tip angle after turning the relaxed figure-3 rod through `targets_rad`."""
     base = np.array([0.0, *targets_rad])
     solution = solve(rod(friction=0.0582, layout=MODEL, **options), np.arange(len(base), dtype=float), base)
@@ -25,7 +26,7 @@ def turned(*targets_rad, **options):
 
 
 @given(st.floats(0.02, 0.99))
-def test_a_first_turn_follows_the_virgin_curve(part):
+def test_a_first_turn_follows_the_virgin_curve(part: float) -> None:
     full = closed_form.virgin_base_angle_rad(UPSILON * TISSUE, FREE, UPSILON, JG)
     torque, tip = turned(part * full)
     exact = closed_form.virgin_torque_nm(part * full, FREE, TISSUE, UPSILON, JG)
@@ -38,7 +39,7 @@ def test_a_first_turn_follows_the_virgin_curve(part):
 
 
 @given(st.floats(0.3, 3.0), st.floats(0.02, 0.98))
-def test_a_reversal_is_the_virgin_curve_twice_as_large(start_rad, part):
+def test_a_reversal_is_the_virgin_curve_twice_as_large(start_rad: float, part: float) -> None:
     wound = UPSILON * TISSUE
     full = closed_form.reversal_angle_rad(2 * wound, FREE, UPSILON, JG)
     torque, _ = turned(start_rad, start_rad - part * full)
@@ -48,7 +49,7 @@ def test_a_reversal_is_the_virgin_curve_twice_as_large(start_rad, part):
     )
 
 
-def test_lag_at_full_slip_is_equation_7_and_9():
+def test_lag_at_full_slip_is_equation_7_and_9() -> None:
     _, tip = turned(math.pi / 4)
     lag = closed_form.full_slip_lag_rad(FREE, TISSUE, UPSILON, JG)
     assert math.pi / 4 - tip[1] == pytest.approx(lag, abs=CLOSE_RAD)
@@ -63,7 +64,7 @@ def test_lag_at_full_slip_is_equation_7_and_9():
     assert solution.torque_nm[-1] == pytest.approx(0.0996e-3, rel=1e-9)
 
 
-def test_lag_at_zero_torque_is_a_ninth():
+def test_lag_at_zero_torque_is_a_ninth() -> None:
     lag = closed_form.full_slip_lag_rad(FREE, TISSUE, UPSILON, JG)
     back = closed_form.reversal_angle_rad(UPSILON * TISSUE, FREE, UPSILON, JG)
     torque, tip = turned(math.pi / 4, math.pi / 4 - back)
@@ -73,7 +74,7 @@ def test_lag_at_zero_torque_is_a_ninth():
     assert relaxed == pytest.approx(lag / 9)
 
 
-def test_three_moves_leave_neither_lag_nor_torque():
+def test_three_moves_leave_neither_lag_nor_torque() -> None:
     lag = closed_form.full_slip_lag_rad(FREE, TISSUE, UPSILON, JG)
     share = (FREE + 0.375 * TISSUE) / (FREE + 0.5 * TISSUE)
     target = math.pi / 4
@@ -83,7 +84,7 @@ def test_three_moves_leave_neither_lag_nor_torque():
 
 
 @pytest.mark.parametrize("stiffness", [0.05, 0.28, 1.0, 5.0, math.inf])
-def test_slope_after_a_reversal_in_elastic_tissue(stiffness):
+def test_slope_after_a_reversal_in_elastic_tissue(stiffness: float) -> None:
     small = 1e-4
     torque, _ = turned(2.0, 2.0 - small, stiffness=stiffness)
     exact = closed_form.elastic_reversal_slope_nm_per_rad(FREE, TISSUE, stiffness * 1e-2, JG)
@@ -93,7 +94,7 @@ def test_slope_after_a_reversal_in_elastic_tissue(stiffness):
 
 
 @pytest.mark.parametrize(("free_m", "viscous"), [(0.175, 2.8), (0.05, 0.5)])
-def test_viscous_slip_relaxes_with_its_slowest_time_constant(free_m, viscous):
+def test_viscous_slip_relaxes_with_its_slowest_time_constant(free_m: float, viscous: float) -> None:
     layout = Layout(free_m + TISSUE, ((free_m, free_m + TISSUE),), (free_m + TISSUE,))
     constant = closed_form.slowest_relaxation_s(free_m, TISSUE, viscous * 1e-2, JG)
     time = np.linspace(0.0, 4 * constant, 400)

@@ -1,15 +1,17 @@
 """What must hold for every rod and path, whatever the values."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.physics.rod import TorqueLaw
-from needle_rig.physics.solver import relaxed, solve, solve_batch
+from needle_rig.physics.rod import Layout, Rod, TorqueLaw
+from needle_rig.physics.solver import Solution, relaxed, solve, solve_batch
 from tests.physics.rods import EXPERIMENT, MODEL, compensation, errors, lumped, path, refined, rod
 from tests.physics.test_rod import layouts
 
@@ -22,7 +24,12 @@ excesses = st.sampled_from([0.0, 0.3])
 
 
 @st.composite
-def any_rod(draw, layout=EXPERIMENT, element_length_m=2e-3, weakenings=(1.0,)):
+def any_rod(
+    draw: DrawFn,
+    layout: Layout = EXPERIMENT,
+    element_length_m: float = 2e-3,
+    weakenings: tuple[float, ...] = (1.0,),
+) -> Rod:
     """Any coefficients. By default no needle here comes near a snap, whose instant depends on the steps."""
     return rod(
         friction=draw(st.sampled_from([0.0, 0.02, 0.0996, 0.45])),
@@ -40,7 +47,7 @@ def any_rod(draw, layout=EXPERIMENT, element_length_m=2e-3, weakenings=(1.0,)):
 
 @settings(max_examples=60, deadline=None)
 @given(any_rod(), paths)
-def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle, targets):
+def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle: Rod, targets: list[float]) -> None:
     time, base = path(targets, settle_s=0.5)
     one, other = solve(needle, time, base), solve(needle, time, -base)
     assert one.sensor_rad == pytest.approx(-other.sensor_rad, abs=1e-9)
@@ -49,13 +56,14 @@ def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle, targets):
 
 @settings(max_examples=60, deadline=None)
 @given(any_rod(), paths)
-def test_energy_is_never_created(needle, targets):
+def test_energy_is_never_created(needle: Rod, targets: list[float]) -> None:
     needle = replace(needle, base_compliance_rad_per_nm=0.0)
     time, base = refined(*path(targets, settle_s=0.5), 4)
     solution = solve(needle, time, base, shaft=True, tolerance_rad=1e-4)
     work = np.concatenate(
         [[0.0], np.cumsum(0.5 * (solution.torque_nm[1:] + solution.torque_nm[:-1]) * np.diff(base))]
     )
+    assert solution.shaft_rad is not None
     twist = np.diff(solution.shaft_rad, axis=1)
     stored = 0.5 * (needle.stiffness_nm_per_rad * twist**2).sum(axis=1)
     # 1e-4 rad of numerical error times the largest torque, over the work of the whole path
@@ -65,7 +73,7 @@ def test_energy_is_never_created(needle, targets):
 
 @settings(max_examples=60, deadline=None)
 @given(any_rod(), paths, st.integers(1, 10_000))
-def test_going_on_from_a_state_equals_one_run(needle, targets, cut):
+def test_going_on_from_a_state_equals_one_run(needle: Rod, targets: list[float], cut: int) -> None:
     time, base = path(targets, settle_s=0.5)
     middle = 1 + cut % (len(time) - 1)
     whole = solve(needle, time, base)
@@ -84,7 +92,9 @@ def test_going_on_from_a_state_equals_one_run(needle, targets, cut):
 
 
 @given(st.floats(-60.0, 60.0), st.floats(0.05, 0.95), st.floats(0.05, 0.95), stiffnesses)
-def test_a_closed_loop_of_reversals_is_forgotten(start, depth, inner, stiffness):
+def test_a_closed_loop_of_reversals_is_forgotten(
+    start: float, depth: float, inner: float, stiffness: float
+) -> None:
     """Return-point memory: an inner excursion that comes back leaves no trace."""
     outer = start - 40.0 * depth * np.sign(start or 1.0)
     turn = outer + (start - outer) * inner
@@ -100,7 +110,7 @@ def test_a_closed_loop_of_reversals_is_forgotten(start, depth, inner, stiffness)
 
 
 @given(st.floats(60.0, 170.0), st.floats(0.02, 0.98), stiffnesses)
-def test_masing_holds_in_elastic_tissue_too(wound, part, stiffness):
+def test_masing_holds_in_elastic_tissue_too(wound: float, part: float, stiffness: float) -> None:
     """After full slip the branch of a reversal is the first turn, twice as large in both directions."""
     needle = rod(stiffness=stiffness, layout=MODEL)
     turn = 40.0 * part
@@ -110,7 +120,9 @@ def test_masing_holds_in_elastic_tissue_too(wound, part, stiffness):
 
 
 @given(paths, stiffnesses, st.integers(2, 9))
-def test_without_rates_the_number_of_steps_changes_nothing(targets, stiffness, times):
+def test_without_rates_the_number_of_steps_changes_nothing(
+    targets: list[float], stiffness: float, times: int
+) -> None:
     time, base = path(targets, settle_s=0.2, sample_hz=10)
     fine = refined(time, base, times)
     angle, torque = errors(
@@ -122,7 +134,9 @@ def test_without_rates_the_number_of_steps_changes_nothing(targets, stiffness, t
 
 @settings(max_examples=30)
 @given(paths, stiffnesses, st.floats(0.2e-3, 3e-3))
-def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(targets, stiffness, element_length_m):
+def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(
+    targets: list[float], stiffness: float, element_length_m: float
+) -> None:
     time, base = path(targets, settle_s=0.2, sample_hz=10)
     coarse = solve(rod(stiffness=stiffness, element_length_m=element_length_m), time, base)
     fine = solve(rod(stiffness=stiffness, element_length_m=element_length_m / 8), time, base)
@@ -133,9 +147,10 @@ def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(targets, stif
     assert full.torque_nm[-1] == pytest.approx(0.0996e-3, rel=1e-7)
 
 
-def node_torques(needle, solution):
+def node_torques(needle: Rod, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Torque of the tissue on every node, shape (samples, nodes), and what rounding makes of it, (nodes,)."""
     angle = solution.shaft_rad
+    assert angle is not None
     pull = np.zeros_like(angle)
     flow = needle.stiffness_nm_per_rad * np.diff(angle, axis=1)
     pull[:, :-1] += flow
@@ -150,7 +165,7 @@ def node_torques(needle, solution):
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_random_layouts_are_solved_and_obey_their_limits(data):
+def test_random_layouts_are_solved_and_obey_their_limits(data: st.DataObject) -> None:
     layout = data.draw(layouts())
     needle = data.draw(any_rod(layout=layout, element_length_m=5e-3, weakenings=(0.5, 0.02)))
     solution = solve(needle, *path(data.draw(paths), settle_s=0.3), shaft=True)
@@ -175,7 +190,7 @@ def test_random_layouts_are_solved_and_obey_their_limits(data):
         lumped("sensors", 0.004, viscous=0.2, creep=(0.3, 1.0)),
     ],
 )
-def test_no_dry_node_is_ever_above_its_limit(needle):
+def test_no_dry_node_is_ever_above_its_limit(needle: Rod) -> None:
     """Not at the end of a step, where the error of the step was extrapolated away, and not inside one."""
     solution = solve(needle, *path(compensation()), shaft=True)
     pull, rounding = node_torques(needle, solution)
@@ -185,7 +200,7 @@ def test_no_dry_node_is_ever_above_its_limit(needle):
     assert (np.abs(pull) > 0.999 * needle.slip_plus_nm)[:, dry].any()
 
 
-def test_a_limit_that_falls_with_slip_is_obeyed_in_every_final_state():
+def test_a_limit_that_falls_with_slip_is_obeyed_in_every_final_state() -> None:
     needle = rod(static_excess=0.3, ageing_per_decade=0.1, weakening_rad=0.02, element_length_m=2e-3)
     time, base = path([45.0, 10.0], settle_s=0.5)
     for cut in range(5, len(time), 9):
@@ -200,7 +215,7 @@ def test_a_limit_that_falls_with_slip_is_obeyed_in_every_final_state():
 @pytest.mark.parametrize(
     "needle", [rod(), rod(stiffness=0.278), rod(viscous=0.05), rod(static_excess=0.3, viscous=0.05)]
 )
-def test_nothing_drifts_in_an_hour_of_rest(needle):
+def test_nothing_drifts_in_an_hour_of_rest(needle: Rod) -> None:
     time, base = path([*compensation(), 50.0])
     moved = solve(needle, time, base)
     settled = solve(needle, np.array([0.0, 600.0]), base[-1:].repeat(2), state=moved.state)
@@ -210,7 +225,7 @@ def test_nothing_drifts_in_an_hour_of_rest(needle):
     assert np.abs(rest.torque_nm - settled.torque_nm[-1]).max() < 1e-12
 
 
-def test_an_infinite_limit_holds_the_tip():
+def test_an_infinite_limit_holds_the_tip() -> None:
     plain = rod(friction=0.0)
     limit = plain.slip_plus_nm.copy()
     limit[plain.tip] = np.inf
@@ -220,7 +235,7 @@ def test_an_infinite_limit_holds_the_tip():
     assert solution.torque_nm[-1] == pytest.approx(62.56e-6 / 0.397 * np.pi / 2)
 
 
-def test_a_batch_gives_what_single_runs_give():
+def test_a_batch_gives_what_single_runs_give() -> None:
     rods = [rod(viscous=v, stiffness=k) for v in (0.0, 0.1) for k in (np.inf, 0.278)]
     given = path(compensation())
     together = solve_batch(rods, [given], threads=2)
@@ -230,16 +245,18 @@ def test_a_batch_gives_what_single_runs_give():
         assert np.array_equal(alone.torque_nm, solution.torque_nm)
 
 
-def pull_up(parameters, angle_rad, rate_rad_s, time_s, position_m):
-    return parameters[0] * np.sin(angle_rad - parameters[1]) - parameters[2] * rate_rad_s
+def pull_up(
+    parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
+    return float(parameters[0] * np.sin(angle_rad - parameters[1]) - parameters[2] * rate_rad_s)
 
 
-def test_a_torque_law_acts_and_its_parameters_need_no_compilation():
+def test_a_torque_law_acts_and_its_parameters_need_no_compilation() -> None:
     needle = rod()
     time, base = path([45.0])
     plain = solve(needle, time, base)
 
-    def with_law(*values):
+    def with_law(*values: float) -> Solution:
         law = TorqueLaw(pull_up, np.array(values), needle.tissue_length_m)
         return solve(replace(needle, laws=(law,)), time, base)
 
@@ -251,7 +268,7 @@ def test_a_torque_law_acts_and_its_parameters_need_no_compilation():
     assert errors(damped, viscous)[0] < 0.03
 
 
-def test_two_laws_add():
+def test_two_laws_add() -> None:
     needle = rod()
     time, base = path([45.0])
     half = TorqueLaw(pull_up, np.array([0.01e-2, 0.3, 0.0]), needle.tissue_length_m)
@@ -261,11 +278,13 @@ def test_two_laws_add():
     assert errors(twice, once)[0] < 1e-6
 
 
-def runaway(parameters, angle_rad, rate_rad_s, time_s, position_m):
-    return parameters[0] * angle_rad**3
+def runaway(
+    parameters: np.ndarray, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
+    return float(parameters[0] * angle_rad**3)
 
 
-def test_a_law_without_balance_is_a_clear_error():
+def test_a_law_without_balance_is_a_clear_error() -> None:
     needle = rod()
     law = TorqueLaw(runaway, np.array([1.0]), needle.tissue_length_m)
     with pytest.raises(SolverError, match=r"s (at|near) node \d+ \(.* mm from the base\)"):
@@ -284,14 +303,14 @@ def test_a_law_without_balance_is_a_clear_error():
         ([[0.0, 1.0]], [[0.0, 1.0]], "same length"),
     ],
 )
-def test_impossible_paths_are_refused(time, base, message):
+def test_impossible_paths_are_refused(time: list[float], base: list[float], message: str) -> None:
     with pytest.raises(BadInput, match=message):
         solve(rod(), np.array(time), np.array(base))
     with pytest.raises(BadInput, match=message):
         solve_batch([rod()], [(np.array(time), np.array(base))])
 
 
-def test_a_state_of_another_rod_is_refused():
+def test_a_state_of_another_rod_is_refused() -> None:
     with pytest.raises(BadInput, match="nodes"):
         solve(rod(), np.zeros(1), np.zeros(1), state=relaxed(rod(layout=MODEL)))
     with pytest.raises(BadInput, match="above 0"):
@@ -309,13 +328,13 @@ def test_a_state_of_another_rod_is_refused():
         {"static_excess": 0.3, "viscous": 0.05, "weakening_rad": 0.2},
     ],
 )
-def test_limits_with_memory_are_found_in_few_solves(memory):
+def test_limits_with_memory_are_found_in_few_solves(memory: dict[str, Any]) -> None:
     """By substitution alone the hardest of these takes more than four solves a step."""
     solution = solve(rod(**memory), *path(compensation()))
     assert solution.solves < 2.5 * solution.steps
 
 
-def test_a_snap_does_not_shrink_the_steps_to_nothing():
+def test_a_snap_does_not_shrink_the_steps_to_nothing() -> None:
     """Its error is the same at any length; far shorter steps would end in angles that are no numbers."""
     time, base = refined(*path(compensation()), 4)
     snapping = rod(ageing_per_decade=0.3, weakening_rad=0.02, stiffness=0.278, element_length_m=0.125e-3)
@@ -325,7 +344,7 @@ def test_a_snap_does_not_shrink_the_steps_to_nothing():
 
 
 @pytest.mark.parametrize("rest_s", [0.2, 0.71, 3.2])
-def test_only_tissue_that_remembers_its_rest_ages(rest_s):
+def test_only_tissue_that_remembers_its_rest_ages(rest_s: float) -> None:
     """Rounding would double from step to step, and end in ages without bound."""
     needle = rod(ageing_per_decade=0.17, weakening_rad=0.02, element_length_m=5e-3, ageing_time_s=rest_s)
     time, base = refined(*path(compensation()), 2)
@@ -337,7 +356,7 @@ def test_only_tissue_that_remembers_its_rest_ages(rest_s):
 
 
 @pytest.mark.parametrize("steady", [False, True])
-def test_a_torque_law_turns_the_needle_before_the_base_moves(steady):
+def test_a_torque_law_turns_the_needle_before_the_base_moves(steady: bool) -> None:
     """Elastic tissue gives way to it at once, and no further."""
     plain = rod(stiffness=0.278)
     law = TorqueLaw(pull_up, np.array([0.01e-2, 0.3, 0.0]), plain.tissue_length_m, steady)

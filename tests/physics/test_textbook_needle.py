@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needle_rig.physics.effect import Trial
-from needle_rig.physics.solver import solve
+from needle_rig.physics.solver import Solution, solve
 from tests.physics.rods import EXPERIMENT, JG, path, rod
 from tests.physics.textbook_needle import TextbookNeedle, needle
 
@@ -31,13 +31,13 @@ def textbook(
     return replace(made, cell_m=cell_m)
 
 
-def differences(ours, theirs) -> tuple[float, float]:
+def differences(ours: Solution, theirs: TextbookNeedle) -> tuple[float, float]:
     """Largest of angles in degrees and of torque in N·mm."""
     angle = np.abs(ours.sensor_rad - theirs.halls_rad).max()
     return float(np.degrees(angle)), float(np.abs(ours.torque_nm - theirs.torques_nm).max() * 1e3)
 
 
-def test_both_agree_where_friction_does_not_fall():
+def test_both_agree_where_friction_does_not_fall() -> None:
     time, base = path([45.0, 20.0], settle_s=0.5)
     found = solve(rod(viscous=0.05), time, base)
     angle_deg, torque_nmm = differences(found, textbook(0.05).moved(Trial(time, base)))
@@ -45,7 +45,7 @@ def test_both_agree_where_friction_does_not_fall():
     assert torque_nmm < 2e-4
 
 
-def test_inertia_of_the_wire_changes_nothing_that_can_be_measured():
+def test_inertia_of_the_wire_changes_nothing_that_can_be_measured() -> None:
     time, base = path([8.0], settle_s=0.05)
     plain = textbook(0.06)
     heavy = replace(plain, friction=replace(plain.friction, inertia_kgm=6450 * np.pi * 0.39e-3**4 / 32))
@@ -54,7 +54,7 @@ def test_inertia_of_the_wire_changes_nothing_that_can_be_measured():
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
-def test_the_solver_follows_the_textbooks_law_where_damping_keeps_it_from_snapping(exponent):
+def test_the_solver_follows_the_textbooks_law_where_damping_keeps_it_from_snapping(exponent: float) -> None:
     """The resistance rises with the rate all along: (υ_s − υ_k)/ω_s is 0.125 N·mm·s per 100 mm at most."""
     time, base = path([45.0], settle_s=0.5)
     theirs = textbook(0.2, 0.8, exponent).moved(Trial(time, base))
@@ -67,7 +67,7 @@ def test_the_solver_follows_the_textbooks_law_where_damping_keeps_it_from_snappi
     assert differences(other, theirs)[0] > 0.2
 
 
-def test_where_it_snaps_the_textbooks_law_has_no_answer_but_that_of_its_cells():
+def test_where_it_snaps_the_textbooks_law_has_no_answer_but_that_of_its_cells() -> None:
     """Why `stribeck` has a slip length: a front meets the static limit of one cell, however small that is."""
     time, base = path([45.0, 71.0, 25.0], settle_s=1.0)
     tips = [textbook(0.01, 0.5, cell_m=cell).moved(Trial(time, base)).halls_rad for cell in (5e-3, 2.5e-3)]

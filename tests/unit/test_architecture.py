@@ -25,13 +25,13 @@ def broken(output: str) -> set[str]:
     return set(re.findall(r"^(.+) BROKEN$", output, re.MULTILINE))
 
 
-def test_every_room_imports_only_what_is_below_it():
+def test_every_room_imports_only_what_is_below_it() -> None:
     done = lint(ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.fixture
-def house(tmp_path):
+def house(tmp_path: Path) -> Path:
     shutil.copytree(
         ROOT / "needle_rig", tmp_path / "needle_rig", ignore=shutil.ignore_patterns("__pycache__")
     )
@@ -39,7 +39,7 @@ def house(tmp_path):
     return tmp_path
 
 
-def test_every_contract_notices_a_breach(house):
+def test_every_contract_notices_a_breach(house: Path) -> None:
     for file, breach in {
         "needle_rig/control/pid.py": "import time",
         "needle_rig/physics/rod.py": "import needle_rig.recording",
@@ -58,7 +58,7 @@ def test_every_contract_notices_a_breach(house):
     assert broken(done.stdout) == contracts, done.stdout
 
 
-def test_a_new_room_must_be_given_its_place(house):
+def test_a_new_room_must_be_given_its_place(house: Path) -> None:
     (house / "needle_rig" / "attic.py").write_text('"""A room nobody placed."""\n')
     done = lint(house)
     assert done.returncode != 0
@@ -83,7 +83,7 @@ def test_tidy():
 """
 
 
-def test_a_task_left_behind_fails_its_test(tmp_path):
+def test_a_task_left_behind_fails_its_test(tmp_path: Path) -> None:
     shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
     (tmp_path / "test_it.py").write_text(LEAVES_A_TASK)
     done = subprocess.run(

@@ -36,7 +36,7 @@ def complaint(text: str) -> str:
     return str(caught.value)
 
 
-def test_the_shipped_rig_is_valid_and_survives_being_written_out():
+def test_the_shipped_rig_is_valid_and_survives_being_written_out() -> None:
     config = load_rig_config(SHIPPED)
     assert config.sequence.settle_s == 3.0
     assert config.layout.tissue_sections_mm[3] == (370.0, 395.0)
@@ -84,7 +84,7 @@ def test_the_shipped_rig_is_valid_and_survives_being_written_out():
         ("name: simulated rig", "<<: {a: 1}", "<<", "merge keys (<<) are not read here"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_answered_with_place_and_hint(old, new, points_at, says):
+def test_a_mistake_is_answered_with_place_and_hint(old: str, new: str, points_at: str, says: str) -> None:
     text = TEXT.replace(old, new)
     assert text != TEXT
     first = complaint(text).splitlines()[0]
@@ -92,7 +92,7 @@ def test_a_mistake_is_answered_with_place_and_hint(old, new, points_at, says):
     assert says in first
 
 
-def test_every_mistake_is_told_at_once_in_the_order_of_the_file():
+def test_every_mistake_is_told_at_once_in_the_order_of_the_file() -> None:
     text = (
         TEXT.replace("tick_hz: 200", "tick_hz: 2")
         .replace("seed: 1", "sead: 1")
@@ -102,22 +102,22 @@ def test_every_mistake_is_told_at_once_in_the_order_of_the_file():
     assert [line.split(": ")[1] for line in lines] == ["tick_hz", "pid.kq", "simulation.sead"]
 
 
-def test_a_misspelt_key_is_not_also_called_missing():
+def test_a_misspelt_key_is_not_also_called_missing() -> None:
     text = TEXT.replace("diameter_mm: 0.39", "diamter_mm: 0.39")
     assert complaint(text).count("\n") == 0
 
 
-def test_missing_sections_are_one_sentence():
+def test_missing_sections_are_one_sentence() -> None:
     assert complaint("format: needle-rig/1\nname: x\nkind: hardware\n") == (
         "rig.yaml:1:1: needle, layout, links, drive, pid, sequence, recording are missing; add them"
     )
 
 
-def test_a_simulated_rig_needs_its_simulation_section():
+def test_a_simulated_rig_needs_its_simulation_section() -> None:
     assert "needs a section simulation" in complaint(TEXT[: TEXT.index("simulation:\n")])
 
 
-def test_an_age_limit_shorter_than_two_readings_can_never_be_kept():
+def test_an_age_limit_shorter_than_two_readings_can_never_be_kept() -> None:
     slow = TEXT.replace("sensor_rate_hz: 1000", "sensor_rate_hz: 50").replace(
         "hall_age_limit_ms: 250", "hall_age_limit_ms: 30"
     )
@@ -142,17 +142,17 @@ def test_an_age_limit_shorter_than_two_readings_can_never_be_kept():
         ("? [1]\n: 2\n", "rig.yaml:1:3: a key must be a plain word"),
     ],
 )
-def test_a_file_that_holds_no_config(text, says):
+def test_a_file_that_holds_no_config(text: str, says: str) -> None:
     assert complaint(text).startswith(says)
 
 
-def test_aliases_that_multiply_are_refused():
+def test_aliases_that_multiply_are_refused() -> None:
     levels = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     levels += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]
     assert "holds more than" in complaint("\n".join(levels))
 
 
-def test_a_file_that_cannot_be_read(tmp_path, monkeypatch):
+def test_a_file_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.yaml").write_text("a: 1")
     (tmp_path / "latin.yaml").write_bytes("a: 1\nname: Nürnberg".encode("latin-1"))
@@ -170,8 +170,8 @@ def test_a_file_that_cannot_be_read(tmp_path, monkeypatch):
         read_yaml("x" * 300)
 
 
-def test_a_file_without_read_permission(tmp_path, monkeypatch):
-    def forbidden(*_given):
+def test_a_file_without_read_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_given: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     (tmp_path / "rig.yaml").write_text("a: 1\n")
@@ -180,7 +180,7 @@ def test_a_file_without_read_permission(tmp_path, monkeypatch):
         read_yaml(tmp_path / "rig.yaml")
 
 
-def test_scalars_are_read_without_surprises():
+def test_scalars_are_read_without_surprises() -> None:
     data, _ = parse_yaml(
         "a: 1e-3\nb: on\nc: yes\nd: true\ne: 010\nf: 0x1F\ng: 1:30\nh: 2026-01-01\n"
         "i: ~\nj: .5\nk: '1'\nl: 1_000\n",
@@ -192,7 +192,7 @@ def test_scalars_are_read_without_surprises():
     }  # fmt: skip
 
 
-def test_options_replace_values_and_are_named_in_errors():
+def test_options_replace_values_and_are_named_in_errors() -> None:
     assert load_rig_config(SHIPPED, {"sequence.settle_s": 2, "name": None}).sequence.settle_s == 2
     with pytest.raises(BadInput, match=r"^option: sequence.settle_s: nan is not a finite number"):
         load_rig_config(SHIPPED, {"sequence.settle_s": math.nan})
@@ -200,7 +200,9 @@ def test_options_replace_values_and_are_named_in_errors():
         load_rig_config(SHIPPED, {"sequence.speed_deg_s": 61.0})
 
 
-def test_the_working_folder_comes_before_what_is_shipped(tmp_path, monkeypatch):
+def test_the_working_folder_comes_before_what_is_shipped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert find_config_file("rig.yaml") == SHIPPED
     own = tmp_path / "config" / "rig.yaml"
@@ -226,12 +228,12 @@ trees = st.recursive(
 
 
 @given(st.dictionaries(keys, trees, max_size=5))
-def test_what_is_written_is_read_back_equal(data):
+def test_what_is_written_is_read_back_equal(data: dict[str, object]) -> None:
     assert parse_yaml(write_yaml(data), "x")[0] == data
 
 
 @given(st.integers(0, len(TEXT)), st.integers(0, 6), st.text(max_size=6))
-def test_a_damaged_file_never_gives_anything_but_a_sentence(start, length, inserted):
+def test_a_damaged_file_never_gives_anything_but_a_sentence(start: int, length: int, inserted: str) -> None:
     text = TEXT[:start] + inserted + TEXT[start + length :]
     said = "rig.yaml:"
     try:

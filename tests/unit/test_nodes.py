@@ -24,6 +24,7 @@ from needle_rig.wire.can_frames import (
     TorqueStatus,
 )
 from needle_rig.wire.hall_frames import HEALTHY_FIELD, decode_hall
+from tests.values import now
 
 CODEC = CanCodec(find_config_file("needle_rig.dbc"))
 LIMITS = load_rig_config().drive
@@ -95,13 +96,13 @@ def test_a_stuck_clear_bit_clears_once() -> None:
     host = running()
     host.pass_ms(5, STOP)
     host.pass_ms(200, CLEAR)
-    assert host.node.state is DriveState.READY
+    assert now(host.node.state) is DriveState.READY
     host.torque_nmm = 5.0
     host.pass_ms(5, TURN)
-    assert host.node.state is DriveState.FAULT
+    assert now(host.node.state) is DriveState.FAULT
     host.torque_nmm = 0.0
     host.pass_ms(5, CLEAR)
-    assert host.node.state is DriveState.READY
+    assert now(host.node.state) is DriveState.READY
     host.torque_nmm = 5.0
     host.pass_ms(5, Command(rad(20), enable=True, clear=True))
     host.torque_nmm = 0.0
@@ -118,7 +119,7 @@ def test_it_stops_50_ms_after_the_last_command_and_moves_only_after_a_clear() ->
     assert 50_000 < host.now_us - 1000 - last_us <= 51_000
     assert host.node.faults == DriveFault.COMMAND_AGE
     host.pass_ms(100, TURN)
-    assert host.node.state is DriveState.FAULT
+    assert now(host.node.state) is DriveState.FAULT
     host.pass_ms(5, CLEAR)
     host.pass_ms(30, TURN)
     assert host.node.state is DriveState.RUNNING
@@ -189,7 +190,7 @@ def test_out_of_range_it_may_turn_back_in_after_a_clear_and_no_further_out() -> 
     host = running(at_deg=-719.0)
     back = Command(rad(-20), enable=True)
     host.pass_ms(300, back)
-    assert host.node.state is DriveState.RUNNING, "held at the limit"
+    assert now(host.node.state) is DriveState.RUNNING, "held at the limit"
     host.pass_ms(200, STOP)
     host.command(STOP)
     data = CODEC.encode_reference(rad(-722.5), host.counter, host.heartbeat)
@@ -198,7 +199,7 @@ def test_out_of_range_it_may_turn_back_in_after_a_clear_and_no_further_out() -> 
     assert host.node.faults == DriveFault.ANGLE
     host.pass_ms(120, CLEAR)
     host.pass_ms(30, TURN)
-    assert host.node.state is DriveState.RUNNING
+    assert now(host.node.state) is DriveState.RUNNING
     host.pass_ms(10, back)
     assert host.node.state is DriveState.FAULT
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -38,7 +39,7 @@ TABLES = run_tables(sensors=4)
 ATTRIBUTES = {"strategy": "reed2008", "target_deg": 45.0, "parameters": "rig_elastic"}
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     config = load_rig_config()
     attributes = run_attributes(
         config, strategy="reed2008", target_deg=45, parameters="rig_elastic", shaft_position_m=np.arange(3.0)
@@ -56,7 +57,7 @@ def test_what_is_written_is_read_back(tmp_path):
     assert run.result == {"status": "aligned", "lag_deg": 26.0}
     assert run.config == config
     assert run.attributes["target_deg"] == 45.0
-    assert run.attributes["shaft_position_m"].tolist() == [0, 1, 2]
+    assert np.asarray(run.attributes["shaft_position_m"]).tolist() == [0, 1, 2]
     assert run.table("torque")["counter"].tolist() == [7, 8]
     assert run.table("hall")["angle_rad"][0].tolist() == [0.1, 0.2, 0.3, 0.4]
     assert len(run.table("hall")) == 3
@@ -65,13 +66,13 @@ def test_what_is_written_is_read_back(tmp_path):
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=2000))
-def test_a_long_event_keeps_its_text(text):
+def test_a_long_event_keeps_its_text(text: str) -> None:
     rows = _event_rows(1.0, "note", text)
     assert b"".join(rows["text"]).decode() == text
     assert all(row.decode() is not None for row in rows["text"])
 
 
-def test_a_run_is_readable_while_it_is_written(tmp_path):
+def test_a_run_is_readable_while_it_is_written(tmp_path: Path) -> None:
     with new_run(tmp_path, ATTRIBUTES, TABLES) as writer:
         run = RunFile(writer.path)
         assert not run.complete
@@ -82,13 +83,13 @@ def test_a_run_is_readable_while_it_is_written(tmp_path):
     assert run.complete
 
 
-def test_rows_reach_the_disk_without_being_asked(tmp_path):
+def test_rows_reach_the_disk_without_being_asked(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES, sync_interval_s=0.01) as writer:
         writer.append("torque", [(0.001, 0.5, 7, 1e-4)])
         assert len(RunFile(writer.path).table("torque")) == 1
 
 
-def test_a_run_is_never_written_over(tmp_path):
+def test_a_run_is_never_written_over(tmp_path: Path) -> None:
     writers = [new_run(tmp_path, ATTRIBUTES, TABLES) for _ in range(3)]
     for writer in writers:
         writer.close()
@@ -99,17 +100,19 @@ def test_a_run_is_never_written_over(tmp_path):
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_a_folder_that_cannot_be_made(tmp_path):
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="cannot be the folder of the runs: Not a directory"):
         new_run(tmp_path / "file" / "runs", ATTRIBUTES, TABLES)
 
 
-def full_disk(*_):
+def full_disk(*_: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_full_disk_keeps_what_was_written_and_the_last_words(tmp_path, monkeypatch):
+def test_a_full_disk_keeps_what_was_written_and_the_last_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
     rows = np.zeros(1000, TABLES["torque"])
     rows["time_s"] = np.arange(1000) + 1.0
@@ -153,7 +156,7 @@ def test_a_full_disk_keeps_what_was_written_and_the_last_words(tmp_path, monkeyp
     ("content", "says"),
     [(b"", "is empty: it was cut off before it began"), (b"hello" * 100, "is not a readable run")],
 )
-def test_a_file_that_is_no_run(tmp_path, content, says):
+def test_a_file_that_is_no_run(tmp_path: Path, content: bytes, says: str) -> None:
     path = tmp_path / "x.h5"
     path.write_bytes(content)
     with pytest.raises(BadInput, match=says):
@@ -161,19 +164,19 @@ def test_a_file_that_is_no_run(tmp_path, content, says):
     assert list_runs(tmp_path)[0].status == "unreadable"
 
 
-def test_foreign_hdf5_is_no_run(tmp_path):
+def test_foreign_hdf5_is_no_run(tmp_path: Path) -> None:
     h5py.File(tmp_path / "x.h5", "w").close()
     with pytest.raises(BadInput, match="is HDF5 but no run"):
         RunFile(tmp_path / "x.h5")
 
 
-def test_a_table_that_is_not_there(tmp_path):
+def test_a_table_that_is_not_there(tmp_path: Path) -> None:
     new_run(tmp_path, ATTRIBUTES, TABLES).close()
     with pytest.raises(BadInput, match="has no table ticcs; it has drive, hall, ticks, torque"):
         find_run("last", tmp_path).table("ticcs")
 
 
-def test_which_run_is_meant(tmp_path, monkeypatch):
+def test_which_run_is_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(BadInput, match="last: no run in runs; make one"):
         find_run("last", "runs")
@@ -193,7 +196,7 @@ def test_which_run_is_meant(tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def left(tmp_path_factory):
+def left(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The journal of a run that was cut off after 50 frames of 20 rows."""
     path = tmp_path_factory.mktemp("left") / "a.h5"
     writer = RunWriter(path, ATTRIBUTES, TABLES)
@@ -204,7 +207,7 @@ def left(tmp_path_factory):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path, left, seed):
+def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path: Path, left: bytes, seed: int) -> None:
     chance, damaged = random.Random(seed), bytearray(left)
     used = len(left.rstrip(b"\0"))
     at = chance.randrange(used)
@@ -235,7 +238,7 @@ def test_a_damaged_journal_yields_the_rows_before_the_damage(tmp_path, left, see
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_frames_of_another_run_do_not_fit(tmp_path, left):
+def test_frames_of_another_run_do_not_fit(tmp_path: Path, left: bytes) -> None:
     other = RunWriter(tmp_path / "b.h5", ATTRIBUTES, TABLES)
     other.append("torque", [(1.0, 0.5, 7, 2e-4)])
     other.leave()
@@ -247,7 +250,7 @@ def test_frames_of_another_run_do_not_fit(tmp_path, left):
     assert run.torn_bytes > 0
 
 
-def test_a_frame_that_fits_no_table_is_a_sentence(tmp_path):
+def test_a_frame_that_fits_no_table_is_a_sentence(tmp_path: Path) -> None:
     journal = Journal.create(tmp_path / "a.journal", empty_image(ATTRIBUTES, TABLES))
     journal.append(99, b"rows")
     journal.close()
@@ -258,7 +261,7 @@ def test_a_frame_that_fits_no_table_is_a_sentence(tmp_path):
     assert list_runs(tmp_path)[0].status == "unreadable"
 
 
-def test_a_run_is_taken_over_by_nobody_while_it_is_written(tmp_path):
+def test_a_run_is_taken_over_by_nobody_while_it_is_written(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES) as writer:
         assert unfinished_runs(tmp_path) == []
         with pytest.raises(BadInput, match="is being written by another process"):
@@ -267,7 +270,9 @@ def test_a_run_is_taken_over_by_nobody_while_it_is_written(tmp_path):
         RunWriter.resume(writer.path)
 
 
-def test_a_kill_between_the_file_and_the_end_of_its_journal_loses_nothing(tmp_path, monkeypatch):
+def test_a_kill_between_the_file_and_the_end_of_its_journal_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
     writer.append("torque", [(1.0, 0.5, 7, 1e-4)])
     monkeypatch.setattr(Journal, "remove", Journal.close)
@@ -285,7 +290,7 @@ def test_a_kill_between_the_file_and_the_end_of_its_journal_loses_nothing(tmp_pa
     assert list(tmp_path.iterdir()) == [tmp_path / "a.h5"]
 
 
-def test_a_flipped_bit_in_a_run_file_is_seen(tmp_path):
+def test_a_flipped_bit_in_a_run_file_is_seen(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES) as writer:
         writer.append("torque", [(1.0 + n, 0.5, 7, 1e-4) for n in range(100)])
     raw = bytearray((tmp_path / "a.h5").read_bytes())
@@ -321,7 +326,7 @@ with RunWriter(sys.argv[1], {"strategy": "reed2008", "target_deg": 45.0}, tables
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("seed", range(5))
-def test_a_killed_writer_loses_at_most_half_a_second(tmp_path, seed):
+def test_a_killed_writer_loses_at_most_half_a_second(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "killed.h5"
     writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True)
     try:
@@ -346,7 +351,7 @@ def test_a_killed_writer_loses_at_most_half_a_second(tmp_path, seed):
     assert run.table("torque")["counter"].tolist() == list(range(len(run.table("torque"))))
 
 
-def test_what_is_said_late_is_joined_to_the_attributes(tmp_path):
+def test_what_is_said_late_is_joined_to_the_attributes(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "a.h5", ATTRIBUTES, TABLES)
     writer.set_attribute("note", "grün")
     writer.set_attribute("result", {"status": "fault"})

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -22,7 +24,7 @@ from needle_rig.workbench.observations.runs import runs_as_dataset
 
 
 @pytest.fixture
-def runs(tmp_path, monkeypatch, run_path):
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path) -> Path:
     """A working folder whose runs/ holds one whole run."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
@@ -30,7 +32,7 @@ def runs(tmp_path, monkeypatch, run_path):
     return tmp_path / "runs"
 
 
-def test_runs_are_listed(runs, capsys):
+def test_runs_are_listed(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["runs"]) == 0
     header, line = capsys.readouterr().out.splitlines()
     assert header.split() == [
@@ -48,7 +50,7 @@ def test_runs_are_listed(runs, capsys):
     assert "  45°  reed2008  rig_rigid" in line
 
 
-def test_runs_as_json_name_the_broken_ones_too(runs, capsys):
+def test_runs_as_json_name_the_broken_ones_too(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "broken.h5").write_bytes(b"nothing")
     with h5py.File(runs / "foreign.h5", "w"):
         pass
@@ -64,7 +66,9 @@ def test_runs_as_json_name_the_broken_ones_too(runs, capsys):
     assert listed[2]["duration_s"] > 5.0
 
 
-def test_no_runs_say_how_to_make_one(tmp_path, monkeypatch, capsys):
+def test_no_runs_say_how_to_make_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert needle_rig(["runs"]) == 0
     assert "needle-rig compensate --target 45" in capsys.readouterr().out
@@ -72,7 +76,9 @@ def test_no_runs_say_how_to_make_one(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err.startswith("last: no run in runs; make one with: needle-rig")
 
 
-def test_csv_has_one_file_a_source_in_degrees(runs, tmp_path, capsys):
+def test_csv_has_one_file_a_source_in_degrees(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert needle_rig(["export", "last", "--csv", "--out", "out"]) == 0
     assert capsys.readouterr().out == "out\n"
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
@@ -89,14 +95,16 @@ def test_csv_has_one_file_a_source_in_degrees(runs, tmp_path, capsys):
     assert float(last["torque_nmm"]) == pytest.approx(ticks["torque_nm"][-1] * 1e3, abs=1e-6)
     assert float(last["time_s"]) == pytest.approx(ticks["time_s"][-1] - run.span_s[0], abs=1e-6)
     assert (last["phase"], last["motion"]) == ("done", "final")
-    about, _ = read_yaml(tmp_path / "out" / "run.yaml")
+    about: Any = read_yaml(tmp_path / "out" / "run.yaml")[0]
     assert about["result"]["target_deg"] == 45.0
     assert parse_rig_config(write_yaml(about["config"])) == run.config
     assert needle_rig(["export", "last", "--csv", "--out", "out"]) == 2
     assert capsys.readouterr().err == "out: exists already; name another place with --out\n"
 
 
-def test_mcap_has_every_row_with_its_schema(runs, tmp_path, capsys):
+def test_mcap_has_every_row_with_its_schema(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert needle_rig(["export", "last", "--mcap"]) == 0
     path = tmp_path / "2026-01-01_12-00-00Z_reed2008.mcap"
     assert capsys.readouterr().out == f"{path.name}\n"
@@ -111,6 +119,7 @@ def test_mcap_has_every_row_with_its_schema(runs, tmp_path, capsys):
             number = counted.get(channel.topic, 0)
             counted[channel.topic] = number + 1
             if number == 0:
+                assert schema is not None
                 properties = json.loads(schema.data)["properties"]
                 assert set(json.loads(message.data)) == set(properties)
             if channel.topic == "/ticks" and number == 0:
@@ -123,7 +132,9 @@ def test_mcap_has_every_row_with_its_schema(runs, tmp_path, capsys):
         export_mcap(run, path)
 
 
-def test_a_run_becomes_a_dataset_that_is_read_back(runs, tmp_path, capsys):
+def test_a_run_becomes_a_dataset_that_is_read_back(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert needle_rig(["export", "last", "--dataset", "--out", "trial"]) == 0
     dataset = read_dataset("trial")
     run = RunFile(next(runs.glob("*.h5")))
@@ -142,7 +153,7 @@ def test_a_run_becomes_a_dataset_that_is_read_back(runs, tmp_path, capsys):
     np.testing.assert_allclose(trial.torque_nm, direct.trials[0].torque_nm, atol=1e-9)
 
 
-def test_runs_that_cannot_be_a_trial_are_refused(tmp_path, run_path):
+def test_runs_that_cannot_be_a_trial_are_refused(tmp_path: Path, run_path: Path) -> None:
     whole = RunFile(run_path)
     tables = run_tables(sensors=4)
     attributes = {
@@ -160,14 +171,14 @@ def test_runs_that_cannot_be_a_trial_are_refused(tmp_path, run_path):
         runs_as_dataset([RunFile(tmp_path / "wound.h5")])
     with pytest.raises(BadInput, match="no run was named"):
         runs_as_dataset([])
-    longer = {**attributes, "config": attributes["config"].replace("length_mm: 397", "length_mm: 399")}
+    longer = {**attributes, "config": str(attributes["config"]).replace("length_mm: 397", "length_mm: 399")}
     with RunWriter(tmp_path / "other.h5", longer, tables) as writer:
         writer.append("ticks", whole.table("ticks"))
     with pytest.raises(BadInput, match="its layout or needle differs"):
         runs_as_dataset([whole, RunFile(tmp_path / "other.h5")])
 
 
-def test_an_empty_run_still_exports(tmp_path):
+def test_an_empty_run_still_exports(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "empty.h5", {"strategy": "reed2008"}, run_tables(sensors=2)):
         pass
     run = RunFile(tmp_path / "empty.h5")
@@ -178,7 +189,7 @@ def test_an_empty_run_still_exports(tmp_path):
     assert export_mcap(run, tmp_path / "empty.mcap").stat().st_size > 0
 
 
-def test_a_run_without_end_is_exported_with_a_word(runs, capsys):
+def test_a_run_without_end_is_exported_with_a_word(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     writer = RunWriter(runs / "live.h5", {"strategy": "reed2008"}, run_tables(sensors=4))
     writer.append("torque", [(1.0, 1.0, 0, 1e-4)])
     assert needle_rig(["export", "live", "--csv", "--out", "live"]) == 0
@@ -186,6 +197,6 @@ def test_a_run_without_end_is_exported_with_a_word(runs, capsys):
     writer.close()
 
 
-def test_a_format_must_be_named(runs, capsys):
+def test_a_format_must_be_named(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["export", "last"]) == 2
     assert "Say which format: --csv, --mcap, --png or --dataset" in capsys.readouterr().err

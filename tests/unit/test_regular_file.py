@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -96,8 +97,13 @@ def test_a_pipe_is_no_yaml(tmp_path: Path) -> None:
 def test_the_parser_stops_at_the_limit_of_values(monkeypatch: pytest.MonkeyPatch) -> None:
     composed = []
     compose = places._Loader.compose_node
+
+    def counted(*given: Any) -> object:
+        composed.append(1)
+        return compose(*given)
+
     monkeypatch.setattr(places, "NODE_LIMIT", 1000)
-    monkeypatch.setattr(places._Loader, "compose_node", lambda *given: composed.append(1) or compose(*given))
+    monkeypatch.setattr(places._Loader, "compose_node", counted)
     with pytest.raises(BadInput, match=r"^many.yaml:1: the file holds more than 1000 values$"):
         parse_yaml("a: [" + "1," * 5000 + "]\n", "many.yaml")
     assert len(composed) < 1100

@@ -21,7 +21,7 @@ print(load_rig_config().name)
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the package as a wheel installs it."""
     folder = tmp_path_factory.mktemp("wheel")
     name = subprocess.run(
@@ -39,7 +39,7 @@ def python(site: Path, folder: Path, *arguments: str) -> subprocess.CompletedPro
     )
 
 
-def test_shipped_files_are_found_from_any_folder(site, tmp_path):
+def test_shipped_files_are_found_from_any_folder(site: Path, tmp_path: Path) -> None:
     done = python(site, tmp_path, "-c", LOOK)
     assert done.returncode == 0, done.stderr
     *paths, name = done.stdout.splitlines()
@@ -52,7 +52,7 @@ def test_shipped_files_are_found_from_any_folder(site, tmp_path):
     assert name == "simulated rig"
 
 
-def test_a_users_own_rig_comes_first(site, tmp_path):
+def test_a_users_own_rig_comes_first(site: Path, tmp_path: Path) -> None:
     (tmp_path / "config").mkdir()
     own = (ROOT / "config" / "rig.yaml").read_text(encoding="utf-8").replace("simulated rig", "my rig", 1)
     (tmp_path / "config" / "rig.yaml").write_text(own, encoding="utf-8")
@@ -60,7 +60,7 @@ def test_a_users_own_rig_comes_first(site, tmp_path):
     assert done.stdout.splitlines()[-1] == "my rig"
 
 
-def test_the_command_runs(site, tmp_path):
+def test_the_command_runs(site: Path, tmp_path: Path) -> None:
     done = python(site, tmp_path, "-m", "needle_rig", "runs", "--json")
     assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
     (tmp_path / "config").mkdir()

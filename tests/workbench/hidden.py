@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.workbench.estimation import map_fit
+from needle_rig.workbench.estimation.cross_validation import CrossValidation
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.selection import search
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
@@ -36,5 +44,28 @@ def dataset(*effects: Effect, seed: int = 1, name: str = "hidden", noise: Noise 
     return simulate_dataset(model, PROTOCOL, seed, noise, name=name)
 
 
-def effect(name: str, **values: float) -> Effect:
+def fit(problem: Problem, effects: Sequence[str], start: ParameterVector, **settings: Any) -> Fit:
+    """The nearest minimum from `start`, which there is."""
+    found = map_fit.fit(problem, effects, start, **settings)
+    assert found is not None
+    return found
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An effect on top of a model: the fit with it, and what it foretells of commands left out."""
+
+    fit: Fit
+    validation: CrossValidation
+
+
+def try_effect(problem: Problem, parent: Fit, name: str) -> Tried:
+    """The named effect on top of `parent`, which could be fitted."""
+    found = search.try_effect(problem, parent, name)
+    assert found.fit is not None
+    assert found.validation is not None
+    return Tried(found.fit, found.validation)
+
+
+def effect(name: str, **values: float | tuple[float, ...]) -> Effect:
     return find_effects()[name](**values)

@@ -108,10 +108,11 @@ def test_progress_is_shown_on_a_terminal_alone(
     stream: type[io.StringIO], shown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(sys, "stderr", stream())
+    err = stream()
+    monkeypatch.setattr(sys, "stderr", err)
     work = Work(progress)
     work.share(1)
     assert work.run(pow, [(k,) for k in range(3)]) == [1, 1, 1]
-    said = sys.stderr.getvalue()
+    said = err.getvalue()
     assert ("100%" in said) == shown
     assert bool(said) == shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.contest.strategies_table import Bout, foretold
+from needle_rig.workbench.contest.strategies_table import Bout, Spread, foretold
 from needle_rig.workbench.learning.learn import Lesson, learn
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -23,6 +23,48 @@ from needle_rig.workbench.virtual.settled_run import SettledRun
 
 FRESH_SEED = 500
 """Runs after learning meet needles that no run before it met."""
+
+
+class RunsInShort(TypedDict):
+    """Runs of one strategy: medians, angles as absolute values."""
+
+    worst_deg: Spread
+    tip_lag_deg: float
+    torque_nmm: float
+    rotations: float
+    time_s: float
+    runs: int
+
+
+class ErrorLeftOut(TypedDict):
+    """Error on commands left out, in units of the noise, without and with what was learnt."""
+
+    before: float | None
+    after: float | None
+    noise_floor: float | None
+
+
+class Learnt(TypedDict):
+    """One parameter of the model that was learnt."""
+
+    value: float
+    uncertainty: float | None
+
+
+class StoryNumbers(TypedDict):
+    """The circle in numbers."""
+
+    hidden: list[str]
+    target_deg: float
+    verdict: str
+    adopted: list[str]
+    found: bool
+    parameters: dict[str, Learnt]
+    held_out_error: ErrorLeftOut
+    foretold: str
+    reed2008: RunsInShort
+    planned: RunsInShort | None
+    times_better: float | None
 
 
 @dataclass(frozen=True)
@@ -47,7 +89,7 @@ class Story:
         """Worst error along the shaft of each run."""
         return [deg(run.worst_rad(rad(self.target_deg))) for run in runs]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> StoryNumbers:
         """The circle in numbers."""
         lesson = self.lesson
         errors = lesson.after.history[-1].errors["noise_units"]
@@ -81,7 +123,7 @@ class Story:
             return None
         return float(np.median(self.worst_deg(self.plain)) / np.median(self.worst_deg(self.planned)))
 
-    def _summary(self, runs: tuple[SettledRun, ...]) -> dict[str, Any]:
+    def _summary(self, runs: tuple[SettledRun, ...]) -> RunsInShort:
         worst = self.worst_deg(runs)
         return {
             "worst_deg": {"median": float(np.median(worst)), "q95": float(np.quantile(worst, 0.95))},

@@ -6,13 +6,14 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Required, TypedDict
 
 import numpy as np
 
 from needle_rig.control.strategy import Reason, Strategy, Task, Trust, find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel
+from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, rad
@@ -33,12 +34,6 @@ FARTHEST_TARGET_DEG = 360.0
 STRAIGHT_DEG = 3.0
 """Worst error of reed2008 below which there is little to gain: two or three times the Hall sensors' noise."""
 FORETELLING_RUNS = 8
-FIELDS = {
-    "tip_lag_deg": "tip lag",
-    "worst_deg": "worst error",
-    "mean_deg": "mean error",
-    "torque_nmm": "torque left",
-}
 
 
 @dataclass(frozen=True)
@@ -115,6 +110,41 @@ def one_result(bout: Bout, name: str, target_deg: float, start: str, seed: int) 
     return Result(name, target_deg, start, values, gave_way=gave_way)
 
 
+class Spread(TypedDict):
+    """Of several runs."""
+
+    median: float
+    q95: float
+
+
+class Summary(TypedDict, total=False):
+    """Several runs of one strategy; without those of a strategy that refused to start."""
+
+    tip_lag_deg: Spread
+    worst_deg: Spread
+    mean_deg: Spread
+    torque_nmm: Spread
+    rotations: float
+    total_rotation_deg: float
+    time_s: float
+    runs: int
+    gave_way_to_reed2008: int
+    refused: str
+
+
+class StrategyOverall(Summary):
+    """All runs of one strategy."""
+
+    strategy: Required[str]
+
+
+class StrategyRow(StrategyOverall):
+    """The runs of one strategy to one target."""
+
+    target_deg: float
+    starts: dict[str, Summary]
+
+
 @dataclass(frozen=True)
 class Table:
     """All results, by strategy in the order in which they were asked for."""
@@ -136,43 +166,53 @@ class Table:
             and r.values
         ]
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[StrategyRow]:
         """One row a strategy and target, both starts together, and each start by itself under `starts`."""
-        rows = []
-        for strategy in self.strategies:
-            for target in self.targets_deg:
-                row: dict[str, Any] = {"strategy": strategy, "target_deg": target}
-                row |= summary(self.chosen(strategy, target))
-                row["starts"] = {
+        return [
+            {
+                "strategy": strategy,
+                "target_deg": target,
+                **summary(self.chosen(strategy, target)),
+                "starts": {
                     start: summary(self.chosen(strategy, target, start))
                     for start in dict.fromkeys(r.start for r in self.results)
-                }
-                rows.append(row | self._remarks(strategy))
-        return rows
+                },
+                **self._remarks(strategy),
+            }
+            for strategy in self.strategies
+            for target in self.targets_deg
+        ]
 
-    def overall(self) -> list[dict[str, Any]]:
+    def overall(self) -> list[StrategyOverall]:
         """One row a strategy over all targets and starts."""
-        return [{"strategy": s} | summary(self.chosen(s)) | self._remarks(s) for s in self.strategies]
+        return [{"strategy": s, **summary(self.chosen(s)), **self._remarks(s)} for s in self.strategies]
 
-    def _remarks(self, strategy: str) -> dict[str, Any]:
+    def _remarks(self, strategy: str) -> Summary:
         refused = {r.refused for r in self.results if r.strategy == strategy and r.refused}
         return {"refused": sorted(refused)[0]} if refused else {}
 
 
-def summary(results: Sequence[Result]) -> dict[str, Any]:
+def summary(results: Sequence[Result]) -> Summary:
     """Median and 95 % quantile of errors; medians of rotations, total rotation and time."""
     if not results:
         return {}
-    columns = {key: np.array([r.values[key] for r in results]) for key in results[0].values}
-    told: dict[str, Any] = {
-        key: {
-            "median": _round(np.median(columns[key])),
-            "q95": _round(np.quantile(columns[key], 0.95)),
-        }
-        for key in FIELDS
+
+    def column(key: str) -> Array:
+        return np.array([r.values[key] for r in results])
+
+    def spread(key: str) -> Spread:
+        return {"median": _round(np.median(column(key))), "q95": _round(np.quantile(column(key), 0.95))}
+
+    told: Summary = {
+        "tip_lag_deg": spread("tip_lag_deg"),
+        "worst_deg": spread("worst_deg"),
+        "mean_deg": spread("mean_deg"),
+        "torque_nmm": spread("torque_nmm"),
+        "rotations": _round(np.median(column("rotations"))),
+        "total_rotation_deg": _round(np.median(column("total_rotation_deg"))),
+        "time_s": _round(np.median(column("time_s"))),
+        "runs": len(results),
     }
-    told |= {k: _round(np.median(columns[k])) for k in ("rotations", "total_rotation_deg", "time_s")}
-    told["runs"] = len(results)
     if any(r.gave_way for r in results):
         told["gave_way_to_reed2008"] = sum(r.gave_way for r in results)
     return told

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.observations.binning import direction_of
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
+from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, FittedNumber, PlaceError
 
 WORST, WORST_OF_A_CHANNEL = 8, 2
 """Places that are told, and those of one channel."""
@@ -54,7 +54,7 @@ class Place:
         """Error in units of the noise."""
         return self.error / self.noise if self.noise > 0 else 0.0
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> PlaceError:
         """As it stands in the JSON answer."""
         return {
             "channel": self.channel,
@@ -80,8 +80,8 @@ class TraceComparison:
     every_place: tuple[Place, ...]
     """Every channel × motion × state × direction."""
     worst: tuple[Place, ...]
-    channels: dict[str, dict[str, Any]]
-    free_parameters: dict[str, Any]
+    channels: dict[str, ChannelError]
+    free_parameters: dict[str, FittedNumber]
     reduced_chi2: float
     held_out_error: float
 
@@ -111,7 +111,7 @@ class TraceComparison:
         """Notes of the dataset and of the baseline fit."""
         return *self.baseline.dataset.notes, *self.baseline.notes
 
-    def places(self) -> list[dict[str, Any]]:
+    def places(self) -> list[PlaceError]:
         """Every channel × motion × state × direction."""
         return [p.as_json() for p in self.every_place]
 
@@ -119,7 +119,7 @@ class TraceComparison:
         """What can be drawn: all of it."""
         return self
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> CompareDocument:
         """The stated form of the answer."""
         return {
             "dataset": self.baseline.dataset.name,
@@ -159,7 +159,7 @@ def compared(baseline: Baseline) -> TraceComparison:
         if len(shown) == WORST:
             break
     vector = found.vector
-    free: dict[str, dict[str, Any]] = {
+    free: dict[str, FittedNumber] = {
         "friction_nmm_per_100mm": {"value": float(f"{np.exp(vector.log_friction) * 100:.6g}")},
         "torsional_rigidity_nmm2": {
             "value": float(f"{np.exp(vector.log_rigidity) * 1e6:.6g}"),
@@ -301,9 +301,9 @@ def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Plac
 
 def _channels(
     baseline: Baseline, readings: list[Array], names: tuple[str, ...], places: list[Place]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, ChannelError]:
     problem = baseline.problem
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, ChannelError] = {}
     for c, name in enumerate(names):
         factor, unit = scale_of(c)
         squares, count, noise = 0.0, 0.0, problem.noise
@@ -312,7 +312,7 @@ def _channels(
             squares += float(((binned.mean[c][use] - reading[c][use]) ** 2 * binned.count[c][use]).sum())
             count += float(binned.count[c][use].sum())
         white = np.hypot(noise.white[c], noise.correlated[c])
-        phases: dict[str, Any] = {}
+        phases: dict[str, dict[str, dict[str, float]]] = {}
         for p in places:
             if p.channel == name:
                 key = p.motion if not p.direction else f"{p.motion} {p.direction}"

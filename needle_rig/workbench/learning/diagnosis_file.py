@@ -65,7 +65,7 @@ class _Explanation(Section):
     added: Annotated[tuple[str, ...], Field(min_length=1)]
     improves_cross_validation: bool
     trial_friction: tuple[Annotated[float, Field(gt=0)], ...]
-    model: dict[str, Any]
+    model: JsonObject
 
 
 class _File(Section):
@@ -94,7 +94,7 @@ class KeptDiagnosis:
     held_out_error_before: float | None
     held_out_error_after: float | None
     noise: Mapping[str, float]
-    policy: JsonObject
+    policy: Mapping[str, object]
     explanations: tuple[Explanation, ...]
     models: tuple[SavedModel, ...]
     """What adopting each explanation gives."""
@@ -183,7 +183,8 @@ def load_diagnosis(path: str | os.PathLike[str], *, effects: Iterable[str | Path
     models = []
     for k, part in enumerate(read.explanations):
         models.append(saved_model(part.model, _below(places, ("explanations", k, "model")), folders))
-    stated = data.pop("checksum")
+    stated = read.checksum
+    del data["checksum"]
     if _checksum(data) != stated:
         raise places.error(
             ("checksum",),

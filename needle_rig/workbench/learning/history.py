@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from needle_rig.model import ChannelErrors, SavedModel
+from needle_rig.records import JsonObject
 from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS
 
 
@@ -22,7 +22,7 @@ class Step:
     channels: dict[str, ChannelErrors]
     note: str = ""
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "step": self.label,

@@ -29,6 +29,7 @@ from needle_rig.workbench.published.search import settled_problem, values_to_mee
 from needle_rig.workbench.published.search import try_effect as try_settled
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, PlaceError
 from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, explanation, training_errors
 from needle_rig.workbench.selection.search import try_effect
@@ -44,7 +45,7 @@ class Comparison(Protocol):
         """Error of cross-validation in units of the noise; not finite where nothing could be left out."""
 
     @property
-    def channels(self) -> dict[str, Any]:
+    def channels(self) -> dict[str, ChannelError]:
         """By channel: rmse, noise, unit, whitened (the error in units of the noise), by_phase."""
 
     def headline(self) -> tuple[str, str]:
@@ -56,13 +57,13 @@ class Comparison(Protocol):
     def sentences(self) -> list[str]:
         """Sentences below the table of `rows`."""
 
-    def places(self) -> list[dict[str, Any]]:
+    def places(self) -> list[PlaceError]:
         """All that was compared: channel, motion, state, direction, model, measured, error, noise, unit."""
 
     def traces(self) -> TraceComparison:
         """What can be drawn. Raises BadInput where there are settled values only."""
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> CompareDocument:
         """The stated form of the answer."""
 
 

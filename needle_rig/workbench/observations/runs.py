@@ -65,9 +65,9 @@ def _trial(run: RunFile, start_s: float) -> DatasetTrial:
     strategy = str(known.get("strategy", "unknown"))
     command = TrialCommand(
         kind="compensate" if strategy == "reed2008" else strategy,
-        target_deg=float(known.get("target_deg", math.nan)),
-        speed_deg_s=float(known.get("speed_deg_s", run.config.sequence.speed_deg_s)),
-        settle_s=float(known.get("settle_s", run.config.sequence.settle_s)),
+        target_deg=run.number("target_deg"),
+        speed_deg_s=run.number("speed_deg_s", run.config.sequence.speed_deg_s),
+        settle_s=run.number("settle_s", run.config.sequence.settle_s),
         other=(("options", str(known["options"])),) if known.get("options") else (),
     )
     sensors = tuple(sensor.name for sensor in run.config.layout.hall_sensors)

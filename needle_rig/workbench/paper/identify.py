@@ -10,7 +10,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from needle_rig.physics.effect_text import parse_effects
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
+from needle_rig.records import JsonObject
 from needle_rig.simulation.plant import Plant
 from needle_rig.units import nmm, per_100mm
 
@@ -59,7 +59,7 @@ class Identified:
         """Found minus the rig's, in percent of the rig's."""
         return 100.0 * (self.value / self.plant_value - 1.0)
 
-    def as_document(self) -> dict[str, Any]:
+    def as_document(self) -> JsonObject:
         """What `--json` prints."""
         return dataclasses.asdict(self) | {
             "error_percent": self.error_percent,

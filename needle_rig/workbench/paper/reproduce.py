@@ -20,6 +20,7 @@ from needle_rig.control.strategy import Strategy, Task, make_strategy
 from needle_rig.model import MODEL_LAYOUT, load_parameter_set, load_parameters
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
+from needle_rig.records import JsonObject
 from needle_rig.units import deg, mm, nmm, rad
 from needle_rig.workbench.paper.identify import held_tip_torque_nm, settling_time_s, with_effect
 from needle_rig.workbench.virtual.noise import NO_NOISE
@@ -136,7 +137,7 @@ def aligned(model: NeedleModel, strategy: Strategy, target_deg: float) -> Needle
     return run_settled(model, strategy, task, np.random.default_rng(0), NO_NOISE).needles[1:]
 
 
-def as_document(rows: tuple[Row, ...]) -> dict[str, Any]:
+def as_document(rows: tuple[Row, ...]) -> JsonObject:
     """The rows as `--json` prints them."""
     return {
         "rows": [

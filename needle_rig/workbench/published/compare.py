@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from needle_rig.physics.needle_model import TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.workbench.published.fit import held_out_error
 from needle_rig.workbench.published.search import settled_problem
 from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
+from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, FittedNumber, PlaceError
 
 NOISE_LIMIT = 3.0
 
@@ -33,7 +34,7 @@ class Compared:
         error = self.measured.standard_error
         return None if error is None else abs(self.measured.value - self.model) / error
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> PlaceError:
         """As it stands in the JSON answer."""
         of = self.measured.of
         return {
@@ -57,7 +58,7 @@ class SettledComparison:
     dataset: str
     model: str
     values: tuple[Compared, ...]
-    free_parameters: dict[str, Any]
+    free_parameters: dict[str, FittedNumber]
     reduced_chi2: float
     held_out_error: float
 
@@ -89,7 +90,7 @@ class SettledComparison:
         """The fitted parameters."""
         return fitted_sentences(self.free_parameters)
 
-    def places(self) -> list[dict[str, Any]]:
+    def places(self) -> list[PlaceError]:
         """Every value."""
         return [r.as_json() | {"direction": ""} for r in self.values]
 
@@ -99,7 +100,7 @@ class SettledComparison:
             f"{self.dataset} has settled values only, no traces to draw; leave out --html and --png, and plot"
         )
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> CompareDocument:
         """The stated form of the answer."""
         return {
             "dataset": self.dataset,
@@ -115,9 +116,9 @@ class SettledComparison:
         }
 
     @property
-    def channels(self) -> dict[str, Any]:
+    def channels(self) -> dict[str, ChannelError]:
         """By quantity: rmse, noise, unit, whitened (the error in standard errors), by_phase."""
-        found: dict[str, Any] = {}
+        found: dict[str, ChannelError] = {}
         for name in dict.fromkeys(r.measured.of.quantity for r in self.values):
             rows = [r for r in self.values if r.measured.of.quantity == name]
             errors = [r.measured.standard_error for r in rows if r.measured.standard_error is not None]
@@ -147,7 +148,7 @@ def compare_settled(
     fitted = problem.model(found.parameters, found.x)
     runs = problem.run(fitted)
     rows = tuple(Compared(v, problem.reading(runs, v.of), data.words(v.of)) for v in data.values)
-    free: dict[str, Any] = {
+    free: dict[str, FittedNumber] = {
         name: {"value": float(f"{value:.6g}"), "unit": fitted.info(name).unit}
         for name, value in fitted.values().items()
     }

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from needle_rig.control.strategy import History, make_strategy
 from needle_rig.dataset.settled import Seen
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.published.fit import SettledFit, SettledProblem
+from needle_rig.workbench.selection.documents import NextSettled, Watched, WatchedPair
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
@@ -71,7 +71,7 @@ def watches(problem: SettledProblem, fits: Sequence[SettledFit]) -> list[Watch]:
 
 def next_experiment(
     problem: SettledProblem, names: Sequence[str], fits: Sequence[SettledFit]
-) -> dict[str, Any] | None:
+) -> NextSettled | None:
     """What to watch to tell the first of the tied effects from all others, and each pair from another.
 
     None when no sensor has a stated standard error.
@@ -81,11 +81,11 @@ def next_experiment(
         return None
     best = ranked[0]
     sequence = problem.data.sequences[best.of.sequence]
-    pairs = []
+    pairs: list[WatchedPair] = []
     for i, first in enumerate(names):
         for j in range(i + 1, len(names)):
             top = watches(problem, (fits[i], fits[j]))[0]
-            pairs.append({"between": [first, names[j]]} | _told(problem, top))
+            pairs.append({"between": [first, names[j]], **_told(problem, top)})
     return {
         "between": list(names),
         "kind": "compensate",
@@ -105,7 +105,7 @@ def _reading(history: History, number: int, sensor: int | None) -> float:
     return nmm(motion.torque_nm) if sensor is None else deg(motion.hall_rad[sensor])
 
 
-def _told(problem: SettledProblem, watch: Watch) -> dict[str, Any]:
+def _told(problem: SettledProblem, watch: Watch) -> Watched:
     return {
         "separation_sigma": round(watch.sigmas, 2),
         "watch": f"{problem.data.words(watch.of)} (motion {watch.number})",

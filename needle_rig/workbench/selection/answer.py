@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from needle_rig.records import JsonObject
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.documents import DiagnoseDocument, FittedNumber, NextExperiment
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
@@ -32,7 +34,7 @@ class Value:
     unit: str
     plausible: bool
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "value": _plain(self.value),
@@ -64,7 +66,7 @@ class Decision:
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.effect} ({'>' if self.downwards else '<'} {self.limit:.2g}{unit})"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "decision": self.decision,
@@ -88,7 +90,7 @@ class Ranked:
     in_favour: str
     against: str
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
         return {
             "effect": self.effect,
@@ -127,7 +129,7 @@ class Answer:
     held_out_error_before: float
     held_out_error_after: float
     noise_floor: float
-    next_experiment: dict[str, Any] | None
+    next_experiment: NextExperiment | None
     notes: tuple[str, ...]
 
     @property
@@ -170,7 +172,7 @@ class Answer:
         shared = [lack.sentence()] if lack is not None and lack.significant else []
         return [p.sentence() for p in self.residual_patterns.patterns] + shared
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> DiagnoseDocument:
         """The stated form of the answer."""
         return {
             "dataset": self.dataset,
@@ -200,7 +202,7 @@ def left_out_error(error: float | None) -> str:
     return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
 
 
-def fitted_sentences(free_parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def fitted_sentences(free_parameters: Mapping[str, FittedNumber]) -> list[str]:
     """What was fitted, a sentence each."""
     said = []
     for name, of in free_parameters.items():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +20,7 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
+from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.virtual.dataset import planned_motions
 from needle_rig.workbench.virtual.noise import NO_NOISE
 
@@ -178,7 +178,7 @@ def _watch(
 
 def best_experiment(
     problem: Problem, first: Fit, second: Fit, name: str, rival: str, sensors: Sequence[str]
-) -> dict[str, Any] | None:
+) -> NextTrial | None:
     """The best proposal as it stands in a diagnosis; None when nothing separates the two by 1σ."""
     ranked = proposals(problem, first, second, sensors)
     if not ranked or ranked[0].separation_sigma < 1.0:

@@ -12,7 +12,6 @@ say that something is missing, not that nothing is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -26,6 +25,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Whitener
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.documents import FTest
 
 Key = tuple[int, int, bool]
 """(channel, motion, moving) of one cell mean."""
@@ -58,7 +58,7 @@ class LackOfFit:
             f" (F = {self.statistic:.2f} on {self.shared_dof} and {self.differing_dof}, p = {self.p:.1g})"
         )
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> FTest:
         """As it stands in the JSON answer."""
         return {
             "f": float(f"{self.statistic:.4g}"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,7 @@ from needle_rig.cli._runs import learned_extra_deg
 from needle_rig.errors import BadInput
 
 
-def run(side: float, extra_deg: float, lag_left_deg: float, **changes):
+def run(side: float, extra_deg: float, lag_left_deg: float, **changes: Any) -> Any:
     result = {
         "status": "not_aligned",
         "target_deg": side * 45.0,
@@ -30,7 +31,7 @@ def test_what_was_used_and_what_was_left(side: float, extra_deg: float, lag_left
 
 
 @pytest.mark.parametrize("changes", [{"status": "aborted"}, {"motions": []}])
-def test_a_run_that_teaches_nothing(changes) -> None:
+def test_a_run_that_teaches_nothing(changes: dict[str, object]) -> None:
     with pytest.raises(BadInput, match="--after a run: is no run of reed2008"):
         learned_extra_deg(run(1.0, 0.0, 12.0, **changes))
 
@@ -46,6 +47,6 @@ def test_a_run_that_teaches_nothing(changes) -> None:
         {"lag_deg": float("nan")},
     ],
 )
-def test_a_damaged_result_teaches_nothing(changes) -> None:
+def test_a_damaged_result_teaches_nothing(changes: dict[str, object]) -> None:
     with pytest.raises(BadInput, match="--after a run: its result "):
         learned_extra_deg(run(1.0, 0.0, 12.0, **changes))

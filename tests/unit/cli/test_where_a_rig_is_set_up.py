@@ -138,8 +138,7 @@ def test_the_picture_of_a_simulated_run_says_so(run_path: Path) -> None:
 
     assert RunFile(run_path).simulated
     figure = run_figure(RunFile(run_path))
-    assert figure._suptitle is not None
-    assert "simulated" in figure._suptitle.get_text()
+    assert "simulated" in figure.get_suptitle()
 
 
 def test_runs_and_export_know_the_folder_of_the_service(

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import itertools
 import math
+from typing import Any, Literal
 
 import pytest
 from hypothesis import given, settings
@@ -14,11 +15,11 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.in_si import layout_of, limits_of, torsional_rigidity_nm2
 from needle_rig.control.limits import find_fault, heard_age_s
-from needle_rig.control.reports import Request
-from needle_rig.control.strategy import Strategy
+from needle_rig.control.reports import Outcome, Request
+from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
-from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement, Phase
+from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement, Phase, Sample
 from needle_rig.units import rad
 
 AGE_LIMIT_S = 0.05
@@ -31,17 +32,17 @@ TICK_S = 0.005
 class Rig:
     """A base that does exactly what it is told, and a needle that does not twist, with a fixed torque."""
 
-    def __init__(self, brain=None):
+    def __init__(self, brain: Brain | None = None) -> None:
         self.brain = brain or Brain(CONFIG)
         self.measurement = Measurement(
             0.0, 0.0, 0.0, (0.0,) * 4, DriveState.READY, DriveFault.NONE, 0.001, 0.001, 0.001
         )
         self.command = STOP
 
-    def having(self, **changes):
+    def having(self, **changes: Any) -> None:
         self.measurement = dataclasses.replace(self.measurement, **changes)
 
-    def tick(self, dt_s=TICK_S):
+    def tick(self, dt_s: float = TICK_S) -> Sample:
         m = self.measurement
         base = m.base_angle_rad
         if self.command.enable:
@@ -50,20 +51,27 @@ class Rig:
         self.command, sample = self.brain.step(self.measurement, dt_s)
         return sample
 
-    def until(self, *phases, limit_s=60.0):
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended, which it has."""
+        outcome = self.brain.state.outcome
+        assert outcome is not None
+        return outcome
+
+    def until(self, *phases: Phase, limit_s: float = 60.0) -> None:
         start = self.measurement.time_s
         while self.brain.state.phase not in phases:
             self.tick()
             assert self.measurement.time_s - start < limit_s
 
 
-def started(target_deg=45.0, strategy="none", **request):
+def started(target_deg: float = 45.0, strategy: str | Strategy = "none", **request: Any) -> Rig:
     rig = Rig()
     rig.brain.compensate(Request(rad(target_deg), strategy, **request))
     return rig
 
 
-def moving():
+def moving() -> Rig:
     rig = started()
     rig.until(Phase.MOVING)
     for _ in range(20):
@@ -72,7 +80,7 @@ def moving():
     return rig
 
 
-def test_the_configuration_in_si():
+def test_the_configuration_in_si() -> None:
     limits = limits_of(CONFIG)
     assert limits.angle_rad == rad(720.0)
     assert limits.velocity_rad_s == rad(60.0)
@@ -86,7 +94,7 @@ def test_the_configuration_in_si():
     assert computed == pytest.approx(27.2e9 * math.pi * 0.39e-3**4 / 32)
 
 
-def test_an_idle_brain_keeps_the_drive_stopped():
+def test_an_idle_brain_keeps_the_drive_stopped() -> None:
     rig = Rig()
     for _ in range(10):
         sample = rig.tick()
@@ -113,7 +121,7 @@ def test_an_idle_brain_keeps_the_drive_stopped():
         (Request(0.5, "reed2008_elastic"), "does not know its extra turn: give it"),
     ],
 )
-def test_what_cannot_be_run_is_refused_and_nothing_moves(request_, text):
+def test_what_cannot_be_run_is_refused_and_nothing_moves(request_: Request, text: str) -> None:
     rig = Rig()
     with pytest.raises(BadInput, match=text):
         rig.brain.compensate(request_)
@@ -122,7 +130,7 @@ def test_what_cannot_be_run_is_refused_and_nothing_moves(request_, text):
     assert rig.command == STOP
 
 
-def test_one_sequence_at_a_time():
+def test_one_sequence_at_a_time() -> None:
     rig = started()
     with pytest.raises(BadInput, match="a sequence is running; stop it first"):
         rig.brain.compensate(Request(0.1))
@@ -130,7 +138,7 @@ def test_one_sequence_at_a_time():
         rig.brain.clear()
 
 
-def test_a_whole_sequence_ends_aligned_with_its_motions_and_samples():
+def test_a_whole_sequence_ends_aligned_with_its_motions_and_samples() -> None:
     rig = started(strategy="reed2008", settle_s=0.2)
     names = []
     while rig.brain.state.phase is not Phase.DONE:
@@ -141,18 +149,18 @@ def test_a_whole_sequence_ends_aligned_with_its_motions_and_samples():
     state = rig.brain.state
     assert list(dict.fromkeys(names)) == ["rest", "rotate", "overshoot", "back", "forward", "final"]
     assert [motion.name for motion in state.settled] == ["rotate", "overshoot", "back", "forward", "final"]
-    assert (state.outcome.status, state.progress, state.motions_expected) == ("aligned", 1.0, 5)
-    assert [condition.met for condition in state.outcome.conditions] == [True, True, True]
-    assert state.outcome.base_angle_rad == pytest.approx(rad(45.0), abs=rad(0.1))
+    assert (rig.outcome.status, state.progress, state.motions_expected) == ("aligned", 1.0, 5)
+    assert [condition.met for condition in rig.outcome.conditions] == [True, True, True]
+    assert rig.outcome.base_angle_rad == pytest.approx(rad(45.0), abs=rad(0.1))
     rig.tick()
     assert rig.command == STOP
 
 
-def test_torque_left_is_a_miss_with_its_value_and_the_next_step():
+def test_torque_left_is_a_miss_with_its_value_and_the_next_step() -> None:
     rig = started(settle_s=0.2, run="runs/7.h5")
     rig.having(torque_nm=5e-5)
     rig.until(Phase.DONE)
-    outcome = rig.brain.state.outcome
+    outcome = rig.outcome
     assert outcome.status == "not_aligned"
     assert [condition.met for condition in outcome.conditions] == [True, False, True]
     assert outcome.text == (
@@ -163,7 +171,7 @@ def test_torque_left_is_a_miss_with_its_value_and_the_next_step():
 
 
 @pytest.mark.parametrize("phase", [Phase.REST, Phase.MOVING, Phase.SETTLING, Phase.MEASURING])
-def test_a_stop_acts_in_the_same_tick_in_every_phase(phase):
+def test_a_stop_acts_in_the_same_tick_in_every_phase(phase: Phase) -> None:
     rig = started()
     rig.until(phase)
     for _ in range(3):
@@ -171,8 +179,8 @@ def test_a_stop_acts_in_the_same_tick_in_every_phase(phase):
     assert rig.brain.state.phase is phase
     assert rig.brain.stop("you pressed Ctrl-C") == STOP
     state = rig.brain.state
-    assert (state.phase, state.outcome.status) == (Phase.ABORTED, "aborted")
-    assert state.outcome.text == "aborted: you pressed Ctrl-C"
+    assert (state.phase, rig.outcome.status) == (Phase.ABORTED, "aborted")
+    assert rig.outcome.text == "aborted: you pressed Ctrl-C"
     assert state.velocity_rad_s == 0.0
     for _ in range(5):
         sample = rig.tick()
@@ -180,16 +188,16 @@ def test_a_stop_acts_in_the_same_tick_in_every_phase(phase):
         assert sample.phase is Phase.ABORTED
 
 
-def test_a_stopped_brain_can_start_again():
+def test_a_stopped_brain_can_start_again() -> None:
     rig = moving()
     rig.brain.stop("enough")
     rig.brain.compensate(Request(rad(10.0), "none", settle_s=0.2))
     rig.until(Phase.DONE)
-    assert rig.brain.state.outcome.base_angle_rad == pytest.approx(rad(10.0), abs=rad(0.1))
+    assert rig.outcome.base_angle_rad == pytest.approx(rad(10.0), abs=rad(0.1))
 
 
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
-def test_a_link_that_dies_stops_the_drive_in_the_tick_that_sees_it_and_is_named(link):
+def test_a_link_that_dies_stops_the_drive_in_the_tick_that_sees_it_and_is_named(link: str) -> None:
     rig = moving()
     for age_s in (0.001 + k * TICK_S for k in range(1, 11)):
         assert rig.command.enable
@@ -199,9 +207,9 @@ def test_a_link_that_dies_stops_the_drive_in_the_tick_that_sees_it_and_is_named(
     assert rig.command == STOP
     assert (sample.phase, sample.enable, sample.velocity_rad_s) == (Phase.FAULT, False, 0.0)
     state = rig.brain.state
-    assert state.outcome.status == "fault"
-    assert f"the {link} link is dead" in state.outcome.text
-    assert (state.fault, state.latched) == (state.outcome.text, False)
+    assert rig.outcome.status == "fault"
+    assert f"the {link} link is dead" in rig.outcome.text
+    assert (state.fault, state.latched) == (rig.outcome.text, False)
     assert state.waiting_for == f"the {link} link"
     with pytest.raises(RigFault, match=f"the {link} link is dead"):
         rig.brain.compensate(Request(0.1))
@@ -209,12 +217,12 @@ def test_a_link_that_dies_stops_the_drive_in_the_tick_that_sees_it_and_is_named(
     rig.having(**{f"{link}_age_s": 0.001})
     rig.tick()
     state = rig.brain.state
-    assert (state.phase, state.fault, state.outcome.status) == (Phase.IDLE, None, "fault")
+    assert (state.phase, state.fault, rig.outcome.status) == (Phase.IDLE, None, "fault")
     assert rig.command == STOP
 
 
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
-def test_a_host_that_stood_still_blames_no_link(link):
+def test_a_host_that_stood_still_blames_no_link(link: str) -> None:
     rig = moving()
     for away_s in (0.08, 0.2, 3.0):
         rig.having(**{f"{link}_age_s": away_s})
@@ -226,7 +234,9 @@ def test_a_host_that_stood_still_blames_no_link(link):
 
 
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
-def test_a_link_that_died_while_the_host_stood_still_is_found_within_the_limit_of_listening(link):
+def test_a_link_that_died_while_the_host_stood_still_is_found_within_the_limit_of_listening(
+    link: str,
+) -> None:
     rig = moving()
     age_s, listened_s = 0.2, 0.0
     rig.having(**{f"{link}_age_s": age_s})
@@ -236,10 +246,10 @@ def test_a_link_that_died_while_the_host_stood_still_is_found_within_the_limit_o
         rig.tick()
         listened_s += TICK_S
         assert listened_s <= AGE_LIMIT_S
-    assert f"the {link} link is dead" in rig.brain.state.outcome.text
+    assert f"the {link} link is dead" in rig.outcome.text
 
 
-def test_too_much_torque_latches_until_a_person_clears_it():
+def test_too_much_torque_latches_until_a_person_clears_it() -> None:
     rig = moving()
     rig.having(torque_nm=2.1e-3)
     rig.tick()
@@ -256,7 +266,7 @@ def test_too_much_torque_latches_until_a_person_clears_it():
     assert (rig.brain.state.phase, rig.brain.state.fault) == (Phase.IDLE, None)
 
 
-def test_a_clear_with_the_cause_still_there_brings_the_fault_back():
+def test_a_clear_with_the_cause_still_there_brings_the_fault_back() -> None:
     rig = moving()
     rig.having(torque_nm=2.1e-3)
     rig.tick()
@@ -265,7 +275,7 @@ def test_a_clear_with_the_cause_still_there_brings_the_fault_back():
     assert rig.brain.state.phase is Phase.FAULT
 
 
-def test_a_latching_fault_is_not_hidden_by_a_passing_one():
+def test_a_latching_fault_is_not_hidden_by_a_passing_one() -> None:
     rig = moving()
     rig.having(torque_nm=2.1e-3)
     rig.tick()
@@ -275,14 +285,14 @@ def test_a_latching_fault_is_not_hidden_by_a_passing_one():
     rig.tick()
     state = rig.brain.state
     assert (state.phase, state.latched) == (Phase.FAULT, True)
-    assert "above the limit of 2 N·mm" in state.fault
+    assert "above the limit of 2 N·mm" in (state.fault or "")
 
 
-def test_the_drive_s_own_fault_is_cleared_by_commands_after_one_without_clear():
+def test_the_drive_s_own_fault_is_cleared_by_commands_after_one_without_clear() -> None:
     rig = moving()
     rig.having(drive_state=DriveState.FAULT, drive_faults=DriveFault.ENCODER)
     rig.tick()
-    assert "its encoder reports an error" in rig.brain.state.fault
+    assert "its encoder reports an error" in (rig.brain.state.fault or "")
     assert rig.command == STOP
     rig.tick()
     assert rig.command == STOP
@@ -299,7 +309,7 @@ def test_the_drive_s_own_fault_is_cleared_by_commands_after_one_without_clear():
     assert rig.brain.state.phase is Phase.IDLE
 
 
-def test_a_drive_that_cannot_be_cleared_is_told_again_after_a_second():
+def test_a_drive_that_cannot_be_cleared_is_told_again_after_a_second() -> None:
     rig = moving()
     rig.having(drive_state=DriveState.FAULT, drive_faults=DriveFault.ENCODER)
     rig.tick()
@@ -312,7 +322,7 @@ def test_a_drive_that_cannot_be_cleared_is_told_again_after_a_second():
     assert rig.brain.state.phase is Phase.FAULT
 
 
-def test_a_silent_drive_is_woken_before_anything_moves():
+def test_a_silent_drive_is_woken_before_anything_moves() -> None:
     rig = started()
     rig.having(drive_state=DriveState.SILENT)
     woken = False
@@ -326,30 +336,30 @@ def test_a_silent_drive_is_woken_before_anything_moves():
     rig.until(Phase.MOVING)
 
 
-def test_a_drive_that_does_not_wake_up_is_a_fault():
+def test_a_drive_that_does_not_wake_up_is_a_fault() -> None:
     rig = started()
     rig.having(drive_state=DriveState.SILENT)
     rig.until(Phase.FAULT, limit_s=1.5)
-    assert rig.brain.state.outcome.status == "fault"
+    assert rig.outcome.status == "fault"
 
 
-def test_a_drive_that_restarts_in_mid_motion_is_a_fault():
+def test_a_drive_that_restarts_in_mid_motion_is_a_fault() -> None:
     rig = moving()
     rig.having(drive_state=DriveState.SILENT)
     rig.tick()
     assert rig.command == STOP
-    assert "the drive fell silent by itself" in rig.brain.state.fault
+    assert "the drive fell silent by itself" in (rig.brain.state.fault or "")
 
 
 @pytest.mark.parametrize("dt_s", [0.0, -0.005, math.nan])
-def test_a_clock_that_goes_wrong_stops_the_drive(dt_s):
+def test_a_clock_that_goes_wrong_stops_the_drive(dt_s: float) -> None:
     rig = moving()
     rig.command, _ = rig.brain.step(rig.measurement, dt_s)
     assert rig.command == STOP
-    assert f"a tick took {dt_s} s" in rig.brain.state.outcome.text
+    assert f"a tick took {dt_s} s" in rig.outcome.text
 
 
-def test_a_base_that_never_becomes_still_is_a_fault_after_its_time():
+def test_a_base_that_never_becomes_still_is_a_fault_after_its_time() -> None:
     rig = started(settle_s=0.2)
     rig.until(Phase.SETTLING)
     for tick in range(20000):
@@ -358,11 +368,11 @@ def test_a_base_that_never_becomes_still_is_a_fault_after_its_time():
         rig.tick()
         if rig.brain.state.phase is Phase.FAULT:
             break
-    assert "does not come to rest" in rig.brain.state.outcome.text
+    assert "does not come to rest" in rig.outcome.text
     assert rig.measurement.time_s == pytest.approx(0.5 + 1.0 + 0.2 + 60.0, abs=1.0)
 
 
-def test_the_extra_turn_is_learned_from_the_lag_that_the_run_before_left():
+def test_the_extra_turn_is_learned_from_the_lag_that_the_run_before_left() -> None:
     rig = Rig()
     left = Request(rad(45.0), "reed2008_elastic", settle_s=0.2, lag_left_rad=rad(7.0))
     rig.brain.compensate(left)
@@ -371,25 +381,25 @@ def test_the_extra_turn_is_learned_from_the_lag_that_the_run_before_left():
     assert math.degrees(overshoot.waypoint_rad) == pytest.approx(52.0)
 
 
-def test_state_before_anything_has_happened():
+def test_state_before_anything_has_happened() -> None:
     state = Brain(CONFIG).state
     assert (state.phase, state.progress, state.settled, state.outcome) == (Phase.IDLE, 0.0, (), None)
     assert state.measurement is None
 
 
-def test_a_strategy_that_fails_stops_the_drive_with_its_sentence():
+def test_a_strategy_that_fails_stops_the_drive_with_its_sentence() -> None:
     @dataclasses.dataclass(frozen=True)
     class Broken(Strategy):
-        def next(self, task, history):
+        def next(self, task: Task, history: History) -> Waypoint | None:
             raise ZeroDivisionError("half of nothing")
 
-        def expected_motions(self):
+        def expected_motions(self) -> int:
             return 1
 
     rig = started(strategy=Broken())
     rig.until(Phase.FAULT)
     assert rig.command == STOP
-    assert "failed with ZeroDivisionError: half of nothing" in rig.brain.state.outcome.text
+    assert "failed with ZeroDivisionError: half of nothing" in rig.outcome.text
 
 
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e9])
@@ -397,9 +407,12 @@ ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e9])
 
 @settings(max_examples=60)
 @given(st.data())
-def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data):
+def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data: st.DataObject) -> None:
     rig = Rig()
-    heard_s = {"hall_age_s": math.inf, "drive_age_s": math.inf}
+    heard_s: dict[Literal["hall_age_s", "drive_age_s"], float] = {
+        "hall_age_s": math.inf,
+        "drive_age_s": math.inf,
+    }
     for _ in range(data.draw(st.integers(1, 60))):
         match data.draw(st.sampled_from(["tick"] * 6 + ["start", "stop", "clear", "odd", "heal"])):
             case "start":
@@ -429,7 +442,9 @@ def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data)
         assert abs(command.velocity_rad_s) <= rad(60.0)
         if command.enable:
             assert sample.phase in ACTIVE
-            judged = dataclasses.replace(rig.measurement, **heard_s)
+            judged = dataclasses.replace(
+                rig.measurement, hall_age_s=heard_s["hall_age_s"], drive_age_s=heard_s["drive_age_s"]
+            )
             assert find_fault(judged, limits_of(CONFIG)) is None
             assert abs(command.velocity_rad_s - before) <= rad(360.0) * sample.dt_s + 1e-9
         else:

@@ -4,6 +4,7 @@ import itertools
 import math
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
@@ -12,15 +13,17 @@ from needle_rig.control.compensation import (
     TRANSITIONS,
     Event,
     Sequence,
+    Think,
     after,
     think_at_once,
 )
 from needle_rig.control.reports import settled_motion
-from needle_rig.control.strategy import Dither, Reason, Strategy, Task, Waypoint
+from needle_rig.control.strategy import Dither, History, Reason, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.records import Measurement, Phase
 from needle_rig.units import rad
+from tests.values import known, now
 
 LEGAL = {
     ("idle", "start"): "rest",
@@ -69,7 +72,7 @@ LEGAL = {
 
 
 @pytest.mark.parametrize(("phase", "event"), list(itertools.product(Phase, Event)))
-def test_every_phase_and_event(phase, event):
+def test_every_phase_and_event(phase: Phase, event: Event) -> None:
     expected = LEGAL.get((phase.value, event.value))
     if expected is None:
         with pytest.raises(ValueError, match=f"event {event} does not belong to phase {phase}"):
@@ -79,13 +82,13 @@ def test_every_phase_and_event(phase, event):
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_a_fault_is_reached_from_every_phase_at_once_and_an_abort_from_all_but_a_fault(phase):
+def test_a_fault_is_reached_from_every_phase_at_once_and_an_abort_from_all_but_a_fault(phase: Phase) -> None:
     assert after(phase, Event.FAULT) is Phase.FAULT
     assert after(phase, Event.ABORT) is (Phase.FAULT if phase is Phase.FAULT else Phase.ABORTED)
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_every_phase_can_come_back_to_rest(phase):
+def test_every_phase_can_come_back_to_rest(phase: Phase) -> None:
     seen, frontier = {phase}, [phase]
     while frontier:
         for following in TRANSITIONS[frontier.pop()].values():
@@ -101,11 +104,11 @@ class There(Strategy):
 
     waypoints: tuple[Waypoint, ...] = (Waypoint(rad(30.0), "rotate"),)
 
-    def next(self, task, history):
+    def next(self, task: Task, history: History) -> Waypoint | None:
         done = len(history) - 1
         return self.waypoints[done] if done < len(self.waypoints) else None
 
-    def expected_motions(self):
+    def expected_motions(self) -> int:
         return len(self.waypoints)
 
 
@@ -123,7 +126,9 @@ TICK_S = 0.01
 class Bench:
     """Steps a sequence with a base that does what the test says."""
 
-    def __init__(self, strategy=None, task=TASK, think=think_at_once):
+    def __init__(
+        self, strategy: Strategy | None = None, task: Task = TASK, think: Think = think_at_once
+    ) -> None:
         self.sequence = Sequence(
             task, strategy or There(), still_rad=rad(0.1), window_s=0.5, timeout_s=5.0, think=think
         )
@@ -132,7 +137,7 @@ class Bench:
         self.base_deg = 0.0
         self.torque_nm = 0.0
 
-    def step(self, dt_s=TICK_S):
+    def step(self, dt_s: float = TICK_S) -> Event | None:
         self.time_s += dt_s
         halls = (rad(self.base_deg) / 2,) * 4
         measurement = Measurement(self.time_s, rad(self.base_deg), self.torque_nm, halls)
@@ -141,7 +146,7 @@ class Bench:
             self.phase = after(self.phase, event)
         return event
 
-    def until(self, phase, limit_s=60.0):
+    def until(self, phase: Phase, limit_s: float = 60.0) -> float:
         start = self.time_s
         while self.phase is not phase:
             self.step()
@@ -149,13 +154,13 @@ class Bench:
         return self.time_s - start
 
 
-def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time():
+def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time() -> None:
     bench = Bench()
     assert bench.until(Phase.MOVING) == pytest.approx(0.5, abs=2 * TICK_S)
     assert bench.sequence.setpoint_rad == rad(30.0)
     for _ in range(100):
         bench.step()
-    assert bench.phase is Phase.MOVING
+    assert now(bench.phase) is Phase.MOVING
     bench.base_deg = 29.95
     bench.step()
     assert bench.phase is Phase.SETTLING
@@ -163,7 +168,7 @@ def test_a_motion_rests_moves_settles_measures_in_turn_and_takes_its_time():
     assert bench.until(Phase.DONE) == pytest.approx(0.5, abs=2 * TICK_S)
 
 
-def test_the_torque_is_the_mean_over_the_window_and_nothing_before_it():
+def test_the_torque_is_the_mean_over_the_window_and_nothing_before_it() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg, bench.torque_nm = 30.0, 5.0
@@ -183,7 +188,7 @@ def test_the_torque_is_the_mean_over_the_window_and_nothing_before_it():
     assert settled.time_s == pytest.approx(bench.time_s)
 
 
-def test_the_mean_weighs_ticks_by_their_length():
+def test_the_mean_weighs_ticks_by_their_length() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -195,7 +200,7 @@ def test_the_mean_weighs_ticks_by_their_length():
     assert bench.sequence.history[1].torque_nm == pytest.approx(0.8e-4)
 
 
-def test_the_rest_before_the_first_motion_is_the_first_of_the_history():
+def test_the_rest_before_the_first_motion_is_the_first_of_the_history() -> None:
     bench = Bench()
     bench.torque_nm = 3e-5
     bench.until(Phase.MOVING)
@@ -204,7 +209,7 @@ def test_the_rest_before_the_first_motion_is_the_first_of_the_history():
     assert rest.torque_nm == pytest.approx(3e-5)
 
 
-def test_a_base_that_still_creeps_does_not_settle():
+def test_a_base_that_still_creeps_does_not_settle() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 29.95
@@ -216,7 +221,7 @@ def test_a_base_that_still_creeps_does_not_settle():
     assert bench.until(Phase.MEASURING) == pytest.approx(0.5, abs=3 * TICK_S)
 
 
-def test_a_base_that_moves_while_the_torque_is_read_goes_back_to_settling():
+def test_a_base_that_moves_while_the_torque_is_read_goes_back_to_settling() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -229,7 +234,7 @@ def test_a_base_that_moves_while_the_torque_is_read_goes_back_to_settling():
     assert bench.sequence.history[1].torque_nm == pytest.approx(7e-5)
 
 
-def test_a_base_that_never_becomes_still_is_told_after_the_timeout():
+def test_a_base_that_never_becomes_still_is_told_after_the_timeout() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
@@ -240,11 +245,12 @@ def test_a_base_that_never_becomes_still_is_told_after_the_timeout():
         assert bench.time_s - start < 10.0
     # travel 30/45 s + settle 1 s + timeout 5 s
     assert bench.time_s - start == pytest.approx(30 / 45 + 1.0 + 5.0, abs=0.05)
-    assert "it still moves by 0.25°" in bench.sequence.overdue()
-    assert "limit 0.1° (sequence.still_deg)" in bench.sequence.overdue()
+    overdue = bench.sequence.overdue() or ""
+    assert "it still moves by 0.25°" in overdue
+    assert "limit 0.1° (sequence.still_deg)" in overdue
 
 
-def test_a_base_that_never_arrives_is_told_too():
+def test_a_base_that_never_arrives_is_told_too() -> None:
     bench = Bench()
     bench.until(Phase.MOVING)
     while bench.sequence.overdue() is None:
@@ -252,9 +258,9 @@ def test_a_base_that_never_arrives_is_told_too():
     assert bench.phase is Phase.MOVING
 
 
-def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torque_stands_for():
+def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torque_stands_for() -> None:
     waypoint = Waypoint(rad(30.0), "back", reason=Reason.MODEL_DOUBTED)
-    means = {"base_angle_rad": 0.5, "torque_nm": 1e-4, "hall_rad": (0.4, 0.3)}
+    means: dict[str, Any] = {"base_angle_rad": 0.5, "torque_nm": 1e-4, "hall_rad": (0.4, 0.3)}
     motion = settled_motion(TASK, waypoint, index=2, moved_s=1.0, time_s=4.0, **means)
     assert (motion.index, motion.name, motion.reason) == (2, "back", Reason.MODEL_DOUBTED)
     assert motion.waypoint_rad == rad(30.0)
@@ -266,7 +272,7 @@ def test_a_settled_motion_carries_its_name_its_reason_and_the_lag_that_its_torqu
     assert math.isnan(rest.tip_lag_rad)
 
 
-def test_a_waypoint_has_its_own_speed_and_settling_time():
+def test_a_waypoint_has_its_own_speed_and_settling_time() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "step_1", speed_rad_s=0.2, settle_s=0.7),)))
     assert bench.sequence.speed_rad_s == TASK.speed_rad_s
     bench.until(Phase.MOVING)
@@ -277,42 +283,50 @@ def test_a_waypoint_has_its_own_speed_and_settling_time():
 
 
 @pytest.mark.parametrize("angle", [rad(90.1), -rad(90.1), math.nan, math.inf])
-def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle):
+def test_a_waypoint_beyond_the_drive_s_angle_is_refused_by_name(angle: float) -> None:
     bench = Bench(There((Waypoint(angle, "step_1"),)))
     with pytest.raises(BadInput, match=r"motion step_1, outside ±90°"):
         bench.until(Phase.MOVING)
 
 
-def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_arrived():
+def setpoint_rad(bench: Bench) -> float:
+    setpoint = bench.sequence.setpoint_rad
+    assert setpoint is not None
+    return setpoint
+
+
+def test_dither_oscillates_about_the_waypoint_and_dies_away_before_the_base_has_arrived() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "rotate", dither=Dither(rad(2.0), 2.0)),)))
     bench.until(Phase.MOVING)
     bench.base_deg = 30.0
     offsets = []
     while bench.phase is Phase.MOVING:
         bench.step()
-        offsets.append(bench.sequence.setpoint_rad - rad(30.0))
+        offsets.append(setpoint_rad(bench) - rad(30.0))
     assert max(offsets) == pytest.approx(rad(2.0), rel=0.05)
     assert min(offsets) == pytest.approx(-rad(2.0), rel=0.05)
     assert abs(offsets[-1]) <= rad(0.1)
 
 
-def test_the_dither_s_velocity_is_the_slope_of_its_angle():
+def test_the_dither_s_velocity_is_the_slope_of_its_angle() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "rotate", dither=Dither(rad(2.0), 2.0)),)))
     bench.until(Phase.MOVING)
     small = 1e-5
     for _ in range(30):
         bench.step()
-        before, slope = bench.sequence.setpoint_rad, bench.sequence.feedforward_rad_s
+        before, slope = setpoint_rad(bench), bench.sequence.feedforward_rad_s
         bench.step(small)
-        assert (bench.sequence.setpoint_rad - before) / small == pytest.approx(slope, abs=1e-3)
+        assert (setpoint_rad(bench) - before) / small == pytest.approx(slope, abs=1e-3)
 
 
-def test_progress_runs_from_nothing_to_one_and_never_falls():
+def test_progress_runs_from_nothing_to_one_and_never_falls() -> None:
     bench = Bench(There((Waypoint(rad(30.0), "a"), Waypoint(rad(-10.0), "b"))))
     told = [bench.sequence.progress(bench.phase)]
     while bench.phase is not Phase.DONE:
         if bench.phase is Phase.MOVING:
-            bench.base_deg = math.degrees(bench.sequence.waypoint.angle_rad)
+            waypoint = bench.sequence.waypoint
+            assert waypoint is not None
+            bench.base_deg = math.degrees(waypoint.angle_rad)
         bench.step()
         told.append(bench.sequence.progress(bench.phase))
     assert told[0] == 0.0
@@ -321,9 +335,9 @@ def test_progress_runs_from_nothing_to_one_and_never_falls():
     assert all(after_ - before < 0.3 for before, after_ in itertools.pairwise(told))
 
 
-def test_every_active_phase_says_what_it_waits_for_and_counts_down():
+def test_every_active_phase_says_what_it_waits_for_and_counts_down() -> None:
     bench = Bench()
-    seen = {}
+    seen: dict[Phase, list[tuple[str, float | None]]] = {}
     while bench.phase is not Phase.DONE:
         if bench.phase is Phase.MOVING and bench.time_s > 1.0:
             bench.base_deg = 30.0
@@ -334,14 +348,14 @@ def test_every_active_phase_says_what_it_waits_for_and_counts_down():
     assert seen[Phase.MOVING][0][0] == "the base to reach 30.0°"
     for rows in seen.values():
         assert rows[0][0]
-        lefts = [left for _, left in rows]
+        lefts = [known(left) for _, left in rows]
         assert lefts == sorted(lefts, reverse=True)
 
 
-def test_the_base_holds_while_a_strategy_thinks():
-    asked: list[Future] = []
+def test_the_base_holds_while_a_strategy_thinks() -> None:
+    asked: list[Future[Waypoint | None]] = []
 
-    def think(strategy, task, history):
+    def think(strategy: Strategy, task: Task, history: History) -> Future[Waypoint | None]:
         asked.append(Future())
         return asked[-1]
 
@@ -360,9 +374,9 @@ def test_the_base_holds_while_a_strategy_thinks():
     assert len(asked) == 1
 
 
-def test_what_a_strategy_raises_comes_out_where_it_was_asked():
-    def think(strategy, task, history):
-        answer = Future()
+def test_what_a_strategy_raises_comes_out_where_it_was_asked() -> None:
+    def think(strategy: Strategy, task: Task, history: History) -> Future[Waypoint | None]:
+        answer: Future[Waypoint | None] = Future()
         answer.set_exception(BadInput("no plan"))
         return answer
 
@@ -371,19 +385,19 @@ def test_what_a_strategy_raises_comes_out_where_it_was_asked():
         bench.until(Phase.MOVING)
 
 
-def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence():
+def test_a_strategy_with_a_mistake_in_it_becomes_a_sentence() -> None:
     @dataclass(frozen=True)
     class Broken(There):
-        def next(self, task, history):
-            return 1 / 0
+        def next(self, task: Task, history: History) -> Waypoint | None:
+            raise ZeroDivisionError("division by zero")
 
     bench = Bench(Broken())
     with pytest.raises(RigFault, match=r"failed with ZeroDivisionError: division by zero; choose another"):
         bench.until(Phase.MOVING)
 
 
-def test_a_strategy_that_never_answers_is_told_by_name():
+def test_a_strategy_that_never_answers_is_told_by_name() -> None:
     bench = Bench(think=lambda *_: Future())
     while bench.sequence.overdue() is None:
         bench.step()
-    assert "has not answered for 6." in bench.sequence.overdue()
+    assert "has not answered for 6." in (bench.sequence.overdue() or "")

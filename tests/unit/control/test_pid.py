@@ -16,7 +16,14 @@ ENCODER_DEG = 0.01
 DROOP = rad(1.0) / nm(1.0)
 
 
-def drive_base(motor, target_deg, speed_deg_s=45.0, seconds=3.0, jitter=0.3, seed=1):
+def drive_base(
+    motor: Motor,
+    target_deg: float,
+    speed_deg_s: float = 45.0,
+    seconds: float = 3.0,
+    jitter: float = 0.3,
+    seed: int = 1,
+) -> list[tuple[float, float]]:
     """Angles in degrees over time while the loop turns `motor` to the target, ticks of 5 ms ± jitter."""
     loop = PositionLoop(10.0, 10.0, 0.0, rad(360.0))
     ticks = random.Random(seed)
@@ -37,7 +44,9 @@ def drive_base(motor, target_deg, speed_deg_s=45.0, seconds=3.0, jitter=0.3, see
 @pytest.mark.parametrize("gain", [0.7, 1.0, 1.3])
 @pytest.mark.parametrize("delay_s", [0.0, 0.005, 0.01])
 @pytest.mark.parametrize("load_nmm", [-0.5, 0.0, 0.5])
-def test_the_base_neither_overshoots_nor_stays_away(target_deg, speed_deg_s, gain, delay_s, load_nmm):
+def test_the_base_neither_overshoots_nor_stays_away(
+    target_deg: float, speed_deg_s: float, gain: float, delay_s: float, load_nmm: float
+) -> None:
     motor = Motor(MotorSettings(gain, delay_s, 0.010, DROOP, nm(load_nmm)))
     path = drive_base(motor, target_deg, speed_deg_s)
     overshoot = max((angle - target_deg) * math.copysign(1.0, target_deg) for _, angle in path)
@@ -45,12 +54,12 @@ def test_the_base_neither_overshoots_nor_stays_away(target_deg, speed_deg_s, gai
     assert abs(path[-1][1] - target_deg) <= 0.05
 
 
-def test_a_slow_drive_under_a_heavy_load_still_arrives():
+def test_a_slow_drive_under_a_heavy_load_still_arrives() -> None:
     motor = Motor(MotorSettings(0.7, 0.01, 0.010, 10.0 * DROOP, nm(0.5)))
     assert drive_base(motor, 45.0, seconds=8.0)[-1][1] == pytest.approx(45.0, abs=0.02)
 
 
-def test_the_base_turns_at_the_speed_that_was_asked_for():
+def test_the_base_turns_at_the_speed_that_was_asked_for() -> None:
     path = drive_base(Motor(MotorSettings()), 90.0, speed_deg_s=30.0, jitter=0.0)
     rates = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in itertools.pairwise(path)]
     assert max(rates) == pytest.approx(30.0, rel=1e-6)
@@ -58,7 +67,7 @@ def test_the_base_turns_at_the_speed_that_was_asked_for():
     assert min(rates) >= -0.5
 
 
-def test_the_way_does_not_depend_on_the_turn_it_starts_from():
+def test_the_way_does_not_depend_on_the_turn_it_starts_from() -> None:
     near, far = Motor(MotorSettings()), Motor(MotorSettings(), angle_rad=rad(360.0))
     loop_near, loop_far = (PositionLoop(10.0, 10.0, 0.0, rad(360.0)) for _ in range(2))
     for _ in range(400):
@@ -69,7 +78,7 @@ def test_the_way_does_not_depend_on_the_turn_it_starts_from():
         assert far.angle_rad - near.angle_rad == pytest.approx(rad(360.0), abs=1e-9)
 
 
-def test_the_integral_does_not_wind_up_while_the_speed_is_clipped():
+def test_the_integral_does_not_wind_up_while_the_speed_is_clipped() -> None:
     loop = PositionLoop(10.0, 100.0, 0.0, rad(1e6))
     for _ in range(1000):
         loop.step(0.0, 1.0, 0.1, 0.01)
@@ -77,7 +86,7 @@ def test_the_integral_does_not_wind_up_while_the_speed_is_clipped():
     assert loop.step(1.0, 1.0, 0.1, 0.01) == 0.0
 
 
-def test_the_integral_carries_a_load_that_the_gain_alone_cannot():
+def test_the_integral_carries_a_load_that_the_gain_alone_cannot() -> None:
     loop = PositionLoop(10.0, 10.0, 0.0, rad(360.0))
     offset = rad(0.1)
     for _ in range(200):
@@ -93,7 +102,9 @@ def test_the_integral_carries_a_load_that_the_gain_alone_cannot():
     st.floats(0.01, 1.0),
     st.lists(st.floats(1e-4, 0.05), min_size=1, max_size=50),
 )
-def test_speed_and_acceleration_stay_within_their_limits(angle, setpoint, speed, ticks):
+def test_speed_and_acceleration_stay_within_their_limits(
+    angle: float, setpoint: float, speed: float, ticks: list[float]
+) -> None:
     loop = PositionLoop(10.0, 10.0, 0.0, 2.0)
     before = 0.0
     for dt_s in ticks:

@@ -29,7 +29,9 @@ FRICTION_NM = nm(0.1)
 class Shaft:
     """A shaft that winds up to its friction and then turns as one; every witness may lie."""
 
-    def __init__(self, disagreement_deg: float = 8.0, windup_deg: float = 270.0, travel_deg: float = 7200.0):
+    def __init__(
+        self, disagreement_deg: float = 8.0, windup_deg: float = 270.0, travel_deg: float = 7200.0
+    ) -> None:
         self.watch = ShaftWatch(shaft_limits(disagreement_deg, windup_deg, travel_deg), LAYOUT, RIGIDITY_NM2)
         self.watch.begin()
         self.base_rad = self.hall_rad = self.torque_nm = 0.0

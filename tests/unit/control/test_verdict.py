@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needle_rig.control.reports import SettledMotion
+from needle_rig.control.reports import Outcome, SettledMotion
 from needle_rig.control.strategies.reed2008 import Reed2008
 from needle_rig.control.strategy import Task
 from needle_rig.control.verdict import judge, outcome
@@ -14,15 +15,17 @@ from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.units import deg, rad
 
 
-def verdict(base_deg, torque_nmm, halls_deg, target_deg=45.0):
+def verdict(
+    base_deg: float, torque_nmm: float, halls_deg: Sequence[float], target_deg: float = 45.0
+) -> Outcome:
     task = Task(rad(target_deg), EXPERIMENT_LAYOUT, 62.56e-6, 1.0, 3.0)
-    base, halls = rad(base_deg), tuple(map(rad, halls_deg))
+    base, halls = rad(base_deg), tuple(rad(angle) for angle in halls_deg)
     first = SettledMotion(1, "rotate", 0.0, 4.0, base, base, 1e-4, halls, 0.45, 0.3)
     last = SettledMotion(5, "final", 4.0, 9.0, base, base, torque_nmm * 1e-3, halls, 0.0, base - halls[-1])
     return judge(task, Reed2008(), (first, last), rad(5.0), 0.02e-3, "runs/1.h5")
 
 
-def test_the_paper_s_final_state_without_its_torque_is_aligned():
+def test_the_paper_s_final_state_without_its_torque_is_aligned() -> None:
     told = verdict(45.0, 0.015, (45.5, 44.0, 43.0, 42.0))
     assert told.status == "aligned"
     assert told.text == "aligned: base and tip are within 3.0° of 45°, 0.015 N·mm left"
@@ -51,7 +54,9 @@ def test_the_paper_s_final_state_without_its_torque_is_aligned():
         (50.5, 0.0, (50, 50, 50, 49), 45, {"8c"}, "the tip is there, but the shaft is twisted by 2°"),
     ],
 )
-def test_each_unmet_condition_is_told_with_its_size(base, torque, halls, target, unmet, text):
+def test_each_unmet_condition_is_told_with_its_size(
+    base: float, torque: float, halls: tuple[float, ...], target: int, unmet: set[str], text: str
+) -> None:
     told = verdict(base, torque, halls, target)
     assert told.status == "not_aligned"
     assert {condition.name for condition in told.conditions if not condition.met} == unmet
@@ -59,7 +64,7 @@ def test_each_unmet_condition_is_told_with_its_size(base, torque, halls, target,
     assert told.text.endswith("may lack an effect: needle-rig diagnose runs/1.h5")
 
 
-def test_what_sits_exactly_on_a_limit_is_met():
+def test_what_sits_exactly_on_a_limit_is_met() -> None:
     told = verdict(45.0, 0.0, (45.0, 45.0, 45.0, 45.0))
     spread, torque, place = told.conditions
     assert (spread.limit, place.limit) == (rad(5.0), rad(5.0))
@@ -68,14 +73,14 @@ def test_what_sits_exactly_on_a_limit_is_met():
 
 
 @given(st.floats(-90, 90), st.floats(-1, 1), st.lists(st.floats(-90, 90), min_size=4, max_size=4))
-def test_the_verdict_is_all_three_conditions(base, torque, halls):
+def test_the_verdict_is_all_three_conditions(base: float, torque: float, halls: list[float]) -> None:
     told = verdict(base, torque, halls)
     assert (told.status == "aligned") == all(condition.met for condition in told.conditions)
     for condition in told.conditions:
         assert condition.met == (abs(condition.value) <= condition.limit)
 
 
-def test_an_end_before_anything_settled_has_no_numbers():
+def test_an_end_before_anything_settled_has_no_numbers() -> None:
     task = Task(0.5, EXPERIMENT_LAYOUT, 62.56e-6, 1.0, 3.0)
     told = outcome("aborted", "aborted: enough", task, Reed2008(), ())
     assert (told.status, told.text, told.hall_rad, told.conditions) == ("aborted", "aborted: enough", (), ())

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import socket
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ class Service:
         self.slow: dict[str, asyncio.Event] = {}
         self.clients: list[Client] = []
 
-    async def ask(self, order: str, content: dict[str, Any], begun_s: float, lease: str | None) -> Answer:
+    async def ask(self, order: str, content: Mapping[str, Any], begun_s: float, lease: str | None) -> Answer:
         self.asked.append(order)
         if order in self.slow:
             await self.slow[order].wait()
@@ -245,8 +245,10 @@ def dropped(deaf: socket.socket) -> bool:
 
 async def watch(service: Service) -> Client:
     client = await service.connect()
-    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
-    client.send("GET", "/stream", **upgrade, **{"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="})
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"} | {
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="
+    }
+    client.send("GET", "/stream", b"", **upgrade)
     assert b" 101 " in await client.reader.readuntil(b"\r\n\r\n")
     return client
 

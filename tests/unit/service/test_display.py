@@ -4,6 +4,7 @@ import math
 import re
 import sys
 import time
+from typing import cast
 
 import pytest
 from hypothesis import given
@@ -16,6 +17,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.control.reports import BrainState, SettledMotion
 from needle_rig.records import DriveFault, DriveState, Measurement, Phase
 from needle_rig.service import report
+from needle_rig.service.documents import State, Told
 from needle_rig.units import rad
 
 CONFIG = load_rig_config()
@@ -24,7 +26,7 @@ MOTION = SettledMotion(1, "rotate", 0.5, 5.3, rad(45.0), rad(45.0), 1.007e-4, HA
 angle = st.floats(-1e4, 1e4)
 
 
-def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, settled: int = 2) -> dict:  # type: ignore[type-arg]
+def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, settled: int = 2) -> State:
     state = BrainState(
         time_s=1.0,
         phase=phase,
@@ -48,7 +50,8 @@ def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, set
         released=False,
     )
     rig = report.rig_document(CONFIG, simulated=True)
-    return {"type": "phase", "rig": rig, "run": None, "last": None, **report.state_document(state)}
+    shown = {"type": "phase", "rig": rig, "run": None, "last": None, **report.state_document(state)}
+    return cast(State, shown)
 
 
 MEASURED = Measurement(
@@ -56,7 +59,7 @@ MEASURED = Measurement(
 )
 
 
-def drawn(state: dict, width: int, height: int) -> str:  # type: ignore[type-arg]
+def drawn(state: State, width: int, height: int) -> str:
     out = io.StringIO()
     Console(file=out, width=width, height=height, force_terminal=False).print(screen(state, width, height))
     return out.getvalue()
@@ -144,7 +147,7 @@ def test_what_the_daemon_tells_is_always_json(value: float) -> None:
 
 def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
     out = io.StringIO()
-    ended = {
+    shown = {
         "result": {"status": "not_aligned", "simulated": True, "run": "runs/1.h5"},
         "text": "not aligned: the tip lags 12°",
         "conditions": [
@@ -152,7 +155,7 @@ def test_a_result_is_told_with_table_conditions_verdict_and_files() -> None:
         ],
         "settled": [report.settled_document(MOTION)],
     }
-    tell_result(Console(file=out, width=80), ended, "runs/1.png")
+    tell_result(Console(file=out, width=80), cast(Told, shown), "runs/1.png")
     text = out.getvalue()
     for wanted in (
         "rotate",
@@ -176,7 +179,7 @@ def test_a_wait_is_told_by_a_bar_that_moves_on_a_terminal(monkeypatch: pytest.Mo
     out = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys, "stderr", out)
-    drawn = set()
+    drawn = set[str]()
     with moving_bar("the first start compiles"):
         until_s = time.monotonic() + 20.0
         while len(drawn) < 3 and time.monotonic() < until_s:

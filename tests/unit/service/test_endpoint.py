@@ -101,7 +101,8 @@ def test_the_socket_of_a_later_daemon_is_not_removed_by_an_earlier_one(tmp_path:
 
 
 def test_many_who_start_at_once_leave_one(tmp_path: Path) -> None:
-    path, won, refused = tmp_path / "daemon.sock", [], []
+    path = tmp_path / "daemon.sock"
+    won, refused = list[int](), list[int]()
     everybody = threading.Barrier(4)
 
     def start() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,6 @@ from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
-from needle_rig.service import install
 from needle_rig.service.install import installed_program, refuse_unable, unit_text
 from needle_rig.service.installation import Installation
 from needle_rig.service.rig_file import Answers, rig_file_text
@@ -197,7 +197,7 @@ def test_nothing_is_begun_without_systemd_or_without_root(tmp_path: Path) -> Non
 def test_a_program_that_a_service_does_not_see_is_refused(
     prefix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(install.sys, "prefix", prefix)
+    monkeypatch.setattr(sys, "prefix", prefix)
     monkeypatch.setattr(Path, "is_file", lambda _: True)
     with pytest.raises(BadInput, match="/opt/needle-rig"):
         installed_program()

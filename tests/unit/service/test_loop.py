@@ -1,5 +1,6 @@
 import asyncio
 import math
+from typing import Any
 
 import pytest
 
@@ -55,11 +56,24 @@ class LateClock(VirtualClock):
 
 
 def sample(dt_s: float) -> Sample:
-    ages = {"torque_age_s": 0.0, "hall_age_s": 0.0, "drive_age_s": 0.0}
-    drive = {"drive_state": DriveState.READY, "drive_faults": READING.drive_faults}
     return Sample(
-        0.0, dt_s, Phase.MOVING, "rotate", 0.1, 0.0, (0.0,), math.nan, 0.2, True, False, **drive, **ages
-    )  # type: ignore[arg-type]
+        time_s=0.0,
+        dt_s=dt_s,
+        phase=Phase.MOVING,
+        motion="rotate",
+        base_angle_rad=0.1,
+        torque_nm=0.0,
+        hall_rad=(0.0,),
+        waypoint_rad=math.nan,
+        velocity_rad_s=0.2,
+        enable=True,
+        limited=False,
+        drive_state=DriveState.READY,
+        drive_faults=READING.drive_faults,
+        torque_age_s=0.0,
+        hall_age_s=0.0,
+        drive_age_s=0.0,
+    )
 
 
 async def test_a_broken_brain_leaves_the_drive_stopped() -> None:
@@ -159,9 +173,8 @@ async def test_who_waits_for_a_tick_s_work_goes_on_while_virtual_time_stands_sti
 
 
 async def test_a_broken_brain_keeps_nobody_waiting() -> None:
-    loop = ControlLoop(
-        Rig(), Brain(breaks=True), VirtualClock(0.005, lambda dt_s: None), lambda s: None, lambda t: None
-    )  # type: ignore[arg-type]
+    broken: Any = Brain(breaks=True)
+    loop = ControlLoop(Rig(), broken, VirtualClock(0.005, lambda dt_s: None), lambda s: None, lambda t: None)
     loop.busy = True
     waiting = asyncio.create_task(loop.worked())
     with pytest.raises(ZeroDivisionError):

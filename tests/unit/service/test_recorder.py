@@ -162,7 +162,11 @@ async def test_the_run_of_a_killed_recorder_is_closed_and_the_next_is_whole(
 
 @started
 async def test_a_stalled_recorder_is_killed_and_replaced(
-    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, monkeypatch
+    recorder: Recorder,
+    failures: list[str],
+    config: RigConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path = await recorder.begin(tmp_path, config, REQUEST)
     add_rows(recorder, 20)
@@ -184,7 +188,7 @@ async def test_a_stalled_recorder_is_killed_and_replaced(
 
 @started
 async def test_a_late_answer_answers_no_other_question(
-    recorder: Recorder, config: RigConfig, tmp_path: Path, monkeypatch
+    recorder: Recorder, config: RigConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await recorder._ask("sync")
     stalled = process(recorder)
@@ -213,7 +217,11 @@ async def test_a_start_that_was_given_up_leaves_nothing(
 
 @started
 async def test_a_run_stalled_at_its_end_is_closed_by_another_recorder(
-    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, monkeypatch
+    recorder: Recorder,
+    failures: list[str],
+    config: RigConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path = await recorder.begin(tmp_path, config, REQUEST)
     add_rows(recorder, 20)
@@ -222,7 +230,7 @@ async def test_a_run_stalled_at_its_end_is_closed_by_another_recorder(
     process(recorder).send_signal(signal.SIGSTOP)
     ask = recorder._ask
 
-    async def ask_once_briefly(*message, work_bytes=0):
+    async def ask_once_briefly(*message: Any, work_bytes: int = 0) -> Any:
         monkeypatch.setattr(recorder_module, "_REPLY_TIMEOUT_S", 0.3 if message[0] == "finish" else 10.0)
         return await ask(*message, work_bytes=work_bytes)
 
@@ -248,7 +256,7 @@ async def test_a_run_stalled_at_its_end_is_closed_by_another_recorder(
 )
 @started
 async def test_what_no_file_can_hold_is_refused_before_there_is_one(
-    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, what, value
+    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, what: str, value: object
 ) -> None:
     with pytest.raises(BadInput, match=f"^{what}: ") as told:
         await recorder.begin(tmp_path, config, {**REQUEST, what: value})
@@ -260,7 +268,11 @@ async def test_what_no_file_can_hold_is_refused_before_there_is_one(
 
 @started
 async def test_an_answer_of_any_length_ends_the_recorder_and_not_the_daemon(
-    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, monkeypatch
+    recorder: Recorder,
+    failures: list[str],
+    config: RigConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     mad = tmp_path / "mad"
     mad.write_text('#!/bin/sh\necho \'{"number": 0, "ready": true}\'\nhead -c 3000000 /dev/zero\nsleep 30\n')

@@ -10,6 +10,7 @@ from needle_rig.model import effect_directories, load_parameters
 from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.physics.library import find_effects
 from needle_rig.workbench.contest.demo import Story, in_words, tell_story
+from tests.values import known
 
 CANDIDATES = ("tissue_elasticity", "tip_friction", "chuck_compliance")
 """A small library keeps the diagnosis short; the whole one is the benchmark's matter."""
@@ -29,13 +30,15 @@ def test_the_circle_closes(story: Story) -> None:
     stiffness = told["parameters"]["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
     assert stiffness["value"] == pytest.approx(0.3, rel=0.05)
     held = told["held_out_error"]
-    assert held["before"] > 5.0 * held["noise_floor"]
-    assert held["after"] < 1.6 * held["noise_floor"]
+    floor = known(held["noise_floor"])
+    assert known(held["before"]) > 5.0 * floor
+    assert known(held["after"]) < 1.6 * floor
     assert told["reed2008"]["worst_deg"]["median"] > 6.0
-    assert told["planned"]["worst_deg"]["median"] < 1.0
-    assert told["planned"]["rotations"] < told["reed2008"]["rotations"]
-    assert told["planned"]["time_s"] < told["reed2008"]["time_s"] / 2
-    assert told["times_better"] > 3.0
+    planned = known(told["planned"])
+    assert planned["worst_deg"]["median"] < 1.0
+    assert planned["rotations"] < told["reed2008"]["rotations"]
+    assert planned["time_s"] < told["reed2008"]["time_s"] / 2
+    assert known(told["times_better"]) > 3.0
 
 
 def test_it_can_be_read_and_seen(story: Story) -> None:

@@ -3,25 +3,27 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.workbench.estimation import discretisation_error
-from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.discretisation_error import (
     by_every_sample,
     whitened_error,
     with_discretisation_error,
 )
-from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import within_discretisation_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import PROTOCOL, dataset, effect, few
+from tests.workbench.hidden import PROTOCOL, dataset, effect, few, fit
 
 
-def test_the_discretisation_error_is_a_nuisance_of_every_fit():
+def test_the_discretisation_error_is_a_nuisance_of_every_fit() -> None:
     data = dataset(seed=21)
     baseline = fit_baseline(data, None, few())
     problem, found = baseline.problem, baseline.current
@@ -40,12 +42,12 @@ def test_the_discretisation_error_is_a_nuisance_of_every_fit():
     assert again.nuisance[0] > found.nuisance[0] + 0.5
 
 
-def test_a_gain_within_three_times_the_discretisation_error_is_refused():
+def test_a_gain_within_three_times_the_discretisation_error_is_refused() -> None:
     data = dataset(seed=22)
     baseline = fit_baseline(data, None, few())
     problem, parent = baseline.problem, baseline.current
 
-    def child(times):
+    def child(times: float) -> Fit:
         rows = tuple(r - times * n[:, 0] for r, n in zip(parent.residuals, problem.nuisance, strict=True))
         return dataclasses.replace(parent, residuals=rows)
 
@@ -59,7 +61,7 @@ def test_a_gain_within_three_times_the_discretisation_error_is_refused():
     assert not within_discretisation_error(problem, parent, steadied)
 
 
-def test_a_finer_solver_leaves_less_discretisation_error():
+def test_a_finer_solver_leaves_less_discretisation_error() -> None:
     data = dataset(seed=23)
     problem = fit_baseline(data, None, few()).problem
     found = fit(problem, (), fit_baseline(data, None, few()).current.vector)
@@ -74,7 +76,7 @@ def test_a_finer_solver_leaves_less_discretisation_error():
     assert sizes[1] < sizes[0]
 
 
-def ageing():
+def ageing() -> tuple[Dataset, Baseline, Fit]:
     """(dataset, baseline, fit of the hidden effect on coarse paths)."""
     hidden = effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0)
     data = dataset(hidden, seed=25)
@@ -88,7 +90,7 @@ def ageing():
 
 
 @pytest.mark.slow
-def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
+def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample() -> None:
     """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
     data, baseline, coarse = ageing()
     errors = whitened_error(baseline.problem, coarse, data.trials, baseline.fine_m)
@@ -103,7 +105,7 @@ def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample():
 
 
 @pytest.mark.slow
-def test_a_comparison_drives_an_adopted_model_as_finely():
+def test_a_comparison_drives_an_adopted_model_as_finely() -> None:
     data, baseline, coarse = ageing()
     problem, found, validation = as_baseline(baseline, baseline.problem, coarse, None)
     length_m = load_parameters("rig_rigid").element_length_m
@@ -111,7 +113,7 @@ def test_a_comparison_drives_an_adopted_model_as_finely():
     assert fit_baseline(data, model, few()).validation.error == pytest.approx(validation.error, abs=0.02)
 
 
-def slipping(encoder_deg):
+def slipping(encoder_deg: float) -> tuple[Dataset, Problem, Fit]:
     """(data, problem, fit at the true values) of friction that weakens as soon as it slips."""
     hidden = effect("stribeck", static_excess=0.3)
     noise = Noise(hall_deg=0.12, torque_nmm=0.0004, encoder_deg=encoder_deg, friction_scatter=0.01)
@@ -124,7 +126,7 @@ def slipping(encoder_deg):
     return data, baseline.problem, found
 
 
-def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison():
+def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison() -> None:
     """A path off by 0.01° slips a sample sooner or later: true values would leave more than the noise."""
     data, problem, found = slipping(encoder_deg=0.02)
     wider, again = by_every_sample(problem, found, data.trials)
@@ -137,12 +139,15 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     )
 
 
-def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch):
+def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     data, problem, found = slipping(encoder_deg=0.02)
-    met = []
-    monkeypatch.setattr(
-        discretisation_error, "over_forms", lambda _, found, steps: met.append(found) or found
-    )
+    met: list[Fit] = []
+
+    def over_forms(_: object, found: Fit, __: object) -> Fit:
+        met.append(found)
+        return found
+
+    monkeypatch.setattr(discretisation_error, "over_forms", over_forms)
     fine_m = load_parameters("rig_rigid").element_length_m
     before = np.linalg.norm(np.vstack(whitened_error(problem, found, data.trials, fine_m)))
     assert before > 5.0
@@ -156,13 +161,13 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch)
     assert np.all(np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0]) < 3.0 * again.scaled_errors)
 
 
-def test_an_encoder_without_noise_adds_none():
+def test_an_encoder_without_noise_adds_none() -> None:
     data, problem, found = slipping(encoder_deg=0.0)
     wider, _ = by_every_sample(problem, found, data.trials)
-    assert all(not b.from_encoder.any() for b in wider.trials)
+    assert all(b.from_encoder is not None and not b.from_encoder.any() for b in wider.trials)
 
 
-def test_directions_of_other_nuisances_outlast_a_change_of_the_noise():
+def test_directions_of_other_nuisances_outlast_a_change_of_the_noise() -> None:
     data, problem, found = slipping(encoder_deg=0.02)
     raw = [np.cos(3.0 * b.base_rad) + np.zeros_like(b.mean) for b in problem.trials]
     kept = tuple(
@@ -175,7 +180,7 @@ def test_directions_of_other_nuisances_outlast_a_change_of_the_noise():
 
 
 @pytest.mark.parametrize("seed", [31, 32])
-def test_a_sloppy_solver_is_not_an_effect(seed):
+def test_a_sloppy_solver_is_not_an_effect(seed: int) -> None:
     """Data from cells and tolerances eight times coarser hold a numerical error, and no effect."""
     model = load_parameters("rig_rigid")
     sloppy = dataclasses.replace(

@@ -1,8 +1,11 @@
 """The algebra of the linearised fit against one dense stacked matrix, on three trials."""
 
+from collections.abc import Collection
+
 import numpy as np
 import pytest
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import (
     LinearisedFit,
     Projection,
@@ -16,7 +19,9 @@ ITEMS = np.array([3, 4, 5])
 PRECISION = np.r_[0.0, 2500.0, 0.01, 0.25, 0.25, 0.25, np.full(T, 400.0), np.ones(Q)]
 
 
-def toy(*, constrained=(), lumped=True, blind=False, alike=False):
+def toy(
+    *, constrained: tuple[Array, ...] = (), lumped: bool = True, blind: bool = False, alike: bool = False
+) -> LinearisedFit:
     """Three trials; `lumped`: the random effect is a direction of its own; `blind`: nothing tells of
     the first scaled value; `alike`: two scaled values can hardly be told apart."""
     random = np.random.default_rng(5)
@@ -38,7 +43,9 @@ def toy(*, constrained=(), lumped=True, blind=False, alike=False):
     return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(constrained))
 
 
-def dense(linear, *, trials=range(T), mean_of_trials=False):
+def dense(
+    linear: LinearisedFit, *, trials: Collection[int] = range(T), mean_of_trials: bool = False
+) -> tuple[Array, Array]:
     """(rows, values): data, priors as rows, and a very heavy row for every mean that is held."""
     data = np.zeros((sum(SIZES), P + T + Q))
     begin = 0
@@ -60,7 +67,7 @@ def dense(linear, *, trials=range(T), mean_of_trials=False):
     return rows, np.r_[values, -tight * linear.from_centre, np.zeros(len(means))]
 
 
-def test_a_step_is_the_least_squares_solution_of_the_stacked_rows():
+def test_a_step_is_the_least_squares_solution_of_the_stacked_rows() -> None:
     linear = toy()
     rows, values = dense(linear, mean_of_trials=True)
     step = np.linalg.solve(linear.curvature + linear.level, linear.descent)
@@ -69,7 +76,9 @@ def test_a_step_is_the_least_squares_solution_of_the_stacked_rows():
 
 
 @pytest.mark.parametrize("constrained", [(), (ITEMS,)])
-def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(constrained):
+def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_mean(
+    constrained: tuple[Array, ...],
+) -> None:
     linear = toy(constrained=constrained)
     rows, _ = dense(linear, mean_of_trials=True)
     inverse = np.linalg.inv(rows.T @ rows)[:P, :P]
@@ -80,7 +89,7 @@ def test_the_covariance_is_that_of_the_stacked_rows_and_of_a_draw_of_the_trials_
 
 
 @pytest.mark.parametrize("constrained", [(), (ITEMS,)])
-def test_projection_leaves_the_residual_of_least_squares(constrained):
+def test_projection_leaves_the_residual_of_least_squares(constrained: tuple[Array, ...]) -> None:
     linear = toy(constrained=constrained)
     rows, values = dense(linear)
     left = values - rows @ np.linalg.lstsq(rows, values, rcond=None)[0]
@@ -88,7 +97,7 @@ def test_projection_leaves_the_residual_of_least_squares(constrained):
     assert linear.projection.missed == pytest.approx(left[:size], abs=1e-6)
 
 
-def test_a_constrained_mean_is_nothing_that_parameters_can_fit():
+def test_a_constrained_mean_is_nothing_that_parameters_can_fit() -> None:
     """All items together are a direction that the fit does not have: what looks like it is left."""
     free, constrained = toy().projection, toy(constrained=(ITEMS,)).projection
     together = toy().columns[:, ITEMS].sum(1)
@@ -98,7 +107,7 @@ def test_a_constrained_mean_is_nothing_that_parameters_can_fit():
     assert np.linalg.norm(constrained(apart)) < 0.05 * np.linalg.norm(apart)
 
 
-def test_a_projected_change_brings_its_share_of_the_random_effects():
+def test_a_projected_change_brings_its_share_of_the_random_effects() -> None:
     linear = toy()
     rows, _ = dense(linear)
     change, random_effect = np.linspace(-1.0, 2.0, sum(SIZES)), np.array([0.02, -0.03, 0.01])
@@ -109,7 +118,7 @@ def test_a_projected_change_brings_its_share_of_the_random_effects():
     assert linear.projection(change, random_effect) == pytest.approx(left, abs=1e-9)
 
 
-def test_projected_means_are_those_of_the_averaged_rows():
+def test_projected_means_are_those_of_the_averaged_rows() -> None:
     linear = toy()
     means = np.linalg.qr(np.random.default_rng(6).standard_normal((sum(SIZES), 15)))[0].T
     rows, values = dense(linear)
@@ -119,7 +128,7 @@ def test_projected_means_are_those_of_the_averaged_rows():
     assert Projection(linear, means).missed == pytest.approx(left, abs=1e-9)
 
 
-def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row():
+def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row() -> None:
     linear = toy()
     rows, _ = dense(linear)
     unit = np.zeros(len(rows))
@@ -129,7 +138,9 @@ def test_the_stated_rigidity_against_the_data_is_the_projection_of_its_own_row()
 
 
 @pytest.mark.parametrize("constrained", [(), (ITEMS,)])
-def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained):
+def test_without_a_trial_the_covariance_is_that_of_the_other_rows(
+    constrained: tuple[Array, ...],
+) -> None:
     linear = toy(constrained=constrained)
     shared = np.r_[0:P, P + T : P + T + Q]
     rows, _ = dense(linear, trials=(0, 2))
@@ -141,7 +152,7 @@ def test_without_a_trial_the_covariance_is_that_of_the_other_rows(constrained):
         assert curvature @ covariance == pytest.approx(np.eye(shared.size), abs=1e-6)
 
 
-def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_with_its_random_effect_profiled_out():
+def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_with_its_random_effect_profiled_out() -> None:
     linear = toy()
     terms, at = linear.trials[1], 0.05
     rows = np.vstack([np.insert(terms.shared, 0, terms.random_effect, axis=1), np.zeros((1, 1 + P + Q))])
@@ -154,15 +165,16 @@ def test_a_trial_pushes_the_shared_parameters_as_its_rows_do_with_its_random_eff
     assert terms.information() == pytest.approx(freed.T @ freed, abs=1e-6)
 
 
-def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_constrained():
+def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_constrained() -> None:
     assert toy().rank == 4
     assert toy(constrained=(ITEMS,)).rank == 3
     assert toy(blind=True).rank == 3
 
 
-def test_the_loosest_direction_is_the_one_in_which_two_parameters_stand_for_each_other():
+def test_the_loosest_direction_is_the_one_in_which_two_parameters_stand_for_each_other() -> None:
     linear = toy(alike=True)
     move = linear.loosest()
+    assert move is not None
     rows, _ = dense(linear, mean_of_trials=True)
     assert move[3] == pytest.approx(-move[4], rel=0.01)
     assert np.abs(move[[2, 5]]).max() < 0.02 * abs(move[3])
@@ -171,7 +183,7 @@ def test_the_loosest_direction_is_the_one_in_which_two_parameters_stand_for_each
     assert np.abs((rows.T @ rows @ move)[others]).max() < 1e-3 * np.abs(rows.T @ rows)[others].max()
 
 
-def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it():
+def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it() -> None:
     random = np.random.default_rng(7)
     covariance = np.diag([0.1, 0.2, 0.05]) + 0.02
     columns = random.standard_normal((5, 4))
@@ -181,7 +193,7 @@ def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it():
     assert prediction_covariance(covariance, 0.3**2, columns) == pytest.approx(seen, abs=0.02)
 
 
-def test_of_trials_with_friction_of_one_kind_the_mean_makes_no_new_direction():
+def test_of_trials_with_friction_of_one_kind_the_mean_makes_no_new_direction() -> None:
     """Where a trial's own friction acts as that of all does, only its prior tells of the trials' mean."""
     linear = toy(lumped=False)
     mean = np.zeros(P + T + Q)

@@ -7,25 +7,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
+from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation import multistart
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.cross_validation import cross_validate
-from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.multistart import over_forms
 from needle_rig.workbench.estimation.parameters import free_parameters, make_effects, scaled_values_of
 from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
-from needle_rig.workbench.selection.search import try_effect
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, fit, try_effect
 
 EVERY = find_effects()
 
 
 @given(name=st.sampled_from(sorted(EVERY)), strength=st.floats(0.02, 1.5))
-def test_scaled_values_and_values_are_inverse(name, strength):
+def test_scaled_values_and_values_are_inverse(name: str, strength: float) -> None:
     parameters = free_parameters(EVERY, [name], dataset().layout)
     scaled_values = np.array(
         [
@@ -38,7 +40,7 @@ def test_scaled_values_and_values_are_inverse(name, strength):
 
 
 @pytest.mark.parametrize("name", sorted(EVERY))
-def test_off_is_the_origin(name):
+def test_off_is_the_origin(name: str) -> None:
     parameters = free_parameters(EVERY, [name], dataset().layout)
     made = make_effects(EVERY, parameters, np.zeros(len(parameters)))[0]
     assert made.is_off()
@@ -50,7 +52,7 @@ def test_off_is_the_origin(name):
             assert 0 < parameter.smallest < 1.2
 
 
-def test_the_null_model_finds_friction_and_the_noise():
+def test_the_null_model_finds_friction_and_the_noise() -> None:
     baseline = fit_baseline(dataset(), None, few())
     friction = np.exp(baseline.current.vector.log_friction)
     assert friction * 100 == pytest.approx(0.0996, rel=0.03)
@@ -59,7 +61,7 @@ def test_the_null_model_finds_friction_and_the_noise():
     assert 0.7 < baseline.current.chi2 / baseline.problem.size < 1.15
 
 
-def test_a_hidden_stiffness_is_found_within_its_error():
+def test_a_hidden_stiffness_is_found_within_its_error() -> None:
     baseline = fit_baseline(
         dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
     )
@@ -75,7 +77,7 @@ def test_a_hidden_stiffness_is_found_within_its_error():
     assert predictive_gain(baseline.validation, found.validation) > 0
 
 
-def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
+def test_a_trend_of_friction_over_a_few_trials_is_no_evidence() -> None:
     parent = fit_baseline(dataset(), None, few()).current
     gain = 2.0 * parent.scatter_dof * math.log(2.0)
     seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
@@ -86,21 +88,21 @@ def test_a_trend_of_friction_over_a_few_trials_is_no_evidence():
     assert adjusted_p(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
 
 
-def test_a_child_is_never_worse_than_its_parent():
+def test_a_child_is_never_worse_than_its_parent() -> None:
     baseline = fit_baseline(dataset(), None, few())
     for name in few():
         found = try_effect(baseline.problem, baseline.current, name).fit
         assert found.objective < baseline.current.objective + 1.0
 
 
-def test_cross_validation_needs_a_second_command():
+def test_cross_validation_needs_a_second_command() -> None:
     data = dataset()
     one = dataclasses.replace(data, trials=tuple(data.trials[i] for i in (0, 1, 4)))
     baseline = fit_baseline(one, None, few())
     assert cross_validate(baseline.problem, baseline.current).error == float("inf")
 
 
-def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
+def test_strengths_that_can_only_grow_one_way_have_one_sided_axes() -> None:
     one_sided = {
         "tissue_elasticity",
         "tissue_viscoelasticity",
@@ -116,7 +118,7 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes():
 
 
 @pytest.mark.parametrize("name", ["tip_friction", "guide_friction", "platform_friction"])
-def test_a_trial_s_random_effect_scales_lumped_friction_too(name):
+def test_a_trial_s_random_effect_scales_lumped_friction_too(name: str) -> None:
     """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
     quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
     baseline = fit_baseline(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
@@ -135,12 +137,12 @@ def test_a_trial_s_random_effect_scales_lumped_friction_too(name):
     ("names", "lumped"),
     [((), False), (("tissue_elasticity", "layered_friction"), False), (("tip_friction",), True)],
 )
-def test_only_lumped_friction_needs_a_derivative_of_its_own(names, lumped):
+def test_only_lumped_friction_needs_a_derivative_of_its_own(names: tuple[str, ...], lumped: bool) -> None:
     problem = fit_baseline(dataset(), None, few(*names) if names else few()).problem
     assert problem.lumps_friction(problem.parameters(names)) is lumped
 
 
-def test_derivatives_by_a_random_effect_are_those_of_its_simulation():
+def test_derivatives_by_a_random_effect_are_those_of_its_simulation() -> None:
     data = dataset(effect("tip_friction", torque_nmm=0.03))
     baseline = fit_baseline(data, None, few("tip_friction"))
     problem = baseline.problem
@@ -155,7 +157,7 @@ def test_derivatives_by_a_random_effect_are_those_of_its_simulation():
     assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)
 
 
-def test_commands_left_out_are_predicted_at_their_random_effects():
+def test_commands_left_out_are_predicted_at_their_random_effects() -> None:
     """15 % scatter is far from linear: simulated again at each trial's own friction, the noise is met."""
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
     baseline = fit_baseline(data, None, few("tip_friction"))
@@ -164,7 +166,7 @@ def test_commands_left_out_are_predicted_at_their_random_effects():
     assert found.validation.error < 1.1
 
 
-def left_out_and_fitted_again(problem, found):
+def left_out_and_fitted_again(problem: Problem, found: Fit) -> float:
     """The error by the long way: a fit to the other commands, then the own friction at its minimum of χ²."""
     chi2 = 0.0
     for group in problem.groups:
@@ -180,11 +182,11 @@ def left_out_and_fitted_again(problem, found):
         model = problem.model(again.parameters, again.vector)
         for t in group:
 
-            def of(own, model=model, again=again, t=t):
+            def of(own: float, model: NeedleModel = model, again: Fit = again, t: int = t) -> float:
                 with_own = model.with_effects(FrictionOfTrial(math.exp(own)))
                 rows = problem.residuals(problem.readings([with_own], [t]), [t])[0]
                 rows = rows - problem.nuisance[t] @ again.nuisance
-                return rows @ rows + (own / found.scatter) ** 2
+                return float(rows @ rows + (own / found.scatter) ** 2)
 
             near = found.vector.trial_friction[t]
             grid = np.linspace(near - 0.1, near + 0.1, 41)
@@ -202,7 +204,9 @@ def left_out_and_fitted_again(problem, found):
         (effect("chuck_backlash", play_deg=3.0), 0.05, 10),
     ],
 )
-def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, seed):
+def test_leaving_commands_out_is_what_fitting_the_others_gives(
+    hidden: Effect, scatter: float, seed: int
+) -> None:
     data = dataset(hidden, noise=Noise(friction_scatter=scatter), seed=seed)
     baseline = fit_baseline(data, None, few(hidden.name()))
     found = try_effect(baseline.problem, baseline.current, hidden.name())
@@ -211,7 +215,7 @@ def test_leaving_commands_out_is_what_fitting_the_others_gives(hidden, scatter, 
     assert found.validation.error == pytest.approx(exact, rel=0.01)
 
 
-def test_leaving_a_command_out_may_take_several_steps():
+def test_leaving_a_command_out_may_take_several_steps() -> None:
     """From a place where the other commands would not leave the parameters, one linear step is not enough."""
     data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     baseline = fit_baseline(data, None, few())
@@ -229,7 +233,7 @@ def test_leaving_a_command_out_may_take_several_steps():
     "hidden",
     [effect("torque_bias", bias_nmm=0.012), effect("layered_friction", factor=(1.6, 0.8, 1.2, 1.2))],
 )
-def test_the_predictive_density_is_that_of_a_linear_model(hidden):
+def test_the_predictive_density_is_that_of_a_linear_model(hidden: Effect) -> None:
     """Near the minimum all is linear: the other commands' posterior, and the density it gives to the rest."""
     data = dataset(hidden, noise=Noise(friction_scatter=0.01))
     baseline = fit_baseline(data, None, few(hidden.name()))
@@ -260,7 +264,7 @@ def test_the_predictive_density_is_that_of_a_linear_model(hidden):
     assert cross_validate(problem, found).loss == pytest.approx(loss, abs=1.0)
 
 
-def test_wear_that_one_command_shows_foretells_better_than_scatter():
+def test_wear_that_one_command_shows_foretells_better_than_scatter() -> None:
     data = dataset(effect("friction_wear", loss_per_turn=0.5))
     baseline = fit_baseline(data, None, few("friction_wear"))
     found = try_effect(baseline.problem, baseline.current, "friction_wear")
@@ -268,7 +272,7 @@ def test_wear_that_one_command_shows_foretells_better_than_scatter():
     assert predictive_gain(baseline.validation, found.validation) > 5.0
 
 
-def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
+def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart() -> None:
     """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
     noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
     data = dataset(effect("friction_wear", loss_per_turn=0.06), noise=noise, seed=3)
@@ -278,7 +282,7 @@ def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart():
     assert found.vector.scaled_values[0] == pytest.approx(1.0, abs=0.1)
 
 
-def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
+def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean() -> None:
     data = dataset(effect("tip_friction", torque_nmm=0.035), noise=Noise(friction_scatter=0.15), seed=8)
     baseline = fit_baseline(data, None, few("tip_friction"))
     found = try_effect(baseline.problem, baseline.current, "tip_friction").fit
@@ -288,7 +292,7 @@ def test_what_friction_can_stand_for_is_as_uncertain_as_the_trials_mean():
     assert abs(found.parameters[0].value(found.vector.scaled_values[0]) - 0.035) < 0.035 * 3 * mean
 
 
-def test_factors_of_sections_count_against_their_mean():
+def test_factors_of_sections_count_against_their_mean() -> None:
     """What all sections share is friction, to the last digit: only their ratios can be known, and are."""
     given = np.array([1.6, 0.8, 1.2, 1.2])
     baseline = fit_baseline(
@@ -307,7 +311,9 @@ def test_factors_of_sections_count_against_their_mean():
     assert cross_validate(baseline.problem, found).error < 1.1
 
 
-def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(monkeypatch):
+def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(
         baseline.current.vector, scaled_values=np.zeros(len(EVERY["stribeck"].parameters()))
@@ -315,7 +321,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
     found = fit(baseline.problem, ["stribeck"], start)
     assert found is not None
 
-    def moved(by, worse):
+    def moved(by: float, worse: float) -> Fit:
         scaled_values = found.vector.scaled_values.copy()
         scaled_values[0] += by
         vector = dataclasses.replace(found.vector, scaled_values=scaled_values)
@@ -328,7 +334,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(mo
     assert spread[1:] == pytest.approx(found.scaled_errors[1:], rel=1e-6)
 
 
-def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest():
+def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest() -> None:
     baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
     start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, 0.0]))
     stuck = fit(baseline.problem, ["stribeck"], start)

@@ -12,13 +12,20 @@ from needle_rig.workbench.estimation import discretisation_error
 
 
 @pytest.mark.parametrize(("sigmas", "driven_finely"), [(3.5, False), (7.0, True)])
-def test_a_discretisation_error_of_five_sigmas_is_no_straight_nuisance(monkeypatch, sigmas, driven_finely):
+def test_a_discretisation_error_of_five_sigmas_is_no_straight_nuisance(
+    monkeypatch: pytest.MonkeyPatch, sigmas: float, driven_finely: bool
+) -> None:
     finely = []
+
+    def by_every_sample(problem: Any, found: Any, _: object) -> tuple[Any, Any]:
+        finely.append(1)
+        return problem, found
+
     monkeypatch.setattr(discretisation_error, "whitened_error", lambda *_: (np.array([[sigmas]]),))
     monkeypatch.setattr(
         discretisation_error, "_as_first_nuisance", lambda problem, found, _: (problem, found)
     )
-    monkeypatch.setattr(discretisation_error, "by_every_sample", lambda *a: finely.append(1) or a[:2])
+    monkeypatch.setattr(discretisation_error, "by_every_sample", by_every_sample)
     monkeypatch.setattr(discretisation_error, "over_forms", lambda _, found, __: found)
     monkeypatch.setattr(discretisation_error, "_multiple_imputation", lambda _, found, __: found)
     problem: Any = SimpleNamespace(size=100)

@@ -1,10 +1,15 @@
 import dataclasses
 import pickle
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
 from needle_rig.errors import SolverError
+from needle_rig.physics.rod import Rod
+from needle_rig.physics.solver import Solution, solve_batch
 from needle_rig.workbench.estimation import simulator as simulator_module
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.estimation.posterior import start_vector
@@ -15,26 +20,26 @@ from needle_rig.workbench.observations.noise import measure_noise
 from tests.workbench.hidden import dataset, few
 
 
-def problem_of(data):
+def problem_of(data: Dataset) -> Problem:
     trials = tuple(bin_trial(t) for t in data.trials)
     base = dataclasses.replace(null_model(data), element_length_m=4e-3)
     return Problem("toy", base, few(), trials, measure_noise(data.trials, trials), 0.02)
 
 
 @pytest.fixture
-def solved(monkeypatch):
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many rods each call solved."""
-    counts, solve = [], simulator_module.solve_batch
+    counts: list[int] = []
 
-    def counted(rods, inputs, **options):
+    def counted(rods: Sequence[Rod], inputs: Any, **options: Any) -> list[Solution]:
         counts.append(len(rods))
-        return solve(rods, inputs, **options)
+        return solve_batch(rods, inputs, **options)
 
     monkeypatch.setattr(simulator_module, "solve_batch", counted)
     return counts
 
 
-def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved):
+def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved: list[int]) -> None:
     problem = problem_of(dataset())
     vector = start_vector(problem, np.log(1e-3))
     first = problem.predict((), vector)
@@ -47,7 +52,7 @@ def test_what_moves_the_needle_is_solved_once_and_seen_by_other_sensors(solved):
     assert all(np.ptp((b - a)[0]) < 1e-12 < abs((b - a)[0, 0]) for a, b in zip(first, biased, strict=True))
 
 
-def test_another_path_of_the_same_trial_is_solved_again(solved):
+def test_another_path_of_the_same_trial_is_solved_again(solved: list[int]) -> None:
     problem = problem_of(dataset())
     vector = start_vector(problem, np.log(1e-3))
     before = problem.predict((), vector)
@@ -65,7 +70,7 @@ def test_another_path_of_the_same_trial_is_solved_again(solved):
         assert not np.allclose(seen, old)
 
 
-def test_other_means_and_noise_share_what_was_solved(solved):
+def test_other_means_and_noise_share_what_was_solved(solved: list[int]) -> None:
     problem = problem_of(dataset())
     vector = start_vector(problem, np.log(1e-3))
     means = problem.predict((), vector)
@@ -79,7 +84,7 @@ def test_other_means_and_noise_share_what_was_solved(solved):
     assert louder.whiteners is not problem.whiteners
 
 
-def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_solved():
+def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_solved() -> None:
     problem = problem_of(dataset())
     size = len(pickle.dumps(problem))
     vector = start_vector(problem, np.log(1e-3))
@@ -88,10 +93,10 @@ def test_a_problem_does_not_change_and_goes_to_another_process_without_what_was_
     there = pickle.loads(pickle.dumps(problem)).predict((), vector)
     assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
     with pytest.raises(dataclasses.FrozenInstanceError):
-        problem.noise = None  # type: ignore[misc]
+        problem.noise = None  # type: ignore[misc, assignment]
 
 
-def test_only_so_much_is_kept(monkeypatch):
+def test_only_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulator_module, "CACHE_ENTRIES", 7)
     problem = problem_of(dataset())
     for friction_n in (1e-3, 2e-3, 4e-3):
@@ -99,7 +104,7 @@ def test_only_so_much_is_kept(monkeypatch):
     assert len(problem.simulator._kept) == 7 < CACHE_ENTRIES
 
 
-def test_a_needle_that_takes_too_many_solves_is_not_followed_even_when_it_is_known():
+def test_a_needle_that_takes_too_many_solves_is_not_followed_even_when_it_is_known() -> None:
     problem = problem_of(dataset())
     vector = start_vector(problem, np.log(1e-3))
     problem.predict((), vector)

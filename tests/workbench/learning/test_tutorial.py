@@ -67,4 +67,5 @@ def test_every_command_prints_what_the_page_shows(
 def test_a_changed_line_would_be_noticed(change: str) -> None:
     line = "present: stiffness = 0.3503 (95 %)"
     assert same(line, line)
-    assert not same(line, line.replace(*change.split(" to ")))
+    old, new = change.split(" to ")
+    assert not same(line, line.replace(old, new))

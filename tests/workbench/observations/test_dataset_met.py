@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,19 +20,25 @@ SCATTER, RIGIDITY_SIGMA = 0.02, 0.02
 EFFECTS = find_effects()
 Make = Callable[[np.ndarray], tuple[Effect, ...]]
 
+
+def made(name: str, *values: Any) -> Effect:
+    make: Callable[..., Effect] = EFFECTS[name]
+    return make(*values)
+
+
 CASES: dict[str, tuple[Make, list[float], list[float]]] = {
     "none": (lambda x: (), [], []),
-    "elastic": (lambda x: (EFFECTS["tissue_elasticity"](x[0]),), [0.4], [0.01]),
-    "layers": (lambda x: (EFFECTS["layered_friction"](tuple(x)),), [0.5, 0.8, 1.2, 1.5], [0.01] * 4),
-    "backlash": (lambda x: (EFFECTS["chuck_backlash"](x[0]),), [5.0], [0.05]),
-    "bias": (lambda x: (EFFECTS["torque_bias"](x[0]),), [0.01], [1e-3]),
+    "elastic": (lambda x: (made("tissue_elasticity", x[0]),), [0.4], [0.01]),
+    "layers": (lambda x: (made("layered_friction", tuple(x)),), [0.5, 0.8, 1.2, 1.5], [0.01] * 4),
+    "backlash": (lambda x: (made("chuck_backlash", x[0]),), [5.0], [0.05]),
+    "bias": (lambda x: (made("torque_bias", x[0]),), [0.01], [1e-3]),
     "two": (
-        lambda x: (EFFECTS["tissue_elasticity"](x[0]), EFFECTS["tip_friction"](x[1])),
+        lambda x: (made("tissue_elasticity", x[0]), made("tip_friction", x[1])),
         [0.4, 0.03],
         [0.01, 0.001],
     ),
 }
-TRUTH = {
+TRUTH: dict[str, list[float]] = {
     "none": [],
     "elastic": [0.45],
     "layers": [0.3, 0.8, 1.3, 1.6],
@@ -53,7 +60,7 @@ class Fit:
     def residuals(self, shared: np.ndarray, own: np.ndarray, every: int = 4) -> list[np.ndarray]:
         """Of each trial (samples, channels), in units of the noise."""
         rigidity = self.dataset.needle.torsional_rigidity_nm2 * np.exp(shared[1])
-        effects = (*self.make(shared[3:]), EFFECTS["viscous_slip"](max(shared[2], 0.0)))
+        effects = (*self.make(shared[3:]), made("viscous_slip", max(shared[2], 0.0)))
         model = NeedleModel("fit", self.dataset.layout, rigidity, per_length_n(shared[0]), effects)
         models = [model.with_effects(FrictionOfTrial(1.0 + f)) for f in own]
         trials = [

@@ -3,18 +3,26 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset import Dataset
+from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
-from needle_rig.workbench.observations.binning import bin_trial, set_aside
-from needle_rig.workbench.observations.noise import covariance, measure_noise, replicate_groups, whitener
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, set_aside
+from needle_rig.workbench.observations.noise import (
+    Noise,
+    covariance,
+    measure_noise,
+    replicate_groups,
+    whitener,
+)
 from tests.workbench.hidden import dataset
 
 
-def measured(data):
+def measured(data: Dataset) -> tuple[Noise, tuple[BinnedTrial, ...]]:
     binned = tuple(bin_trial(t) for t in data.trials)
     return measure_noise(data.trials, binned), binned
 
 
-def test_white_noise_is_what_was_put_in():
+def test_white_noise_is_what_was_put_in() -> None:
     noise, _ = measured(dataset())
     assert noise.white[0] == pytest.approx(nm(0.0008), rel=0.06)
     assert noise.white[1:] == pytest.approx(rad(0.25), rel=0.06)
@@ -22,14 +30,14 @@ def test_white_noise_is_what_was_put_in():
     assert noise.replicates == 2
 
 
-def test_correlated_noise_is_seen_as_correlated():
+def test_correlated_noise_is_seen_as_correlated() -> None:
     data = dataset()
     random = np.random.default_rng(3)
     trials = []
     for given in data.trials:
         step = np.median(np.diff(given.trial.time_s))
         keep = np.exp(-step / 0.2)
-        slow = np.zeros(given.hall_rad.shape)
+        slow: Array = np.zeros(given.hall_rad.shape)
         for i in range(1, len(slow)):
             slow[i] = keep * slow[i - 1] + np.sqrt(1 - keep**2) * rad(0.4) * random.standard_normal(
                 slow.shape[1]
@@ -41,7 +49,7 @@ def test_correlated_noise_is_seen_as_correlated():
     assert noise.correlated[0] == 0.0
 
 
-def test_offsets_from_trial_to_trial_are_seen_at_rest():
+def test_offsets_from_trial_to_trial_are_seen_at_rest() -> None:
     data = dataset()
     shifts = rad(np.array([1.0, -1.0, 0.5, 1.5, -2.0]))
     trials = tuple(
@@ -53,7 +61,7 @@ def test_offsets_from_trial_to_trial_are_seen_at_rest():
     assert np.all(noise.offset[1:] < rad(3.0))
 
 
-def test_outliers_and_holes_do_not_move_bin_means():
+def test_outliers_and_holes_do_not_move_bin_means() -> None:
     data = dataset()
     clean = bin_trial(data.trials[0])
     hall = data.trials[0].hall_rad.copy()
@@ -65,14 +73,14 @@ def test_outliers_and_holes_do_not_move_bin_means():
     assert np.nanmax(np.abs(spoiled.mean[1] - clean.mean[1])) < rad(0.25)
 
 
-def test_a_slow_ramp_has_no_outliers():
+def test_a_slow_ramp_has_no_outliers() -> None:
     random = np.random.default_rng(0)
     values = np.linspace(0, 90, 2000) + 0.25 * random.standard_normal(2000)
     _, _, outlier = set_aside(values)
     assert outlier.sum() <= 2
 
 
-def test_whitened_noise_is_white():
+def test_whitened_noise_is_white() -> None:
     noise, binned = measured(dataset())
     use, matrix = covariance(noise, binned[0], 2)
     lower = np.linalg.cholesky(matrix)
@@ -85,6 +93,6 @@ def test_whitened_noise_is_white():
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
 
 
-def test_replicates_are_trials_of_one_command():
+def test_replicates_are_trials_of_one_command() -> None:
     data = dataset()
     assert replicate_groups([t.command for t in data.trials]) == [[0, 1, 4], [2], [3]]

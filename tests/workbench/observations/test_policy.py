@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.observations.binning import bin_trial, direction_of, motions_of, set_aside
+from needle_rig.workbench.observations.binning import (
+    BinnedTrial,
+    bin_trial,
+    direction_of,
+    motions_of,
+    set_aside,
+)
 from needle_rig.workbench.observations.noise import (
     _rest_offsets,
     _split,
@@ -21,12 +27,12 @@ from tests.workbench.hidden import dataset
 
 
 @pytest.fixture(scope="module")
-def binned():
+def binned() -> tuple[BinnedTrial, ...]:
     return tuple(bin_trial(t) for t in dataset().trials)
 
 
 @pytest.mark.parametrize(("drift_deg", "stop"), [(0.08, 1), (0.17, 50)])
-def test_a_base_within_an_eighth_of_a_degree_holds_still(drift_deg, stop):
+def test_a_base_within_an_eighth_of_a_degree_holds_still(drift_deg: float, stop: int) -> None:
     base_rad = rad(np.r_[5.0, np.full(49, drift_deg), np.zeros(150)])
     ((_, found, _),) = motions_of(base_rad, np.full(200, "hold"))
     assert found == stop
@@ -35,27 +41,27 @@ def test_a_base_within_an_eighth_of_a_degree_holds_still(drift_deg, stop):
 @pytest.mark.parametrize(
     ("move_rad", "direction"), [(0.007, 0.0), (-0.007, 0.0), (0.014, 1.0), (-0.014, -1.0)]
 )
-def test_a_motion_of_half_a_degree_has_no_direction(move_rad, direction):
+def test_a_motion_of_half_a_degree_has_no_direction(move_rad: float, direction: float) -> None:
     assert direction_of(np.array([move_rad])) == [direction]
 
 
-def test_with_few_rests_the_offset_is_seven_tenths_of_the_floor(binned):
+def test_with_few_rests_the_offset_is_seven_tenths_of_the_floor(binned: tuple[BinnedTrial, ...]) -> None:
     assert _rest_offsets(binned[:2], np.tile([1.0, 0.0, 0.1], (5, 1)), np.full(5, 2.0)) == pytest.approx(1.4)
 
 
 @pytest.mark.parametrize(("sigmas", "outlier"), [(7.0, False), (11.0, True)])
-def test_an_outlier_lies_far_from_its_neighbours(sigmas, outlier):
+def test_an_outlier_lies_far_from_its_neighbours(sigmas: float, outlier: bool) -> None:
     values = np.random.default_rng(1).standard_normal(400)
     values[200] = sigmas
     assert bool(set_aside(values)[2][200]) is outlier
 
 
-def test_floors_are_what_the_solver_promises():
+def test_floors_are_what_the_solver_promises() -> None:
     assert nmm(floors(3)[0]) == pytest.approx(1.5e-4)
     assert deg(floors(3)[1]) == pytest.approx(0.03)
 
 
-def test_what_is_assumed_before_any_replicate(binned):
+def test_what_is_assumed_before_any_replicate(binned: tuple[BinnedTrial, ...]) -> None:
     noise = measure_noise(dataset().trials, binned)
     assert (noise.jitter_s, noise.scatter, noise.scatter_dof) == (1e-3, 0.025, 4.0)
 
@@ -72,12 +78,14 @@ def _slow_noise(size: float) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(("size", "seen"), [(0.22, False), (0.33, True)])
-def test_noise_is_correlated_only_at_high_odds(size, seen):
+def test_noise_is_correlated_only_at_high_odds(size: float, seen: bool) -> None:
     assert (_split(_slow_noise(size), 0.01)[1] > 0.0) is seen
 
 
 @pytest.mark.parametrize(("times", "seen"), [(1.4, False), (2.8, True)])
-def test_offsets_must_stand_out_of_the_scatter_of_the_rests(binned, times, seen):
+def test_offsets_must_stand_out_of_the_scatter_of_the_rests(
+    binned: tuple[BinnedTrial, ...], times: float, seen: bool
+) -> None:
     rests = [b for b in binned if b.motion[0] == 0]
     parts = np.tile([1.0, 0.0, 0.1], (5, 1))
     each = []
@@ -94,7 +102,7 @@ def test_offsets_must_stand_out_of_the_scatter_of_the_rests(binned, times, seen)
     assert bool(np.all(found > 1e-6)) is seen
 
 
-def test_the_floor_of_motions_is_worth_ten_differences(binned):
+def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial, ...]) -> None:
     noise = dataclasses.replace(
         measure_noise(dataset().trials, binned), white=np.full(5, 1e-12), offset=np.zeros(5)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from needle_rig.workbench.learning.observations import SettledValues, Traces
 from needle_rig.workbench.observations.sources import read_measurements
 
 
-def rewritten(tmp_path, run_path, change):
+def rewritten(tmp_path: Path, run_path: Path, change: Callable[[np.ndarray], None]) -> Path:
     """A copy of the run with its ticks changed."""
     whole = RunFile(run_path)
     ticks = whole.table("ticks")
@@ -26,7 +27,7 @@ def rewritten(tmp_path, run_path, change):
     return path
 
 
-def test_runs_and_folders_of_one_rig_are_one_series(tmp_path, run_path):
+def test_runs_and_folders_of_one_rig_are_one_series(tmp_path: Path, run_path: Path) -> None:
     alone = read_measurements([run_path])
     assert len(alone.trials) == 1
     assert alone.trials[0].torque_ok.all()
@@ -38,7 +39,7 @@ def test_runs_and_folders_of_one_rig_are_one_series(tmp_path, run_path):
         read_measurements([])
 
 
-def test_commands_take_runs_and_names_of_datasets(tmp_path, run_path):
+def test_commands_take_runs_and_names_of_datasets(tmp_path: Path, run_path: Path) -> None:
     from needle_rig.cli._workbench import read_data, read_observations
 
     assert len(read_data((run_path,)).trials) == 1
@@ -52,8 +53,8 @@ def test_commands_take_runs_and_names_of_datasets(tmp_path, run_path):
         read_data((Path("nowhere"),))
 
 
-def test_gaps_of_a_run_are_masked_and_said(tmp_path, run_path):
-    def spoil(ticks):
+def test_gaps_of_a_run_are_masked_and_said(tmp_path: Path, run_path: Path) -> None:
+    def spoil(ticks: np.ndarray) -> None:
         ticks["torque_nm"][300:340] = np.nan
         ticks["hall_rad"][:, 2] = np.nan
 
@@ -65,10 +66,10 @@ def test_gaps_of_a_run_are_masked_and_said(tmp_path, run_path):
     assert any("hall_3 is missing in every sample" in note for note in dataset.notes)
 
 
-def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path, run_path):
+def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path: Path, run_path: Path) -> None:
     whole = read_measurements([run_path]).trials[0].hall_rad[:, 3]
 
-    def wrap(ticks):
+    def wrap(ticks: np.ndarray) -> None:
         ticks["hall_rad"][:, 3] = (ticks["hall_rad"][:, 3] + 5.9) % (2 * np.pi) - 5.9
 
     dataset = read_measurements([rewritten(tmp_path, run_path, wrap)])
@@ -76,8 +77,10 @@ def test_a_wrapped_sensor_of_a_run_is_unwrapped(tmp_path, run_path):
     assert any("hall_4 wraps" in note for note in dataset.notes)
 
 
-def test_a_run_that_has_no_use_is_refused_with_its_place_and_the_reason(tmp_path, run_path):
-    def lose_the_base(ticks):
+def test_a_run_that_has_no_use_is_refused_with_its_place_and_the_reason(
+    tmp_path: Path, run_path: Path
+) -> None:
+    def lose_the_base(ticks: np.ndarray) -> None:
         ticks["base_angle_rad"] = np.nan
 
     changed = rewritten(tmp_path, run_path, lose_the_base)
@@ -87,7 +90,7 @@ def test_a_run_that_has_no_use_is_refused_with_its_place_and_the_reason(tmp_path
 
 
 @pytest.mark.parametrize("kept", [0.02, 0.3, 0.6, 0.97])
-def test_a_run_file_that_lost_its_end_is_refused(tmp_path, run_path, kept):
+def test_a_run_file_that_lost_its_end_is_refused(tmp_path: Path, run_path: Path, kept: float) -> None:
     cut = tmp_path / "cut.h5"
     content = run_path.read_bytes()
     cut.write_bytes(content[: int(len(content) * kept)])

@@ -5,10 +5,11 @@ import pytest
 
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.search import SearchTrace
 from tests.workbench.hidden import dataset, few
 
 
-def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step():
+def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step() -> None:
     """Next to stick-slip a step from 0 moves slips: errors of what was fitted there come out as good as 0."""
     search = diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
     candidates = {c.effect: c for c in search.children[search.best]}
@@ -25,22 +26,25 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step():
     search = dataclasses.replace(search, children={search.best: on_top})
     decision = decide(search, [], 1.0)["tissue_elasticity"]
     assert decision.decision == "absent"
+    assert decision.limit is not None
     assert np.isfinite(decision.limit)
 
 
 @pytest.fixture(scope="module")
-def nothing_found():
+def nothing_found() -> SearchTrace:
     return diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
 
 
 @pytest.mark.parametrize(("error", "told"), [(1.07, True), (np.inf, True), (1.13, False)])
-def test_nothing_is_absent_or_has_a_limit_while_commands_left_out_are_missed(nothing_found, error, told):
+def test_nothing_is_absent_or_has_a_limit_while_commands_left_out_are_missed(
+    nothing_found: SearchTrace, error: float, told: bool
+) -> None:
     decisions = decide(nothing_found, [], error).values()
     assert any(d.decision in ("absent", "negligible") for d in decisions) is told
     assert all(d.limit is not None for d in decisions) is told
 
 
-def test_what_is_present_stays_so_while_commands_left_out_are_missed(nothing_found):
+def test_what_is_present_stays_so_while_commands_left_out_are_missed(nothing_found: SearchTrace) -> None:
     key = frozenset(["torque_bias"])
     search = dataclasses.replace(nothing_found, best=key)
     decisions = decide(search, ["torque_bias"], 1.13)

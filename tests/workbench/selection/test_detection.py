@@ -3,15 +3,15 @@
 import math
 
 import pytest
+from detection import at_strength, detection_limit, smallest_strength
 
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.virtual.noise import Noise
-from scripts.detection import at_strength, detection_limit, smallest_strength
 from tests.workbench.hidden import dataset, few
 
 
 @pytest.mark.parametrize("name", ["tissue_elasticity", "hall_offset"])
-def test_noisier_sensors_raise_the_limit(name):
+def test_noisier_sensors_raise_the_limit(name: str) -> None:
     limits = [
         detection_limit(fit_baseline(dataset(noise=noise), None, few()), name)
         for noise in (Noise(), Noise(hall_deg=2.0, torque_nmm=0.0064))
@@ -19,12 +19,12 @@ def test_noisier_sensors_raise_the_limit(name):
     assert 2.0 < limits[1] / limits[0] < 12.0
 
 
-def test_an_effect_that_the_data_cannot_show_has_no_limit():
+def test_an_effect_that_the_data_cannot_show_has_no_limit() -> None:
     deaf = fit_baseline(dataset(noise=Noise(torque_nmm=20.0)), None, few())
     assert detection_limit(deaf, "torque_bias") == math.inf
 
 
-def test_signs_alternate_over_sensors_and_follow_the_turn():
+def test_signs_alternate_over_sensors_and_follow_the_turn() -> None:
     problem = fit_baseline(dataset(), None, few()).problem
     offsets = at_strength(problem.parameters(["hall_offset"]), 2.0, turn=-1.0)
     assert offsets.tolist() == [-2.0, 2.0, -2.0, 2.0]
@@ -32,7 +32,7 @@ def test_signs_alternate_over_sensors_and_follow_the_turn():
     assert smallest_strength(problem.parameters(["hall_offset"])) > 0
 
 
-def test_what_the_random_effects_can_absorb_shows_only_above_its_scatter():
+def test_what_the_random_effects_can_absorb_shows_only_above_its_scatter() -> None:
     wear = few("friction_wear")
     baseline = fit_baseline(dataset(noise=Noise(friction_scatter=0.05)), None, wear)
     turns = baseline.problem.trials[-1].trial.travel_before_rad / math.tau

@@ -1,11 +1,13 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from needle_rig.dataset import in_series, read_dataset, write_dataset
+from needle_rig.physics.effect import Effect
 from needle_rig.units import nm
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import workers
@@ -13,13 +15,13 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.search import try_effect
-from tests.workbench.hidden import dataset, effect, few
+from tests.values import known
+from tests.workbench.hidden import dataset, effect, few, try_effect
 
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
 
 
-def test_nothing_hidden_is_none():
+def test_nothing_hidden_is_none() -> None:
     found = diagnose(dataset(seed=5), few())
     assert found.verdict == "none"
     assert found.effects == ()
@@ -27,7 +29,7 @@ def test_nothing_hidden_is_none():
     assert found.next_experiment is None
 
 
-def test_one_hidden_effect_is_named_with_its_size():
+def test_one_hidden_effect_is_named_with_its_size() -> None:
     found = diagnose(dataset(ELASTIC), few())
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     value = found.ranking[0].values[0]
@@ -39,13 +41,13 @@ def test_one_hidden_effect_is_named_with_its_size():
     assert found.decisions["tissue_elasticity"].decision == "present"
 
 
-def test_two_hidden_effects_are_both_named():
+def test_two_hidden_effects_are_both_named() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
     found = diagnose(data, few())
     assert set(found.effects) == {"torque_bias", "tip_friction"}
 
 
-def test_an_effect_in_no_library_is_unknown_and_described():
+def test_an_effect_in_no_library_is_unknown_and_described() -> None:
     found = diagnose(dataset(ELASTIC), few("torque_bias", "hall_offset", "clock_offset"))
     assert found.verdict == "unknown"
     assert found.effects == ()
@@ -54,7 +56,7 @@ def test_an_effect_in_no_library_is_unknown_and_described():
     assert found.as_json()["left_over"]["explained"] is False
 
 
-def test_a_needle_that_snaps_and_that_no_effect_foretells_is_called_stick_slip():
+def test_a_needle_that_snaps_and_that_no_effect_foretells_is_called_stick_slip() -> None:
     snapping = dataset(effect("stribeck", static_excess=1.0, rate_deg_s=11.5, weakening_deg=0.8))
     found = diagnose(snapping, few("torque_bias", "hall_offset"))
     assert found.verdict == "unknown"
@@ -64,7 +66,7 @@ def test_a_needle_that_snaps_and_that_no_effect_foretells_is_called_stick_slip()
     assert not any("too small to matter" in note for note in found.notes)
 
 
-def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
+def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     creeping = effect(
         "tissue_viscoelasticity",
         relaxed_stiffness_nmm_per_rad_per_100mm=0.35,
@@ -78,14 +80,14 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer():
     assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
 
 
-def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch):
+def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "refit", lambda *_: (None, None))
     found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "negligible"
 
 
-def test_an_effect_too_small_to_matter_is_negligible():
+def test_an_effect_too_small_to_matter_is_negligible() -> None:
     found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "negligible"
@@ -94,7 +96,7 @@ def test_an_effect_too_small_to_matter_is_negligible():
     assert directions == [1, 2]
 
 
-def test_a_torque_gain_is_known_by_the_needle_s_stated_constants():
+def test_a_torque_gain_is_known_by_the_needle_s_stated_constants() -> None:
     found = diagnose(
         dataset(effect("torque_gain", gain=0.7)), few("torque_gain", "torque_bias", "tip_friction")
     )
@@ -102,7 +104,7 @@ def test_a_torque_gain_is_known_by_the_needle_s_stated_constants():
     assert found.ranking[0].values[0].value == pytest.approx(0.7, abs=0.06)
 
 
-def test_friction_that_wears_is_not_taken_for_scatter():
+def test_friction_that_wears_is_not_taken_for_scatter() -> None:
     found = diagnose(
         dataset(effect("friction_wear", loss_per_turn=0.5)),
         few("friction_wear", "torque_bias", "tip_friction"),
@@ -118,14 +120,14 @@ def test_friction_that_wears_is_not_taken_for_scatter():
         (effect("friction_wear", loss_per_turn=0.5), "the trials' friction changes with"),
     ],
 )
-def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden, law):
+def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden: Effect, law: str) -> None:
     found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert law in found.residual_patterns.patterns[0].sentence()
     assert not found.residual_patterns.patterns[1:]
 
 
-def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
+def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
     none_at_any_value = dataclasses.replace(POLICY.verdict, at_any_value=0)
     monkeypatch.setattr(diagnose_module, "POLICY", dataclasses.replace(POLICY, verdict=none_at_any_value))
     found = diagnose(dataset(effect("chuck_backlash", play_deg=14.0)), few("chuck_backlash", "torque_bias"))
@@ -134,30 +136,30 @@ def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch):
     assert found.residual_patterns.patterns
 
 
-def test_the_answer_does_not_depend_on_names_and_order(tmp_path):
+def test_the_answer_does_not_depend_on_names_and_order(tmp_path: Path) -> None:
     data = dataset(ELASTIC)
     shuffled = tuple(data.trials[i] for i in (3, 0, 4, 2, 1))
     renamed = tuple(dataclasses.replace(t, file=f"other/{i}.csv") for i, t in enumerate(shuffled))
     other = dataclasses.replace(data, name="another", trials=in_series(renamed))
     one, two = diagnose(data, few()).as_json(), diagnose(other, few()).as_json()
-    one.pop("dataset"), two.pop("dataset")
-    assert one == two
+    assert one["dataset"] != two["dataset"]
+    assert {**one, "dataset": ""} == {**two, "dataset": ""}
 
 
 TWO = ("chuck_backlash", "torque_bias")
 
 
 @pytest.fixture(scope="module")
-def answer_here():
+def answer_here() -> Any:
     return diagnose(dataset(effect("chuck_backlash", play_deg=5.0)), few(*TWO)).as_json()
 
 
-def test_processes_give_the_same_answer(answer_here):
+def test_processes_give_the_same_answer(answer_here: Any) -> None:
     data = dataset(effect("chuck_backlash", play_deg=5.0))
     assert diagnose(data, few(*TWO), work=workers(2, None)).as_json() == answer_here
 
 
-def test_a_dask_cluster_gives_the_same_answer(answer_here):
+def test_a_dask_cluster_gives_the_same_answer(answer_here: Any) -> None:
     distributed = pytest.importorskip("distributed")
     data = dataset(effect("chuck_backlash", play_deg=5.0))
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
@@ -165,7 +167,7 @@ def test_a_dask_cluster_gives_the_same_answer(answer_here):
     assert there == answer_here
 
 
-def test_without_replicates_the_answer_says_so():
+def test_without_replicates_the_answer_says_so() -> None:
     data = dataset(ELASTIC)
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 2, 3))))
     found = diagnose(one, few("tissue_elasticity", "torque_bias"))
@@ -173,7 +175,7 @@ def test_without_replicates_the_answer_says_so():
     assert any("repeat one command" in n for n in found.notes)
 
 
-def test_outliers_are_not_physics():
+def test_outliers_are_not_physics() -> None:
     data = dataset(seed=7)
     random = np.random.default_rng(2)
     trials = []
@@ -187,7 +189,7 @@ def test_outliers_are_not_physics():
     assert any("outliers" in n for n in found.notes)
 
 
-def test_the_command_prints_the_stated_json(tmp_path, monkeypatch):
+def test_the_command_prints_the_stated_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 
     from needle_rig.cli.diagnose import command
@@ -213,7 +215,7 @@ def test_the_command_prints_the_stated_json(tmp_path, monkeypatch):
     assert "torque_bias missing" in plain.stdout
 
 
-def test_a_single_command_is_ranked_and_said_to_be_weak():
+def test_a_single_command_is_ranked_and_said_to_be_weak() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
     found = diagnose(one, few("torque_bias", "tip_friction"))
@@ -222,7 +224,7 @@ def test_a_single_command_is_ranked_and_said_to_be_weak():
     assert any("one command" in n for n in found.notes)
 
 
-def test_a_dead_sensor_does_not_stop_the_diagnosis():
+def test_a_dead_sensor_does_not_stop_the_diagnosis() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     trials = []
     for given in data.trials:
@@ -233,7 +235,7 @@ def test_a_dead_sensor_does_not_stop_the_diagnosis():
     assert found.effects == ("torque_bias",)
 
 
-def test_two_names_for_one_law_are_a_tie(tmp_path):
+def test_two_names_for_one_law_are_a_tie(tmp_path: Path) -> None:
     import needle_rig.physics.effects.torque_bias as built_in
     from needle_rig.physics.library import find_effects
 
@@ -244,19 +246,19 @@ def test_two_names_for_one_law_are_a_tie(tmp_path):
     found = diagnose(dataset(effect("torque_bias", bias_nmm=0.02)), library)
     assert found.verdict == "effect"
     assert {found.effects[0], *found.ranking[0].indistinguishable_from} == {"torque_bias", "cell_zero"}
-    assert found.ranking[0].separation_sigma < 1
+    assert known(found.ranking[0].separation_sigma) < 1
     assert "fits as well" in found.ranking[0].against
 
 
-def test_a_tie_comes_with_the_trial_that_breaks_it():
+def test_a_tie_comes_with_the_trial_that_breaks_it() -> None:
     data = dataset(effect("guide_friction", torque_nmm=0.004))
     found = diagnose(data, few("guide_friction", "chuck_backlash", "tip_friction"))
     assert "guide_friction" in {*found.effects, *found.ranking[0].indistinguishable_from}
     if found.ranking[0].indistinguishable_from:
-        assert found.next_experiment["separation_sigma"] > 1
+        assert known(found.next_experiment)["separation_sigma"] > 1
 
 
-def test_what_was_not_refitted_is_said():
+def test_what_was_not_refitted_is_said() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
     found = diagnose(data, few())
     search = found.search
@@ -273,7 +275,7 @@ def test_what_was_not_refitted_is_said():
         assert len(said) == bool(left_out)
 
 
-def test_the_seed_and_the_folder_change_no_verdict(tmp_path):
+def test_the_seed_and_the_folder_change_no_verdict(tmp_path: Path) -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     names = few("torque_bias", "tip_friction")
     answers = []
@@ -283,7 +285,7 @@ def test_the_seed_and_the_folder_change_no_verdict(tmp_path):
     assert answers[0] == answers[1]
 
 
-def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
+def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
     baseline = fit_baseline(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
     problem, names = baseline.problem, ("tissue_elasticity", "torque_bias")
     good = try_effect(problem, baseline.current, "tissue_elasticity")
@@ -298,13 +300,13 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others():
     assert [s.kind for s in after.steps] == ["taken out"]
 
 
-def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all():
+def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() -> None:
     """Friction of the guide, not in the library: two others take 99 % of it and leave the torque."""
     found = diagnose(
         dataset(effect("guide_friction", torque_nmm=0.02)),
         few("layered_friction", "insertion_depth"),
     )
     assert found.explained_fraction > 0.97
-    assert found.search.fits[found.search.best][1].error < 1.1
+    assert known(found.search.fits[found.search.best][1]).error < 1.1
     assert found.verdict == "unknown"
     assert not found.effects

@@ -19,8 +19,8 @@ from tests.workbench.hidden import dataset, few
     ],
 )
 def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_them(
-    loss, error, relieved_sigmas, speaks_for
-):
+    loss: float, error: float, relieved_sigmas: float, speaks_for: bool
+) -> None:
     child = fit_baseline(dataset(seed=21), None, few()).current
     child = dataclasses.replace(child, pull_rigidity=0.0)
     parent = dataclasses.replace(child, pull_rigidity=relieved_sigmas)
@@ -32,7 +32,7 @@ def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_t
     )
 
 
-def test_nothing_is_foretold_where_nothing_was_left_out():
+def test_nothing_is_foretold_where_nothing_was_left_out() -> None:
     found = fit_baseline(dataset(seed=21), None, few()).current
     parent = dataclasses.replace(found, pull_rigidity=5.0)
     child = dataclasses.replace(found, pull_rigidity=0.0)

@@ -3,22 +3,22 @@ import dataclasses
 import numpy as np
 import pytest
 
-from needle_rig.dataset import in_series
+from needle_rig.dataset import Dataset, in_series
+from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
-from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
-from needle_rig.workbench.selection.search import try_effect
+from needle_rig.workbench.selection.lack_of_fit import LackOfFit, lack_of_fit
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import dataset, effect, few
+from tests.values import known
+from tests.workbench.hidden import dataset, effect, few, fit, try_effect
 
 
-def checked(data):
+def checked(data: Dataset) -> LackOfFit:
     baseline = fit_baseline(data, None, few())
-    return lack_of_fit(baseline.problem, baseline.current, data.sensor_names)
+    return known(lack_of_fit(baseline.problem, baseline.current, data.sensor_names))
 
 
-def test_nothing_hidden_is_seldom_significant_at_any_scatter():
+def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
     found = [
         checked(dataset(seed=300 + s, noise=Noise(friction_scatter=(0.02, 0.15)[s % 2]))) for s in range(12)
     ]
@@ -35,18 +35,18 @@ def test_nothing_hidden_is_seldom_significant_at_any_scatter():
         effect("chuck_backlash", play_deg=1.0),
     ],
 )
-def test_an_effect_is_significant_until_it_is_fitted(hidden):
+def test_an_effect_is_significant_until_it_is_fitted(hidden: Effect) -> None:
     data = dataset(hidden, seed=41)
     baseline = fit_baseline(data, None, few())
-    before = lack_of_fit(baseline.problem, baseline.current, data.sensor_names)
+    before = known(lack_of_fit(baseline.problem, baseline.current, data.sensor_names))
     found = try_effect(baseline.problem, baseline.current, hidden.name()).fit
-    after = lack_of_fit(baseline.problem, found, data.sensor_names)
+    after = known(lack_of_fit(baseline.problem, found, data.sensor_names))
     assert before.p < 1e-6
     assert before.statistic > 5 * after.statistic
     assert after.p > 0.001
 
 
-def test_a_wrong_noise_level_passes_for_no_effect():
+def test_a_wrong_noise_level_passes_for_no_effect() -> None:
     data = dataset(seed=43)
     baseline = fit_baseline(data, None, few())
     problem, noise = baseline.problem, baseline.problem.noise
@@ -55,11 +55,11 @@ def test_a_wrong_noise_level_passes_for_no_effect():
 
     found = fit(louder, (), baseline.current.vector)
     assert found.chi2 > 2.5 * louder.size
-    assert lack_of_fit(louder, found, data.sensor_names).p > 0.01
+    assert known(lack_of_fit(louder, found, data.sensor_names)).p > 0.01
     assert baseline.current.chi2 < 1.2 * problem.size
 
 
-def test_it_says_where_and_how_much():
+def test_it_says_where_and_how_much() -> None:
     found = checked(dataset(effect("torque_bias", bias_nmm=0.02), seed=44))
     assert found.where.startswith("torque")
     assert found.unit == "N·mm"
@@ -67,7 +67,7 @@ def test_it_says_where_and_how_much():
     assert "alike in every replicate" in found.sentence()
 
 
-def test_without_replicates_there_is_no_test():
+def test_without_replicates_there_is_no_test() -> None:
     data = dataset(seed=45)
     once = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 2, 3))))
     assert checked(once) is None
@@ -75,8 +75,8 @@ def test_without_replicates_there_is_no_test():
     assert answer["lack_of_fit"] == {"before": None, "after": None}
 
 
-def test_the_answer_carries_the_test_before_and_after():
+def test_the_answer_carries_the_test_before_and_after() -> None:
     answer = diagnose(dataset(effect("torque_bias", bias_nmm=0.02), seed=46), few("torque_bias")).as_json()
-    assert answer["lack_of_fit"]["before"]["p"] < 1e-6
-    assert answer["lack_of_fit"]["after"]["p"] > 0.001
+    assert known(answer["lack_of_fit"]["before"])["p"] < 1e-6
+    assert known(answer["lack_of_fit"]["after"])["p"] > 0.001
     assert answer["effects"] == ["torque_bias"]

@@ -12,9 +12,10 @@ import pytest
 from scipy.special import chdtri
 
 from needle_rig.physics.library import built_in_effects
-from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.linear import LinearisedFit
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.observations.snaps import Snap
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
@@ -33,6 +34,7 @@ from needle_rig.workbench.selection.residual_patterns import (
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart, promise_asked
 from needle_rig.workbench.selection.screening import Screening, Start, forms, out_of_reach, screen
 from needle_rig.workbench.selection.search import (
+    EffectSet,
     SearchTrace,
     asked_beside,
     clearly_lower,
@@ -60,11 +62,11 @@ def fit(**known: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def baseline():
+def baseline() -> Baseline:
     return fit_baseline(dataset(seed=21), None, few())
 
 
-def test_every_threshold_says_why_and_names_a_test_that_is_there():
+def test_every_threshold_says_why_and_names_a_test_that_is_there() -> None:
     rows = list(thresholds(POLICY))
     assert len(rows) > 45
     for row in rows:
@@ -73,14 +75,14 @@ def test_every_threshold_says_why_and_names_a_test_that_is_there():
         assert (WORKBENCH_TESTS / row.guard).exists(), row
 
 
-def test_the_policy_is_printed_as_plain_values():
+def test_the_policy_is_printed_as_plain_values() -> None:
     shown = Policy().as_json()
     assert shown["evidence"]["significance"] == 0.01
     assert sum(len(group) for group in shown.values()) == len(list(thresholds(Policy())))
 
 
 @pytest.mark.parametrize(("p", "passes"), [(0.006, True), (0.017, False)])
-def test_an_effect_is_seen_at_one_percent_over_the_library(p, passes):
+def test_an_effect_is_seen_at_one_percent_over_the_library(p: float, passes: bool) -> None:
     names = tuple("abcdefghij")
     single = 1.0 - (1.0 - p) ** (1.0 / len(names))
     parent, child = fit(objective=float(chdtri(1, 2.0 * single))), fit()
@@ -93,14 +95,18 @@ def test_an_effect_is_seen_at_one_percent_over_the_library(p, passes):
 
 
 @pytest.mark.parametrize(("change", "within"), [(2.4, True), (3.6, False)])
-def test_a_change_beyond_three_times_the_discretisation_error_is_none_of_it(change, within):
+def test_a_change_beyond_three_times_the_discretisation_error_is_none_of_it(
+    change: float, within: bool
+) -> None:
     problem: Any = SimpleNamespace(nuisance=(np.array([[1.0], [0.0]]),))
     parent, child = fit(residuals=(np.array([change, 0.0]),)), fit(residuals=(np.zeros(2),))
     assert within_discretisation_error(problem, parent, child) is within
 
 
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
-def test_a_size_is_limited_at_its_one_sided_95_percent(baseline, error_share, decision):
+def test_a_size_is_limited_at_its_one_sided_95_percent(
+    baseline: Baseline, error_share: float, decision: str
+) -> None:
     (parameter,) = baseline.problem.parameters(["torque_bias"])
     error = parameter.smallest / 1.645 * error_share
     vector = SimpleNamespace(scaled_values=np.zeros(1))
@@ -109,7 +115,9 @@ def test_a_size_is_limited_at_its_one_sided_95_percent(baseline, error_share, de
 
 
 @pytest.mark.parametrize(("information", "seen"), [(0.7, 1), (1.4, 2)])
-def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(baseline, information, seen):
+def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(
+    baseline: Baseline, information: float, seen: int
+) -> None:
     problem = baseline.problem
     parameters = problem.parameters(["torque_bias", "tip_friction"])
     rows = [np.zeros(w.channel.size) for w in problem.whiteners]
@@ -127,55 +135,55 @@ def test_a_parameter_counts_when_the_data_know_it_to_its_typical_size(baseline, 
     [(7.0, 1.0, True), (14.0, 1.0, False), (21.0, 0.5, True), (42.0, 0.5, False), (20.0, 0.7, True),
      (20.0, 0.9, False)],
 )  # fmt: skip
-def test_what_ties(behind, share, tied):
+def test_what_ties(behind: float, share: float, tied: bool) -> None:
     assert cannot_be_told_apart(behind, share=share) is tied
 
 
-def test_a_parameter_costs_the_logarithm_of_five_times_the_trials():
+def test_a_parameter_costs_the_logarithm_of_five_times_the_trials() -> None:
     problem: Any = SimpleNamespace(trials=[None] * 4)
     assert penalty(problem) == pytest.approx(np.log(20.0))
 
 
 @pytest.mark.parametrize(("gain", "asked"), [(70.0, -1.0), (140.0, 35.0)])
-def test_in_the_place_of_a_large_gain_a_quarter_must_be_promised(gain, asked):
+def test_in_the_place_of_a_large_gain_a_quarter_must_be_promised(gain: float, asked: float) -> None:
     assert promise_asked(gain) == asked
 
 
 @pytest.mark.parametrize(("gain", "asked"), [(10.0, 12.0), (40.0, 24.0)])
-def test_beside_the_best_set_more_than_a_tie_must_be_promised(gain, asked):
+def test_beside_the_best_set_more_than_a_tie_must_be_promised(gain: float, asked: float) -> None:
     assert asked_beside(gain) == pytest.approx(asked)
 
 
 @pytest.mark.parametrize(("lower_by", "clearly"), [(1.4, False), (2.8, True)])
-def test_a_relative_takes_a_place_for_odds_of_e(lower_by, clearly):
+def test_a_relative_takes_a_place_for_odds_of_e(lower_by: float, clearly: bool) -> None:
     assert clearly_lower(10.0 - lower_by, 10.0) is clearly
 
 
 @pytest.mark.parametrize(("left", "testable"), [(0.028, False), (0.056, True)])
-def test_a_pattern_that_the_parameters_fit_is_not_tested(left, testable):
+def test_a_pattern_that_the_parameters_fit_is_not_tested(left: float, testable: bool) -> None:
     assert residual_patterns.testable(np.array([left]), np.array([2.0])) == [testable]
 
 
 @pytest.mark.parametrize(("left", "distinct"), [(0.07, False), (0.14, True)])
-def test_a_pattern_that_those_found_before_make_up_is_not_another(left, distinct):
+def test_a_pattern_that_those_found_before_make_up_is_not_another(left: float, distinct: bool) -> None:
     assert residual_patterns.distinct(np.array([left])) == [distinct]
 
 
 @pytest.mark.parametrize(("above", "refined"), [(1700.0, True), (3400.0, False)])
-def test_first_fits_that_ended_early_are_refined(above, refined):
+def test_first_fits_that_ended_early_are_refined(above: float, refined: bool) -> None:
     problem: Any = SimpleNamespace(size=200)
     value = 200 + 5.0 * np.sqrt(400.0) + above
     assert bool(refinable(problem, fit(objective=value))) is refined
 
 
 @pytest.mark.parametrize(("sigmas", "above"), [(4.0, 0.0), (7.0, 2.0 * np.sqrt(400.0))])
-def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas, above):
+def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas: float, above: float) -> None:
     problem: Any = SimpleNamespace(size=200)
     assert excess(problem, 200 + sigmas * np.sqrt(400.0)) == pytest.approx(above)
 
 
 @pytest.mark.parametrize(("second", "fitted"), [(3.5, 1), (5.0, 2)])
-def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second, fitted):
+def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second: float, fitted: int) -> None:
     starts = Start(np.zeros(1), 6.0), Start(np.ones(1), second)
     assert len(search._worth_fitting(Screening("x", 6.0, starts, 1.0, 0.0))) == fitted
 
@@ -183,21 +191,21 @@ def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second, fitted):
 class Trace(SimpleNamespace):
     """A stand-in for a search's trace: scores by set, and the effects that are named."""
 
-    def score(self, key):
-        return self.scores[key]
+    def score(self, key: EffectSet) -> float:
+        return float(self.scores[key])
 
-    def by_score(self, key):
+    def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
         return self.scores[key], sorted(key)
 
-    def named(self, key):
+    def named(self, key: EffectSet) -> list[str]:
         return sorted(key & self.large)
 
 
-def sets(*words):
+def sets(*words: str) -> list[EffectSet]:
     return [frozenset(word) for word in words]
 
 
-def test_three_sets_within_six_tenths_of_the_gain_are_followed():
+def test_three_sets_within_six_tenths_of_the_gain_are_followed() -> None:
     a, b, c, d, e = options = sets("a", "b", "c", "d", "e")
     scores = {frozenset(): 100.0, a: 0.0, b: 50.0, c: 55.0, d: 57.0, e: 65.0}
     trace: Any = Trace(scores=scores, start=frozenset(), best=a, large=frozenset("abcde"))
@@ -207,7 +215,7 @@ def test_three_sets_within_six_tenths_of_the_gain_are_followed():
 
 
 @pytest.mark.parametrize(("behind", "taken"), [(5.0, "b"), (11.0, "a")])
-def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind, taken):
+def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind: float, taken: str) -> None:
     a, b = options = sets("a", "b")
     trace: Any = Trace(scores={a: 0.0, b: behind}, large=a)
     assert search._chosen(trace, options) == frozenset(taken)
@@ -218,7 +226,9 @@ def test_a_set_with_fewer_effects_to_name_is_given_some_score(behind, taken):
     [(0.7e-3, 0, "take out"), (1.4e-3, 0, "set aside"), (0.5, 1, "set aside"), (0.5, 2, "end"),
      (1.5, 0, "forward")],
 )  # fmt: skip
-def test_what_becomes_of_an_effect_that_is_too_small(baseline, size, set_aside_before, move):
+def test_what_becomes_of_an_effect_that_is_too_small(
+    baseline: Baseline, size: float, set_aside_before: int, move: str
+) -> None:
     (parameter,) = baseline.problem.parameters(["torque_bias"])
     found = fit(
         parameters=(parameter,), vector=SimpleNamespace(scaled_values=np.array([size * parameter.smallest]))
@@ -231,7 +241,7 @@ def test_what_becomes_of_an_effect_that_is_too_small(baseline, size, set_aside_b
 
 
 @pytest.mark.parametrize(("above", "share"), [(0.0, None), (300.0, 0.1)])
-def test_where_much_is_missed_a_tenth_of_it_must_be_promised(above, share):
+def test_where_much_is_missed_a_tenth_of_it_must_be_promised(above: float, share: float | None) -> None:
     problem = SimpleNamespace(size=200)
     key = frozenset("a")
     found = fit(objective=200 + 5.0 * np.sqrt(400.0) + above)
@@ -243,11 +253,15 @@ def test_where_much_is_missed_a_tenth_of_it_must_be_promised(above, share):
     ("gain", "asked", "given_up"),
     [(0.1, 7.0, False), (0.1, 14.0, True), (3.0, 100.0, True), (7.0, 100.0, False)],
 )
-def test_forms_are_given_up_when_the_typical_one_promises_a_twentieth(gain, asked, given_up):
+def test_forms_are_given_up_when_the_typical_one_promises_a_twentieth(
+    gain: float, asked: float, given_up: bool
+) -> None:
     assert out_of_reach(gain, asked) is given_up
 
 
-def test_an_effect_is_simulated_at_three_sizes_and_few_forms(baseline, monkeypatch):
+def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
+    baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tried: list[np.ndarray] = []
     monkeypatch.setattr(screening, "signature", lambda *given: tried.append(given[-1]))
     problem = dataclasses.replace(baseline.problem, library=built_in_effects())
@@ -261,7 +275,7 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(baseline, monkeypat
     assert len({tuple(t) for t in tried}) == every + 2 * 2
 
 
-def left(size=1.0, unit="°"):
+def left(size: float = 1.0, unit: str = "°") -> ResidualPatterns:
     return ResidualPatterns((Pattern("torque", "is off by a constant", 9.0, size, unit, 1.0),), 81.0)
 
 
@@ -271,7 +285,7 @@ NOTHING_LEFT = ResidualPatterns((), 0.0)
 SNAPS = (Snap("trials/01.csv", "hold", "hall_1", 3.0, 8.0, 2.7),)
 
 
-def lack(p=1e-6, size=1.0):
+def lack(p: float = 1e-6, size: float = 1.0) -> LackOfFit:
     return LackOfFit(9.0, 10, 20, p, "torque once settled", size, "°")
 
 
@@ -309,26 +323,26 @@ def lack(p=1e-6, size=1.0):
         ),
     ],
 )
-def test_which_rules_find_something_unexplained(found, fired):
+def test_which_rules_find_something_unexplained(found: Any, fired: Any) -> None:
     why = reasons(found)
     assert [r.rule for r in why] == fired
     assert all(r.sentence for r in why)
     assert verdict(found.named, why) == ("unknown" if fired else "effect" if found.named else "none")
 
 
-def test_stick_slip_is_named_with_where_it_was_seen_and_what_it_keeps_from_being_told():
+def test_stick_slip_is_named_with_where_it_was_seen_and_what_it_keeps_from_being_told() -> None:
     (reason,) = reasons(Findings(("a",), NOTHING_LEFT, None, 1.0, 3.0, SNAPS))
     for said in ("stick-slip", "trials/01.csv", "hall_1", "cannot be told"):
         assert said in reason.sentence
 
 
-def test_patterns_and_trends_must_be_far_beyond_chance():
+def test_patterns_and_trends_must_be_far_beyond_chance() -> None:
     assert limit_sigmas(POLICY.verdict.pattern_significance, 1) == pytest.approx(3.29, abs=0.01)
     assert limit_sigmas(POLICY.verdict.pattern_significance, 200) == pytest.approx(4.57, abs=0.02)
     assert limit_sigmas(POLICY.verdict.trend_significance, 2) == pytest.approx(4.06, abs=0.01)
 
 
-def test_five_patterns_are_told():
+def test_five_patterns_are_told() -> None:
     data = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     there = fit_baseline(data, None, few("torque_bias"))
     told = find_residual_patterns(there.problem, there.current, data.sensor_names).patterns
@@ -336,7 +350,9 @@ def test_five_patterns_are_told():
 
 
 @pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
-def test_more_than_two_effects_are_named_with_plausible_values_only(baseline, count, described_only):
+def test_more_than_two_effects_are_named_with_plausible_values_only(
+    baseline: Baseline, count: int, described_only: bool
+) -> None:
     names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
     parameters = baseline.problem.parameters(names)
     vector = SimpleNamespace(
@@ -348,19 +364,21 @@ def test_more_than_two_effects_are_named_with_plausible_values_only(baseline, co
 
 
 @pytest.mark.parametrize(("freedom", "testable"), [(0.35, False), (0.7, True)])
-def test_settled_values_must_leave_half_a_degree_of_freedom(freedom, testable):
+def test_settled_values_must_leave_half_a_degree_of_freedom(freedom: float, testable: bool) -> None:
     found: Any = SimpleNamespace(freedom=freedom)
     assert SettledCandidate("x", found, 1.0).testable is testable
 
 
-def _smallest(parameter):
-    """Position at which an effect begins to matter; of several items the first."""
+def _smallest(parameter: FreeParameter) -> float:
+    """Scaled value at which an effect begins to matter; of several items the first."""
     if parameter.info.shapes or parameter.item not in (None, 0):
         return 0.0
     return float(np.clip(parameter.scaled_value(parameter.info.smallest), *parameter.bounds))
 
 
-def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(baseline):
+def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_size_that_matters(
+    baseline: Baseline,
+) -> None:
     """The same size, measured over whole trials: between the quartiles of what the library's effects do."""
     problem, current = baseline.problem, baseline.current
     here = problem.predict(current.parameters, current.vector)
@@ -379,6 +397,6 @@ def test_the_root_mean_square_that_matters_is_that_of_effects_at_the_smallest_si
     assert min(shown_nmm) * 0.7 < POLICY.size.rms_nmm < 1.3 * np.median(shown_nmm)
 
 
-def test_a_threshold_cannot_be_changed_in_passing():
+def test_a_threshold_cannot_be_changed_in_passing() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         POLICY.ties.close = 1.0  # type: ignore[misc]

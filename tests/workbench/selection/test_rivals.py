@@ -20,12 +20,12 @@ CLOSE = 10.0
     ],
 )
 def test_what_is_close_beside_what_is_missed_ties_and_three_times_that_when_trials_disagree(
-    behind, missed, share, tied
-):
+    behind: float, missed: float, share: float, tied: bool
+) -> None:
     assert cannot_be_told_apart(behind, missed=missed, share=share) is tied
 
 
 @pytest.mark.parametrize(("gain", "tied"), [(0.9 * CLOSE, False), (1.1 * CLOSE, True), (None, True)])
-def test_what_only_generalises_another_is_no_rival_of_it(gain, tied):
+def test_what_only_generalises_another_is_no_rival_of_it(gain: float | None, tied: bool) -> None:
     assert cannot_be_told_apart(0.0, gain_over_special=gain) is tied
     assert cannot_be_told_apart(0.0, share=0.5, gain_over_special=gain) is tied

@@ -15,6 +15,7 @@ from needle_rig.simulation.base_drive import Motion, base_path
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, save_protocol, staircase
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
+from tests.workbench.hidden import effect
 
 PRACTICE = Path(__file__).parents[2] / "data" / "practice"
 SHORT = Protocol("short", (compensation(45), compensation(45), staircase([30, 0])))
@@ -162,7 +163,9 @@ def test_the_command_writes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixt
     assert run(told) == 0
     assert "8 trials" in capsys.readouterr().out
     written = read_dataset(out)
-    model = load_parameters("rig_rigid").with_effects(find_effects()["tissue_elasticity"](0.35))
+    model = load_parameters("rig_rigid").with_effects(
+        effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.35)
+    )
     direct = simulate_dataset(model, load_protocol("standard"), 4)
     assert written.notes == ()
     for a, b in zip(written.trials, direct.trials, strict=True):

@@ -1,0 +1,156 @@
+"""What comparisons and diagnoses answer, as it stands in their JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NotRequired, TypedDict
+
+from needle_rig.records import JsonObject
+
+
+class FittedNumber(TypedDict):
+    """One number of a fit, in the unit that its name ends in where it gives none."""
+
+    value: float
+    unit: NotRequired[str]
+    pull_sigma: NotRequired[float]
+    """Distance from what the dataset states, in its standard deviations."""
+
+
+class ChannelError(TypedDict):
+    """How far a model is from one channel."""
+
+    rmse: float
+    noise: float | None
+    unit: str
+    whitened: float | None
+    """The error in units of the noise."""
+    by_phase: Mapping[str, object]
+
+
+class PlaceError(TypedDict):
+    """How far a model is from one channel in one motion and state."""
+
+    channel: str
+    motion: str
+    state: str
+    direction: NotRequired[str]
+    model: float
+    measured: float
+    error: float
+    noise: float | None
+    sigmas: float | None
+    unit: str
+    trial: NotRequired[str]
+    words: str
+
+
+class CompareDocument(TypedDict):
+    """What `needle-rig compare` answers."""
+
+    dataset: str
+    model: str
+    free_parameters: dict[str, FittedNumber]
+    held_out_error: float | None
+    noise_floor: float
+    reduced_chi2: float | None
+    channels: dict[str, ChannelError]
+    worst: list[PlaceError]
+    values: NotRequired[list[PlaceError]]
+    notes: list[str]
+
+
+class FTest(TypedDict):
+    """Test for lack of fit, with its degrees of freedom."""
+
+    f: float
+    dof: list[int]
+    p: float
+
+
+class FTests(TypedDict):
+    """Of the model as it was, and with what was named; None without replicates."""
+
+    before: FTest | None
+    after: FTest | None
+
+
+class LeftOver(TypedDict):
+    """What residuals show besides noise."""
+
+    explained: bool
+    where: list[str]
+
+
+class DiagnoseDocument(TypedDict):
+    """What `needle-rig diagnose` answers."""
+
+    dataset: str
+    model: str
+    verdict: str
+    reasons: list[dict[str, str]]
+    effects: list[str]
+    ranking: list[JsonObject]
+    noise_floor: float | str | None
+    held_out_error_before: float | None
+    held_out_error_after: float | None
+    explained_fraction: float | str | None
+    """Infinity is written as text."""
+    decisions: dict[str, JsonObject]
+    left_over: LeftOver
+    lack_of_fit: FTests
+    next_experiment: NextExperiment | None
+    notes: list[str]
+    policy: Mapping[str, object]
+
+
+class NextExperiment(TypedDict):
+    """What to do or to watch so that effects that tie come apart; one kind of data adds its own keys."""
+
+    between: list[str]
+    kind: str
+    target_deg: float | None
+    settle_s: float | None
+    separation_sigma: float
+    watch: str
+    sentence: str
+
+
+class NextTrial(NextExperiment):
+    """A trial to be added to traces."""
+
+    steps_deg: list[float]
+    speed_deg_s: float | None
+    duration_s: float
+
+
+class Watched(TypedDict):
+    """A value that tells effects apart, of each effect in turn."""
+
+    separation_sigma: float
+    watch: str
+    sensor: str
+    motion: int
+    unit: str
+    expected: list[float]
+    turned: list[float]
+
+
+class WatchedPair(Watched):
+    """`Watched` between two effects."""
+
+    between: list[str]
+
+
+class NextSettled(NextExperiment):
+    """A sequence whose settled values tell effects apart."""
+
+    strategy: str
+    options: Mapping[str, object]
+    speed_deg_s: float | None
+    sensor: str
+    motion: int
+    unit: str
+    expected: list[float]
+    turned: list[float]
+    pairs: list[WatchedPair]
