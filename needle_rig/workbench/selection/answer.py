@@ -52,7 +52,7 @@ class Decision:
     decision: str
     """present, negligible, absent or cannot_tell."""
     limit: float | None
-    """Upper end of the 95 % range of its size, in the unit of `parameter`."""
+    """Upper end of the 95 % range of its size, in the unit of `parameter`; None where nothing limits it."""
     parameter: str
     unit: str
     matters_from: float

@@ -35,10 +35,10 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
     if not above_noise(held_out_error):
         return decisions
-    return {n: d if d.decision == "present" else open_decision(d) for n, d in decisions.items()}
+    return {n: d if d.decision == "present" else _left_open(d) for n, d in decisions.items()}
 
 
-def open_decision(decision: Decision) -> Decision:
+def _left_open(decision: Decision) -> Decision:
     """The same effect, of which nothing can be said."""
     return dataclasses.replace(decision, decision="cannot_tell", limit=None)
 
