@@ -201,7 +201,8 @@ def _complain(_: asyncio.AbstractEventLoop, context: JsonObject) -> None:
     logging.getLogger("api").warning("%s", reason)
 
 
-def _limit_memory() -> None:
+def limit_memory() -> None:
+    """Take at most MEMORY_BYTES of address space, or less where less is allowed."""
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     allowed = MEMORY_BYTES if hard == resource.RLIM_INFINITY else min(MEMORY_BYTES, hard)
     resource.setrlimit(resource.RLIMIT_AS, (allowed, allowed))
@@ -212,7 +213,7 @@ def main(listener: int, lines: int, path: Path, daemon: int) -> None:
     # the daemon decides when this ends, not a Ctrl-C, a closed terminal or a signal to the whole group
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    _limit_memory()
+    limit_memory()
     handler = logging.StreamHandler()
     handler.addFilter(_Rarely())
     handler.setFormatter(logging.Formatter("api: %(message)s"))

@@ -3,6 +3,8 @@
 import asyncio
 import json
 import socket
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -304,3 +306,14 @@ async def test_the_openapi_document_has_every_path(tmp_path: Path) -> None:
         }  # fmt: skip
         speed = told["components"]["schemas"]["Jog"]["properties"]["speed_deg_s"]["anyOf"][0]
         assert speed == {"maximum": 360.0, "minimum": 0.1, "type": "number"}
+
+
+@pytest.mark.parametrize(("given_mb", "kept_mb"), [(768, 768), (4096, 1024)])
+def test_a_memory_limit_that_was_given_is_kept_and_never_raised(given_mb: int, kept_mb: int) -> None:
+    code = (
+        "import resource; from needle_rig.service.api_process import limit_memory;"
+        f" resource.setrlimit(resource.RLIMIT_AS, ({given_mb} << 20,) * 2); limit_memory();"
+        " print(resource.getrlimit(resource.RLIMIT_AS)[0] >> 20)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == f"{kept_mb}\n", done.stderr
