@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,8 @@ from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Layout
 from needle_rig.simulation.base_drive import LAG_S, Motion, base_path
-from tests.effects.common import LIBRARY, SEQUENCE, SHORT, path
+from needle_rig.units import rad
+from tests.effects.common import LIBRARY, SEQUENCE, SHORT, make_effect, path
 
 JG_NM2 = 62.56e-6
 
@@ -27,7 +29,7 @@ def torque_through(effect: Effect, trial: Trial, torque_nm: Array | float = 0.0)
 
 
 def hall_through(effect: Effect, hall_deg: list[list[float]]) -> Array:
-    hall_rad = np.radians(np.array(hall_deg, dtype=float))
+    hall_rad = rad(np.array(hall_deg, dtype=float))
     still = Trial(np.arange(len(hall_rad)) * 1.0, np.zeros(len(hall_rad)))
     return np.degrees(effect.observe(Reading(still, np.zeros(len(hall_rad)), hall_rad)).hall_rad)
 
@@ -41,7 +43,7 @@ def test_inertia_shows_the_acceleration_of_the_drive() -> None:
     speed_rad_s, inertia_gcm2 = 1.5, 25.0
     time_s = np.linspace(0.0, 1.2, 1201)
     trial = Trial(time_s, base_path((Motion("turn", 0.1, 0.0, 1e3, speed_rad_s, 0.0),), time_s))
-    seen_nmm = torque_through(LIBRARY["chuck_inertia"](inertia_gcm2), trial)
+    seen_nmm = torque_through(make_effect("chuck_inertia", inertia_gcm2), trial)
     since_s = np.maximum(time_s - 0.1, 0.0)
     alpha_rad_s2 = speed_rad_s * since_s / LAG_S**2 * np.exp(-since_s / LAG_S)
     np.testing.assert_allclose(seen_nmm[1:-1], inertia_gcm2 * 1e-7 * alpha_rad_s2[1:-1] * 1e3, atol=3e-4)
@@ -51,7 +53,7 @@ def test_inertia_shows_the_acceleration_of_the_drive() -> None:
 def test_inertia_takes_the_change_of_momentum_however_uneven_the_samples() -> None:
     time_s = uneven(2.0, 90)
     angle_rad = 0.4 * np.sin(2.5 * time_s) + 0.2 * time_s
-    seen_nm = torque_through(LIBRARY["chuck_inertia"](30.0), Trial(time_s, angle_rad)) * 1e-3
+    seen_nm = torque_through(make_effect("chuck_inertia", 30.0), Trial(time_s, angle_rad)) * 1e-3
     rate_rad_s = np.diff(angle_rad) / np.diff(time_s)
     around_s = 0.5 * (time_s[2:] - time_s[:-2])
     impulse_nms = np.sum(seen_nm[1:-1] * around_s)
@@ -59,7 +61,7 @@ def test_inertia_takes_the_change_of_momentum_however_uneven_the_samples() -> No
 
 
 def test_drag_is_dry_and_viscous_while_turning_and_dry_at_rest() -> None:
-    drag = LIBRARY["bearing_drag"](torque_nmm=0.03, viscous_nmms_per_rad=0.02, presliding_deg=4.0)
+    drag = make_effect("bearing_drag", torque_nmm=0.03, viscous_nmms_per_rad=0.02, presliding_deg=4.0)
     trial = path((0, 0), (1, 0), (3, 90), (5, 90), (6, 60), (7, 60), rate_hz=100)
     seen_nmm = torque_through(drag, trial)
     at = {t: seen_nmm[int(np.searchsorted(trial.time_s, t - 1e-6))] for t in (0.5, 2.0, 4.0, 5.5, 6.5)}
@@ -71,7 +73,7 @@ def test_drag_is_dry_and_viscous_while_turning_and_dry_at_rest() -> None:
 
 
 def test_drag_builds_up_over_the_presliding_angle() -> None:
-    drag = LIBRARY["bearing_drag"](torque_nmm=0.03, presliding_deg=4.0)
+    drag = make_effect("bearing_drag", torque_nmm=0.03, presliding_deg=4.0)
     trial = path((0, 0), (1, 3), (2, 10), (3, 7), (4, 0))
     seen_nmm = torque_through(drag, trial)[[50, 100, 150, 200]]
     np.testing.assert_allclose(seen_nmm, np.array([0.75, 1.0, 0.25, -1.0]) * 0.03, atol=1e-12)
@@ -81,7 +83,7 @@ def test_the_low_pass_answers_as_its_differential_equation() -> None:
     time_s = uneven(1.0, 60)
     torque_nm = 1e-4 * np.interp(time_s, [0.0, 0.2, 0.5, 0.6, 1.0], [0.2, 1.0, 1.0, -0.8, -0.5])
     smoothed_nmm = torque_through(
-        LIBRARY["torque_low_pass"](80.0), Trial(time_s, np.zeros_like(time_s)), torque_nm
+        make_effect("torque_low_pass", 80.0), Trial(time_s, np.zeros_like(time_s)), torque_nm
     )
 
     def slope(t: float, y: Array) -> Array:
@@ -96,7 +98,7 @@ def test_the_low_pass_answers_as_its_differential_equation() -> None:
 def test_the_low_pass_is_a_delay_for_even_torque() -> None:
     time_s = np.linspace(0, 2, 101)
     still = Trial(time_s, np.zeros_like(time_s))
-    smoothed_nmm = torque_through(LIBRARY["torque_low_pass"](50.0), still, 1e-4 * time_s)
+    smoothed_nmm = torque_through(make_effect("torque_low_pass", 50.0), still, 1e-4 * time_s)
     np.testing.assert_allclose(smoothed_nmm[50:], 0.1 * (time_s[50:] - 0.05), atol=1e-9)
 
 
@@ -106,7 +108,8 @@ def test_what_a_sensor_remembers_goes_on_in_the_next_piece(name: str, coarse: Ne
     truth = coarse.predict(SHORT)
     whole = effect.observe(truth).torque_nm
     cut = 40  # in the middle of the first turn
-    pieces, states = [], ()
+    pieces: list[Array] = []
+    states: tuple[float | None, ...] = ()
     for piece in (slice(0, cut + 1), slice(cut, None)):
         part = replace(SHORT, time_s=SHORT.time_s[piece], base_angle_rad=SHORT.base_angle_rad[piece])
         reading, states = shown(
@@ -121,7 +124,7 @@ def test_what_a_sensor_remembers_goes_on_in_the_next_piece(name: str, coarse: Ne
 def test_the_curve_of_a_cell_by_hand() -> None:
     still = Trial(np.arange(3.0), np.zeros(3))
     torque_nm = np.array([-0.2e-3, 0.0, 0.1e-3])
-    seen_nmm = torque_through(LIBRARY["torque_nonlinearity"](0.5, 5.0), still, torque_nm)
+    seen_nmm = torque_through(make_effect("torque_nonlinearity", 0.5, 5.0), still, torque_nm)
     np.testing.assert_allclose(seen_nmm, [-0.2 + 0.02 - 0.04, 0.0, 0.1 + 0.005 + 0.005])
 
 
@@ -134,7 +137,7 @@ def test_harmonics_are_what_the_arctangent_makes_of_unequal_and_bent_channels() 
         return np.degrees(np.unwrap(np.arctan2(sine, cosine)))
 
     share_deg = np.degrees(small)
-    make = LIBRARY["hall_harmonics"]
+    make = functools.partial(make_effect, "hall_harmonics")
     for read_deg, effect, offset_deg in (
         (angle_deg((1 + small) * np.sin(theta), np.cos(theta)), make(second_sine_deg=share_deg / 2), 0.0),
         (
@@ -164,7 +167,7 @@ def test_cross_talk_adds_the_neighbours_fields() -> None:
     beside = np.zeros_like(field)
     beside[:, 1:] += field[:, :-1]
     beside[:, :-1] += field[:, 1:]
-    seen_deg = hall_through(LIBRARY["hall_crosstalk"](0.2), angles_deg)
+    seen_deg = hall_through(make_effect("hall_crosstalk", 0.2), angles_deg)
     turned = np.angle(np.exp(1j * np.radians(seen_deg)) / (field + 0.2 * beside))
     np.testing.assert_allclose(turned, 0.0, atol=1e-12)
     # whole turns are kept
@@ -172,12 +175,12 @@ def test_cross_talk_adds_the_neighbours_fields() -> None:
 
 
 def test_a_sensor_without_neighbours_has_no_cross_talk() -> None:
-    seen_deg = hall_through(LIBRARY["hall_crosstalk"](0.3), [[12.0], [48.0]])
+    seen_deg = hall_through(make_effect("hall_crosstalk", 0.3), [[12.0], [48.0]])
     assert seen_deg.ravel() == pytest.approx([12.0, 48.0], abs=1e-12)
 
 
 def test_an_eccentric_encoder_turns_all_that_follows_the_base_alike(coarse: NeedleModel) -> None:
-    loose = replace(coarse, friction_n=0.0).with_effects(LIBRARY["encoder_eccentricity"](2.0, -1.5))
+    loose = replace(coarse, friction_n=0.0).with_effects(make_effect("encoder_eccentricity", 2.0, -1.5))
     trial = path((0, 0), (4, 180), (8, -90))
     shown_deg = np.degrees(trial.base_angle_rad)
     error_deg = 2.0 * np.sin(trial.base_angle_rad) - 1.5 * (np.cos(trial.base_angle_rad) - 1.0)
@@ -188,7 +191,7 @@ def test_an_eccentric_encoder_turns_all_that_follows_the_base_alike(coarse: Need
 
 
 def test_an_encoders_error_comes_before_the_play_behind_it(coarse: NeedleModel) -> None:
-    effects = (LIBRARY["encoder_eccentricity"](3.0, 0.0), LIBRARY["chuck_backlash"](8.0))
+    effects = (make_effect("encoder_eccentricity", 3.0, 0.0), make_effect("chuck_backlash", 8.0))
     held_rad, _ = coarse.with_effects(*effects).held_path(SHORT)
     true_rad = SHORT.base_angle_rad - np.radians(3.0) * np.sin(SHORT.base_angle_rad)
     np.testing.assert_allclose(
@@ -224,8 +227,8 @@ def followed_on_a_mount(
 
 def on_a_mount(**chuck: float) -> NeedleModel:
     layout = Layout(0.3, ((0.12, 0.16), (0.2, 0.25)), (0.18, 0.27))
-    effects = [LIBRARY["mount_compliance"](0.4)]
-    effects += [LIBRARY["chuck_compliance"](stiffness) for stiffness in chuck.values()]
+    effects = [make_effect("mount_compliance", 0.4)]
+    effects += [make_effect("chuck_compliance", stiffness) for stiffness in chuck.values()]
     return NeedleModel("on a mount", layout, JG_NM2, 1e-3, tuple(effects), element_length_m=5e-3)
 
 
@@ -249,7 +252,7 @@ def test_a_phantom_on_a_spring_moves_as_a_small_model_of_springs_and_sliders(chu
 
 
 def test_a_phantom_on_a_spring_can_be_followed_in_pieces() -> None:
-    model = on_a_mount(stiffness_nmm_per_rad=0.7).with_effects(LIBRARY["tissue_elasticity"](0.5))
+    model = on_a_mount(stiffness_nmm_per_rad=0.7).with_effects(make_effect("tissue_elasticity", 0.5))
     whole = model.truth(BACK_AND_FORTH)
     state = None
     for first in range(0, BACK_AND_FORTH.time_s.size - 1, 13):
@@ -265,7 +268,7 @@ def test_a_phantom_on_a_spring_turns_sensors_beyond_the_tissue_by_what_the_torqu
     model: NeedleModel,
 ) -> None:
     # deep in the tissue nothing has slipped yet: there the needle turns with the phantom alone
-    mounted = model.with_effects(LIBRARY["mount_compliance"](1.0))
+    mounted = model.with_effects(make_effect("mount_compliance", 1.0))
     reading = mounted.predict(path((0, 0), (1, 15)))
     np.testing.assert_allclose(reading.hall_rad[:, -1], reading.torque_nm / 1e-3, atol=1e-9)
     assert reading.torque_nm[-1] > 2e-5

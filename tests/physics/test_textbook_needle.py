@@ -1,6 +1,7 @@
 """The solver beside a needle that shares no code with it; friction falls with the rate as in textbooks."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +73,11 @@ def test_where_it_snaps_the_textbooks_law_has_no_answer_but_that_of_its_cells() 
     time, base = path([45.0, 71.0, 25.0], settle_s=1.0)
     tips = [textbook(0.01, 0.5, cell_m=cell).moved(Trial(time, base)).halls_rad for cell in (5e-3, 2.5e-3)]
     assert np.degrees(np.abs(tips[0] - tips[1]).max()) > 1.0
-    law = {"static_excess": 1.0, "stribeck_rate_rad_s": RATE_RAD_S, "weakening_rad": 0.2, "viscous": 0.05}
+    law: dict[str, Any] = {
+        "static_excess": 1.0,
+        "stribeck_rate_rad_s": RATE_RAD_S,
+        "weakening_rad": 0.2,
+        "viscous": 0.05,
+    }
     ours = [solve(rod(element_length_m=cell, **law), time, base).sensor_rad for cell in (2e-3, 0.5e-3)]
     assert np.degrees(np.abs(ours[0] - ours[1]).max()) < 0.05

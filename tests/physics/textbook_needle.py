@@ -109,7 +109,7 @@ class TextbookNeedle:
             if count == 0 or not (number % 2 or law.inertia_kgm > 0.0):
                 continue
             length = (end - start) / count
-            places.append(start + length * (np.arange(count) + 0.5))
+            places.append(start + length * (np.arange(count, dtype=np.float64) + 0.5))
             tissue.append(np.full(count, length if number % 2 else 0.0))
         return np.concatenate(places), np.concatenate(tissue)
 
@@ -166,7 +166,7 @@ def _balance(load: float, slope: float, kinetic: float, fall: float, rate: float
     # steps of Newton's method from above, cut to where the rate would fall by half
     w = high
     for _ in range(200):
-        x = (w / rate) ** p
+        x: float = (w / rate) ** p
         left = fall * math.exp(-x)
         steep = slope - p * x / w * left
         if steep <= 0.0:
