@@ -30,7 +30,7 @@ def torque_through(effect: Effect, trial: Trial, torque_nm: Array | float = 0.0)
 
 def hall_through(effect: Effect, hall_deg: list[list[float]]) -> Array:
     hall_rad = rad(np.array(hall_deg, dtype=float))
-    still = Trial(np.arange(len(hall_rad)) * 1.0, np.zeros(len(hall_rad)))
+    still = Trial(np.arange(len(hall_rad), dtype=np.float64), np.zeros(len(hall_rad)))
     return np.degrees(effect.observe(Reading(still, np.zeros(len(hall_rad)), hall_rad)).hall_rad)
 
 
