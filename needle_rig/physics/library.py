@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import importlib.machinery
 import importlib.util
 import inspect
 import math
@@ -17,7 +18,7 @@ import traceback
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 
 from needle_rig.config.regular_file import open_regular
 from needle_rig.errors import BadInput
@@ -73,11 +74,20 @@ def load_effect(path: Path) -> type[Effect]:
     return _load(path.parent.resolve() / path.name, stamp)
 
 
+class _Uncached(importlib.machinery.SourceFileLoader):
+    """Reads the file itself: bytecode kept beside it counts as new while size and second of its date are."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
 @cache
 def _load(path: Path, stamp: int) -> type[Effect]:  # noqa: ARG001 the cache's key
     # Effects know their name from their module; the directory keeps equal names in two folders apart.
     module_name = f"needle_rig_user_effects.d{abs(hash(path.parent)):x}.{path.stem}"
-    spec = importlib.util.spec_from_file_location(module_name, path)
+    loader = _Uncached(module_name, str(path))
+    spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

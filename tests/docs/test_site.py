@@ -152,7 +152,7 @@ def test_tables_from_the_code_are_there(site: Path) -> None:
 def test_the_search_finds_a_word_of_the_glossary(site: Path) -> None:
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
     assert "glossary.html" in {
-        entry["location"].split("#")[0] for entry in index["docs"] if "Šidák" in entry["text"]
+        entry["location"].split("#")[0] for entry in index["docs"] if "Šidák" in entry["title"]
     }
 
 

@@ -70,7 +70,8 @@ def test_it_says_where_and_how_much() -> None:
 def test_without_replicates_there_is_no_test() -> None:
     data = dataset(seed=45)
     once = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 2, 3))))
-    assert checked(once) is None
+    baseline = fit_baseline(once, None, few())
+    assert lack_of_fit(baseline.problem, baseline.current, once.sensor_names) is None
     answer = diagnose(once, few("torque_bias")).as_json()
     assert answer["lack_of_fit"] == {"before": None, "after": None}
 
