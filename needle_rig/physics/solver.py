@@ -106,6 +106,7 @@ def solve_batch(
     *,
     threads: int | None = None,
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
+    most_solves_per_sample: float = math.inf,
 ) -> list[Solution]:
     """Solve independent trials, one (time_s, base_angle_rad) a rod, on `threads` cores (default all).
 
@@ -123,7 +124,8 @@ def solve_batch(
 
     def one(job: tuple[Rod, tuple[Array, Array]]) -> Solution:
         rod, (time, base) = job
-        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S, math.inf)
+        most_solves = most_solves_per_sample * time.size
+        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S, most_solves)
 
     workers = min(threads or os.cpu_count() or 1, count)
     if workers == 1:
