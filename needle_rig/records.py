@@ -75,6 +75,7 @@ class Measurement:
     drive_age_s: float = math.inf
     torque_complaint: str = ""
     hall_complaint: str = ""
+    drive_complaint: str = ""
     """Why a link that speaks gives no good value, such as a magnet out of reach; for the fault's message."""
     referenced: bool = True
     """The drive node knows its zero; False after it started, until a reference."""

@@ -148,7 +148,8 @@ def _trial(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[s
 
 
 def _dataset(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[str, list[Action]]:
-    return _in_dataset(seeds, here, "dataset.yaml", damage.damaged_yaml, rng)
+    how, actions = _in_dataset(seeds, here, "dataset.yaml", damage.damaged_yaml, rng)
+    return how, [*actions, _cli("layout", here / "dataset")]
 
 
 def _model(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[str, list[Action]]:

@@ -31,7 +31,7 @@ def _config() -> str:
 
     parts = []
     for name, model in _sections(RigConfig):
-        text = (model.__doc__ or "").strip()
+        text = inspect.getdoc(model) or ""
         texts = _field_texts(model)
         rows = [
             [f"`{key}`", _kind(field), _default(field), texts.get(key, "")]
@@ -44,20 +44,29 @@ def _config() -> str:
 def _sections(model: type[BaseModel], name: str = "top level") -> Iterator[tuple[str, type[BaseModel]]]:
     yield name, model
     for key, field in model.model_fields.items():
-        inner = _model_in(field.annotation)
-        if inner is not None:
-            yield from _sections(inner, key if name == "top level" else f"{name}.{key}")
+        section = key if name == "top level" else f"{name}.{key}"
+        inner = _models_in(field.annotation)
+        for each in inner:
+            yield from _sections(each, section if len(inner) == 1 else f"{section}: {_word(each)}")
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def _word(model: type[BaseModel]) -> str:
+    """Which value of its key `device` names this section among several."""
+    words = typing.get_args(model.model_fields["device"].annotation)
+    return str(words[0]) if words else "NAME"
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((m for a in getattr(annotation, "__args__", ()) if (m := _model_in(a))), None)
+        return [annotation]
+    return [model for a in typing.get_args(annotation) for model in _models_in(a)]
 
 
 def _kind(field: Any) -> str:
-    inner = _model_in(field.annotation)
-    if inner is not None:
+    inner = _models_in(field.annotation)
+    if len(inner) > 1:
+        return f"one of the {len(inner)} sections below"
+    if inner:
         several = typing.get_origin(field.annotation) is tuple
         return "a list of the section below" if several else "a section, below"
     if typing.get_origin(field.annotation) is typing.Literal:
@@ -78,6 +87,8 @@ def _kind(field: Any) -> str:
 
 
 def _default(field: Any) -> str:
+    if isinstance(field.default, BaseModel):
+        return f"`{field.default.model_dump()}`".replace("'", "")
     return "needed" if field.is_required() else "–" if field.default is None else f"`{field.default}`"
 
 

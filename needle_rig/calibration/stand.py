@@ -13,7 +13,7 @@ import numpy as np
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
-from needle_rig.errors import RigFault
+from needle_rig.errors import BadInput, RigFault
 from needle_rig.numerics import Array
 from needle_rig.records import STOP, Command, DriveState
 from needle_rig.units import nmm, rad
@@ -89,11 +89,17 @@ class BenchStand:
 
 
 class RealStand:
-    """A rig behind its ports and a person in front of it."""
+    """A rig of our nodes behind its ports and a person in front of it. Raises BadInput for other devices."""
 
     def __init__(self, config: RigConfig, confirm: Callable[[str], None]) -> None:
         from needle_rig.devices.hardware_rig import HardwareRig
 
+        for link in ("drive", "torque", "hall"):
+            device = getattr(config.links, link).device
+            if device != "node":
+                raise BadInput(
+                    f"links.{link}.device: {device} keeps no calibration of ours; use its maker's tool"
+                )
         self.config = config
         self.rig: Any = HardwareRig(config)
         self._confirm = confirm

@@ -52,15 +52,19 @@ def command(
     the rig file that is printed at the start. Faults are typed in, as in `torque freeze`.
     """
     from needle_rig.config.loader import load_rig_config, rig_config_text
+    from needle_rig.errors import BadInput
     from needle_rig.folders import temporary_folder
-    from needle_rig.simulation.bench import PREFIX
+    from needle_rig.simulation.bench import PREFIX, with_ports
     from needle_rig.simulation.bench_loop import BenchLoop, be_urgent
     from needle_rig.simulation.build import build_plant
 
+    others = _other_devices(config)
+    if others and (errors is not None or pages is not None):
+        raise BadInput("--errors, --pages: are for our nodes' firmware, and the rig file names other devices")
     rig = load_rig_config(
         config,
         {
-            "simulation.nodes": "image" if image else "firmware",
+            "simulation.nodes": "image" if image else None if others else "firmware",
             "simulation.parameters": parameters,
             "simulation.seed": seed,
             "simulation.sensor_errors_seed": errors,
@@ -76,29 +80,29 @@ def command(
         click.echo("building plant and firmware …", err=True)
         loop = BenchLoop(rig, build_plant(rig), folder, _tell, interface)
         stack.callback(loop.close)
-        links = rig.links
-        named = links.model_copy(
-            update={
-                "can": links.can.model_copy(
-                    update={
-                        "interface": "slcan" if interface is None else "socketcan",
-                        "channel": loop.ports["can"],
-                    }
-                ),
-                "hall": links.hall.model_copy(update={"port": loop.ports["hall"]}),
-            }
-        )
         file = folder / "rig.yaml"
-        file.write_text(rig_config_text(rig.model_copy(update={"links": named})), encoding="utf-8")
-        stack.callback(file.unlink, missing_ok=True)
         kind = "slcan" if interface is None else "socketcan"
+        file.write_text(rig_config_text(with_ports(rig, loop.ports, kind)), encoding="utf-8")
+        stack.callback(file.unlink, missing_ok=True)
         click.echo(f"CAN ({kind})  {loop.ports['can']}\nHall link    {loop.ports['hall']}")
-        click.echo(f"nodes        {'Cortex-M images under the emulator' if image else 'firmware library'}")
+        if "torque" in loop.ports:
+            click.echo(f"torque link  {loop.ports['torque']} (address, RDT port, HTTP port)")
+        nodes = {"python": "in Python", "image": "Cortex-M images under the emulator"}
+        assert rig.simulation is not None
+        click.echo(f"nodes        {nodes.get(rig.simulation.nodes, 'firmware library')}")
         click.echo(f"drive it     needle-rig compensate --config {file} --target 45\n{_WORDS}")
         be_urgent()
         with contextlib.suppress(KeyboardInterrupt):
             loop.run(0, end_with_control=False)
         click.echo("bench ended")
+
+
+def _other_devices(config: str | None) -> bool:
+    """Whether the rig file names a device that is no node of this project, for which there is no firmware."""
+    from needle_rig.config.loader import load_rig_config
+
+    links = load_rig_config(config).links
+    return any(section.device != "node" for section in (links.drive, links.torque, links.hall))
 
 
 def _tell(what: Said) -> None:

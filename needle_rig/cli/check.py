@@ -19,7 +19,7 @@ import click
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 
 if TYPE_CHECKING:
-    from needle_rig.config.schema import RigConfig
+    from needle_rig.config.schema import NetFtTorque, RigConfig
     from needle_rig.service.check import Finding
     from needle_rig.service.client import DaemonClient
     from needle_rig.service.documents import Sensors
@@ -85,6 +85,7 @@ def _findings(
     """What is found, one by one; a bool says whether the rig is simulated."""
     from needle_rig.config.files import find_config_file
     from needle_rig.config.loader import load_rig_config
+    from needle_rig.config.schema import NetFtTorque
     from needle_rig.service import check
     from needle_rig.service.installation import HERE
     from needle_rig.service.interface import look_at
@@ -108,7 +109,10 @@ def _findings(
             yield check.check_interface(config, interface)
         elif config.links.can.interface == "slcan":
             yield check.check_port("CAN", config.links.can.channel, mine=running is None)
-        yield check.check_port("Hall port", config.links.hall.port, mine=running is None)
+        if config.links.hall_port is not None:
+            yield check.check_port("Hall port", config.links.hall_port, mine=running is None)
+        if isinstance(config.links.torque, NetFtTorque):
+            yield _network_sensor(config.links.torque)
     try:
         with _daemon(running, path) as client:
             yield client.state()["rig"]["simulated"]
@@ -122,6 +126,20 @@ def _findings(
                 yield from _moved(client, config, turn_deg)
     except NeedleRigError as error:
         yield check.Finding("daemon", "fail", str(error), "mend what failed above first")
+
+
+def _network_sensor(sensor: NetFtTorque) -> Finding:
+    """Whether the sensor's page can be read, and what it says."""
+    from needle_rig.devices.ethernet import fetch_page
+    from needle_rig.service.check import Finding
+    from needle_rig.wire.rdt import PAGE, decode_page
+
+    try:
+        page = decode_page(fetch_page(sensor.address, sensor.http_port, PAGE))
+    except NeedleRigError as error:
+        return Finding("torque sensor", "fail", str(error), "see links.torque in the rig file")
+    said = f"{page.counts_per_nm:.6g} counts per N·m, {page.internal_rate_hz:g} samples/s"
+    return Finding("torque sensor", "ok", f"{sensor.address}: {said}")
 
 
 def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iterator[Finding]:

@@ -82,7 +82,7 @@ def _sentence(
     shown = places.written.get(path, "") if isinstance(value, int | float) else repr(value)
     shown = shown or (number(value) if isinstance(value, int | float) else repr(value))
     if kind == "extra_forbidden":
-        section = _model_at(model, path[:-1])
+        section = _model_at(model, path[:-1], data)
         present = _data_at(data, path[:-1])
         allowed = list(section.model_fields) if section else []
         meant = meant_key(key, value, allowed, present)
@@ -151,23 +151,32 @@ def _range(kind: str, key: str, value: float, context: Mapping[str, float]) -> s
     return f"{words} {number(limit)}{unit}" + meant_value(key, value, 0.0, limit, strict=True)
 
 
-def _model_at(model: type[BaseModel], path: DataPath) -> type[BaseModel] | None:
-    """The model of the section at `path`, looking through tuples, dicts and unions."""
+def _model_at(model: type[BaseModel], path: DataPath, data: Any) -> type[BaseModel] | None:
+    """The model of the section at `path` of `data`, looking through tuples, dicts and unions."""
     found: type[BaseModel] | None = model
     for part in path:
+        data = data[part]
         if found is None:
             return None
         if isinstance(part, int):
             continue
         field = found.model_fields.get(part)
-        found = _models_in(field.annotation) if field else None
+        found = _chosen(_models_in(field.annotation), data) if field else None
     return found
 
 
-def _models_in(annotation: Any) -> type[BaseModel] | None:
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((m for a in get_args(annotation) if (m := _models_in(a))), None)
+        return [annotation]
+    return [model for a in get_args(annotation) for model in _models_in(a)]
+
+
+def _chosen(models: list[type[BaseModel]], data: Any) -> type[BaseModel] | None:
+    """Of several models the one that the section's word `device` names."""
+    if len(models) < 2:
+        return models[0] if models else None
+    word = data.get("device", "node") if isinstance(data, dict) else ""
+    return next((m for m in models if word in get_args(m.model_fields["device"].annotation)), None)
 
 
 def _data_at(data: Any, path: DataPath) -> JsonObject:

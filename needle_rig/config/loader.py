@@ -10,7 +10,7 @@ from typing import Any
 from needle_rig.config.check import validate
 from needle_rig.config.files import config_directories, find_config_file
 from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
-from needle_rig.config.schema import RigConfig
+from needle_rig.config.schema import NodeDevice, RigConfig, TextHall
 from needle_rig.errors import BadInput
 from needle_rig.records import JsonObject
 
@@ -128,14 +128,27 @@ def _layout_contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
 def _link_contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
     links = config.links
     if config.kind == "hardware":
-        for path, value in ((("can", "channel"), links.can.channel), (("hall", "port"), links.hall.port)):
+        for key, value in links.ports.items():
             if value == "auto":
                 yield (
-                    ("links", *path),
-                    f"links.{'.'.join(path)}: auto is for kind: simulated; name the port of the rig",
+                    ("links", *key.split(".")),
+                    f"links.{key}: auto is for kind: simulated; name the port of the rig",
                 )
     elif config.simulation is None:
         yield ("kind",), "kind: simulated needs a section simulation: (parameters, seed, …)"
+    if isinstance(links.drive, NodeDevice) and not isinstance(links.torque, NodeDevice):
+        yield (
+            ("links", "torque", "device"),
+            f"links.torque.device: {links.torque.device} cannot go with the drive node, which stops without"
+            " the torque node's frames on its bus; name another links.drive.device, or leave both at node",
+        )
+    hall = links.hall
+    if isinstance(hall, TextHall) and (hall.angle == "counts") != (hall.counts_per_turn is not None):
+        wanted = "give it" if hall.angle == "counts" else "take it away, or say angle: counts"
+        yield (
+            ("links", "hall", "angle"),
+            f"links.hall.counts_per_turn goes with angle: counts alone (it is {hall.angle}); {wanted}",
+        )
     if config.simulation is None:
         return
     period_ms = 1000 / config.simulation.sensor_rate_hz

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
 
 class Section(BaseModel):
@@ -39,28 +40,146 @@ class LayoutSection(Section):
 
 
 class CanSection(Section):
-    """The CAN bus of the torque and drive nodes; `interface` and `channel` as python-can names them."""
+    """The CAN bus of torque node and drive; `interface` and `channel` as python-can names them."""
 
     interface: Literal["slcan", "socketcan", "virtual"] = "slcan"
     channel: str
     bitrate_kbit_s: Annotated[int, Field(ge=10, le=1000)] = 1000
 
 
+class NodeDevice(Section):
+    """A node with this project's firmware."""
+
+    device: Literal["node"] = "node"
+
+
+class Cia402Drive(Section):
+    """A drive that speaks CiA 402 over CANopen, such as EPOS4, Elmo Gold and Nanotec's."""
+
+    device: Literal["cia402"]
+    node_id: Annotated[int, Field(ge=1, le=127)]
+    mode: Literal["csv", "pv"] = "csv"
+    """Cyclic synchronous velocity or profile velocity."""
+    position_units_per_turn: Annotated[float, Field(ge=100, le=1e9)]
+    """Units of object 0x6064 in one turn of the base, gear included."""
+    velocity_units_per_rpm: Annotated[float, Field(ge=12, le=1e9)]
+    """Units of object 0x60FF in one revolution per minute of the base; fewer than 12 are steps of 0.5°/s."""
+    reversed: bool = False
+    """The drive's positive way is clockwise seen from the base."""
+    lost_host_ms: Annotated[int, Field(ge=10, le=100)] = 50
+    """Without this computer's heartbeat for longer the drive stops by itself (object 0x1016)."""
+
+
+class NetFtTorque(Section):
+    """A force-torque sensor of ATI with Ethernet: Net F/T, Ethernet Axia."""
+
+    device: Literal["netft"]
+    address: str
+    """Its IP address; the factory sets 192.168.1.1."""
+    rdt_port: Annotated[int, Field(ge=1, le=65535)] = 49152
+    http_port: Annotated[int, Field(ge=1, le=65535)] = 80
+    axis: Literal["x", "y", "z"] = "z"
+    """The sensor's axis that lies along the needle."""
+    reversed: bool = False
+    """The sensor's torque is negative when the base leads the needle."""
+    offset_nmm: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
+    """What it shows without a torque; subtracted."""
+
+
 class SerialSection(Section):
     """The serial port of the Hall node."""
 
+    device: Literal["node"] = "node"
     port: str
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = 921_600
 
 
+class TextHall(Section):
+    """Angle sensors that send lines of text: a clock, then one angle a sensor."""
+
+    device: Literal["text"]
+    port: str
+    baud: Annotated[int, Field(ge=9600, le=4_000_000)] = 115_200
+    clock: Literal["ms", "us"] = "ms"
+    """What the first number of a line counts, as millis() or micros() do, modulo 2^32."""
+    angle: Literal["deg", "rad", "counts"] = "deg"
+    counts_per_turn: Annotated[int, Field(ge=100, le=16_777_216)] | None = None
+    """Needed where angles are counts: 4096 of 12 bits."""
+    checksum: bool = False
+    """Lines end in *HH, the exclusive or of the bytes before it (as in NMEA 0183); others are refused."""
+
+
+class DeviceFile(Section):
+    """A device of one's own: `config/devices/NAME.py`, whose options stand beside its name."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+
+    device: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What stands beside the name."""
+        return dict(self.model_extra or {})
+
+
+def _device_word(*words: str) -> Callable[[Any], str]:
+    """Tells sections apart by their key `device`: a shipped word, node where there is none, else a file."""
+
+    def word(section: Any) -> str:
+        given = section.get("device", "node") if isinstance(section, dict) else getattr(section, "device", "")
+        return given if given in words else "file"
+
+    return word
+
+
+DriveDevice = Annotated[
+    Annotated[NodeDevice, Tag("node")]
+    | Annotated[Cia402Drive, Tag("cia402")]
+    | Annotated[DeviceFile, Tag("file")],
+    Discriminator(_device_word("node", "cia402")),
+]
+TorqueDevice = Annotated[
+    Annotated[NodeDevice, Tag("node")]
+    | Annotated[NetFtTorque, Tag("netft")]
+    | Annotated[DeviceFile, Tag("file")],
+    Discriminator(_device_word("node", "netft")),
+]
+HallDevice = Annotated[
+    Annotated[SerialSection, Tag("node")]
+    | Annotated[TextHall, Tag("text")]
+    | Annotated[DeviceFile, Tag("file")],
+    Discriminator(_device_word("node", "text")),
+]
+
+
 class LinksSection(Section):
-    """How the nodes are reached, and how old a value may be before it is a fault."""
+    """How the devices are reached, and how old a value may be before it is a fault.
+
+    `drive`, `torque` and `hall` say with one word, `device`, what stands there.
+    """
 
     can: CanSection
-    hall: SerialSection
+    drive: DriveDevice = NodeDevice()
+    torque: TorqueDevice = NodeDevice()
+    hall: HallDevice
     torque_age_limit_ms: Annotated[float, Field(ge=5, le=1000)] = 50
     hall_age_limit_ms: Annotated[float, Field(ge=5, le=1000)] = 50
     drive_age_limit_ms: Annotated[float, Field(ge=5, le=1000)] = 50
+
+    @property
+    def hall_port(self) -> str | None:
+        """The serial port of the Hall sensors; None where a device of one's own knows it."""
+        return None if isinstance(self.hall, DeviceFile) else self.hall.port
+
+    @property
+    def ports(self) -> dict[str, str]:
+        """Where the devices are, by key below `links`."""
+        found = {"can.channel": self.can.channel}
+        if self.hall_port is not None:
+            found["hall.port"] = self.hall_port
+        if isinstance(self.torque, NetFtTorque):
+            found["torque.address"] = self.torque.address
+        return found
 
 
 class DriveSection(Section):

@@ -151,15 +151,17 @@ def find_fault(measurement: Measurement, limits: Limits) -> Fault | None:
             "the emergency stop is pressed; release it, then: needle-rig clear",
             latching=True,
         )
-    return drive_fault(measurement.drive_state, measurement.drive_faults)
+    return drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
 
 
-def drive_fault(state: DriveState, faults: DriveFault) -> Fault | None:
-    """The drive's own fault bits as a sentence; latching unless all of them end by themselves."""
+def drive_fault(state: DriveState, faults: DriveFault, complaint: str = "") -> Fault | None:
+    """The drive's own fault bits and what else it says as a sentence; latching unless all of them end by
+    themselves."""
     if not faults and state is not DriveState.FAULT:
         return None
     reasons = [sentence for bit, sentence in DRIVE_SENTENCES.items() if bit in faults]
     latching = not reasons or bool(faults & ~TEMPORARY)
+    reasons += [complaint] if complaint else []
     text = "the drive stopped by itself: " + ("; ".join(reasons) or "it gives no reason")
     return Fault(
         _NAMES.get(faults, FaultName.DRIVE),
@@ -219,15 +221,15 @@ def _ages(measurement: Measurement, limits: Limits) -> tuple[tuple[str, float, f
     return (
         ("torque", measurement.torque_age_s, limits.torque_age_s, measurement.torque_complaint),
         ("hall", measurement.hall_age_s, limits.hall_age_s, measurement.hall_complaint),
-        ("drive", measurement.drive_age_s, limits.drive_age_s, ""),
+        ("drive", measurement.drive_age_s, limits.drive_age_s, measurement.drive_complaint),
     )
 
 
 def _stale(link: str, age_s: float, limit_s: float, complaint: str) -> str:
     if complaint:
         return f"the {link} link gives no good value: {complaint}"
-    check = {"torque": "the CAN bus and the torque node", "hall": "the serial cable and the hall node"}
-    where = check.get(link, "the CAN bus and the drive node")
+    what = {"torque": "torque sensor", "hall": "Hall sensors"}.get(link, "drive")
+    where = f"the {what}, cable and supply"
     if math.isinf(age_s):
         return f"the {link} link has given no value yet; check {where}"
     return (

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from needle_rig.config.check import validate
 from needle_rig.config.places import Places, read_yaml
-from needle_rig.dataset.records import Needle, TrialCommand
+from needle_rig.dataset.records import UNKNOWN_SIGMA, Needle, Start, TrialCommand
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
 
 FORMAT = "needle-rig-dataset/1"
+MODULUS_GPA = (0.5, 500.0)
+"""Shear moduli of what shafts are made of, rubber to tungsten carbide."""
+UNTOLD_NM2 = 62.56e-6
+"""Stands for a rigidity that neither a file nor torque and angles tell: that of the shipped needle."""
 
 
 class _Part(BaseModel):
@@ -23,12 +28,24 @@ class _Part(BaseModel):
 
 
 class NeedlePart(_Part):
-    """The needle's stated constants."""
+    """The needle's stated constants: diameter and shear modulus, or torsional rigidity, or that unknown."""
 
-    diameter_mm: Annotated[float, Field(gt=0.02, le=10)]
-    shear_modulus_gpa: Annotated[float, Field(gt=0.5, le=500)]
+    diameter_mm: Annotated[float, Field(gt=0.02, le=200)] | None = None
+    shear_modulus_gpa: Annotated[float, Field(gt=MODULUS_GPA[0], le=MODULUS_GPA[1])] | None = None
+    torsional_rigidity_nmm2: Annotated[float, Field(gt=0)] | Literal["unknown"] | None = None
     density_g_cm3: Annotated[float, Field(gt=0.5, le=25)] = 6.45
     uncertainty_percent: Annotated[float, Field(ge=0, le=100)] | None = None
+
+
+class SegmentPart(_Part):
+    """A stretch that is not like the needle: another diameter, a tube, or a rigidity of its own."""
+
+    from_mm: Annotated[float, Field(ge=0)]
+    to_mm: Annotated[float, Field(gt=0)]
+    diameter_mm: Annotated[float, Field(gt=0.02, le=200)] | None = None
+    inner_diameter_mm: Annotated[float, Field(ge=0, le=200)] = 0.0
+    shear_modulus_gpa: Annotated[float, Field(gt=MODULUS_GPA[0], le=MODULUS_GPA[1])] | None = None
+    torsional_rigidity_nmm2: Annotated[float, Field(gt=0)] | None = None
 
 
 class SensorPart(_Part):
@@ -44,6 +61,7 @@ class RigPart(_Part):
     needle: NeedlePart
     tissue_sections_mm: tuple[tuple[float, float], ...]
     needle_length_mm: Annotated[float, Field(gt=0)]
+    segments: tuple[SegmentPart, ...] = ()
     hall_sensors: tuple[SensorPart, ...]
 
 
@@ -52,6 +70,7 @@ class TrialPart(_Part):
 
     file: str
     start_s: float | None = None
+    start: Start = "relaxed"
     kind: str = "unknown"
     target_deg: float | None = None
     speed_deg_s: Annotated[float, Field(gt=0)] | None = None
@@ -71,6 +90,7 @@ class Description(_Part):
 
     format: str
     name: str
+    simulated: bool = False
     rig: RigPart
     trials: tuple[TrialPart, ...]
 
@@ -117,24 +137,81 @@ def layout_of(rig: RigPart, places: Places) -> Layout:
                 ("rig", "hall_sensors", k, "position_mm"),
                 f"{sensor.position_mm:g} mm lies beyond the needle's {length:g} mm",
             )
+    _check_needle(rig.needle, places)
     try:
         return Layout(
             needle_length_m=length / 1e3,
             tissue_sections_m=tuple((a / 1e3, b / 1e3) for a, b in rig.tissue_sections_mm),
             sensor_positions_m=tuple(s.position_mm / 1e3 for s in rig.hall_sensors),
+            segments=tuple(_segment(rig, k, places) for k in range(len(rig.segments))),
         )
     except BadInput as error:
         raise places.error(("rig",), str(error)) from None
 
 
+def _check_needle(part: NeedlePart, places: Places) -> None:
+    """Raises BadInput where a rigidity is told twice, or only by half."""
+    constants = [part.diameter_mm, part.shear_modulus_gpa]
+    told = sum(x is not None for x in constants)
+    if part.torsional_rigidity_nmm2 is None and told < 2:
+        missing = "shear_modulus_gpa" if part.diameter_mm is not None else "diameter_mm"
+        raise places.error(
+            ("rig", "needle"),
+            f"{missing} is missing; add it, or write torsional_rigidity_nmm2, a number or unknown",
+        )
+    if part.torsional_rigidity_nmm2 is not None and told:
+        raise places.error(
+            ("rig", "needle", "torsional_rigidity_nmm2"),
+            "stands beside diameter_mm and shear_modulus_gpa, which tell the same; keep one",
+        )
+
+
+def _segment(rig: RigPart, number: int, places: Places) -> tuple[float, float, float]:
+    """Start and end in metres, and rigidity over the needle's. Raises BadInput."""
+    part, needle = rig.segments[number], rig.needle
+    path = ("rig", "segments", number)
+    modulus_gpa = part.shear_modulus_gpa or needle.shear_modulus_gpa
+    if part.torsional_rigidity_nmm2 is not None and part.diameter_mm is None:
+        rigidity_nmm2 = part.torsional_rigidity_nmm2
+    elif part.diameter_mm is not None and part.torsional_rigidity_nmm2 is None and modulus_gpa is not None:
+        if part.inner_diameter_mm >= part.diameter_mm:
+            raise places.error(
+                (*path, "inner_diameter_mm"),
+                f"{part.inner_diameter_mm:g} mm is not below the outer diameter, {part.diameter_mm:g} mm",
+            )
+        polar_mm4 = math.pi / 32.0 * (part.diameter_mm**4 - part.inner_diameter_mm**4)
+        rigidity_nmm2 = polar_mm4 * modulus_gpa * 1e3
+    else:
+        raise places.error(
+            path,
+            "its rigidity is not told once: write diameter_mm (with shear_modulus_gpa if the needle has none)"
+            " or torsional_rigidity_nmm2",
+        )
+    if needle.torsional_rigidity_nmm2 == "unknown":
+        raise places.error(
+            path, "its rigidity is told, the needle's is unknown: write a rough one, with uncertainty_percent"
+        )
+    relative = rigidity_nmm2 * 1e-6 / needle_of(needle).torsional_rigidity_nm2
+    return part.from_mm / 1e3, part.to_mm / 1e3, relative
+
+
 def needle_of(part: NeedlePart) -> Needle:
-    """The needle in SI; its rigidity is known to 2 % unless the file says otherwise."""
-    given = part.uncertainty_percent
+    """The needle in SI; its rigidity is known to 2 % unless the file says otherwise.
+
+    One that is unknown is that of the shipped needle until torque and angles tell it.
+    """
+    sigma = 0.02 if part.uncertainty_percent is None else part.uncertainty_percent / 100.0
+    if part.torsional_rigidity_nmm2 == "unknown":
+        return Needle.of_rigidity(UNTOLD_NM2, UNKNOWN_SIGMA)
+    if part.torsional_rigidity_nmm2 is not None:
+        return Needle.of_rigidity(part.torsional_rigidity_nmm2 * 1e-6, sigma)
+    assert part.diameter_mm is not None
+    assert part.shear_modulus_gpa is not None
     return Needle(
         diameter_m=part.diameter_mm * 1e-3,
         shear_modulus_pa=part.shear_modulus_gpa * 1e9,
         density_kg_m3=part.density_g_cm3 * 1e3,
-        rigidity_sigma=0.02 if given is None else given / 100.0,
+        rigidity_sigma=sigma,
     )
 
 

@@ -19,7 +19,7 @@ from needle_rig.dataset.description import (
 from needle_rig.dataset.records import Dataset, DatasetTrial, in_series
 from needle_rig.dataset.samples import LeftOut
 from needle_rig.dataset.trial_file import read_trial
-from needle_rig.dataset.units_check import check_units, leave_out_wound
+from needle_rig.dataset.units_check import check_units, guessed_rigidity, judge_starts
 from needle_rig.errors import BadInput
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -74,7 +74,12 @@ def _same_layout(one: Dataset, other: Dataset) -> bool:
         return False
     places = [
         np.array(
-            [d.layout.needle_length_m, *sum(d.layout.tissue_sections_m, ()), *d.layout.sensor_positions_m]
+            [
+                d.layout.needle_length_m,
+                *sum(d.layout.tissue_sections_m, ()),
+                *d.layout.sensor_positions_m,
+                *sum(d.layout.segments, ()),
+            ]
         )
         for d in (one, other)
     ]
@@ -108,7 +113,7 @@ def _read_one(path: Path) -> Dataset:
             start_s = end_s
             notes.append(f"{places.of(('trials', place))}: start_s is missing; taken as {end_s:.1f} s")
         try:
-            trial = read_trial(path / part.file, path, sensors, part.command(), start_s)
+            trial = read_trial(path / part.file, path, sensors, part.command(), start_s, part.start)
         except LeftOut as reason:
             left_out.append(str(reason))
             notes.append(str(reason))
@@ -116,11 +121,22 @@ def _read_one(path: Path) -> Dataset:
         end_s = start_s + float(trial.trial.time_s[-1])
         trials.append(trial)
         notes.extend(trial.notes)
+    if not needle.rigidity_is_known:
+        needle, said = guessed_rigidity(trials, layout)
+        notes.append(said)
     check_units(trials, layout, needle, sensors)
-    kept, wound = leave_out_wound(trials, sensors)
-    notes.extend(wound)
+    kept, unlike = judge_starts(trials, sensors)
+    notes.extend(unlike)
     if not kept:
         raise BadInput(
-            "\n".join([*left_out, *wound, f"{show_path(path)}: no trial is left that can be used"])
+            "\n".join([*left_out, *unlike, f"{show_path(path)}: no trial is left that can be used"])
         )
-    return Dataset(description.name, layout, sensors, needle, in_series(tuple(kept)), tuple(notes))
+    return Dataset(
+        description.name,
+        layout,
+        sensors,
+        needle,
+        in_series(tuple(kept)),
+        tuple(notes),
+        simulated=description.simulated,
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,12 @@ from needle_rig.records import JsonObject
 
 Mask = npt.NDArray[np.bool_]
 Names = npt.NDArray[np.str_]
+Start: TypeAlias = Literal["relaxed", "wound", "zeroed"]
+"""How the shaft was when the recording began: without twist; with an unknown one, readings counted from the
+relaxed shaft; with an unknown one, readings counted from there."""
+
+UNKNOWN_SIGMA = 1.5
+"""Standard deviation of the logarithm of a rigidity that is only guessed: a factor of 4.5."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,16 @@ class Needle:
     density_kg_m3: float
     rigidity_sigma: float = 0.02
     """One standard deviation of the torsional rigidity, as a fraction of it."""
+
+    @classmethod
+    def of_rigidity(cls, torsional_rigidity_nm2: float, rigidity_sigma: float = 0.02) -> Needle:
+        """A shaft that is told by its torsional rigidity alone, as a wire of 1 mm with that rigidity."""
+        return cls(1e-3, torsional_rigidity_nm2 * 32.0 / (math.pi * 1e-12), 6450.0, rigidity_sigma)
+
+    @property
+    def rigidity_is_known(self) -> bool:
+        """Whether its torsional rigidity was stated, and not only guessed from torque and angles."""
+        return self.rigidity_sigma < UNKNOWN_SIGMA
 
     @property
     def torsional_rigidity_nm2(self) -> float:
@@ -78,6 +95,10 @@ class DatasetTrial:
     file: str
     notes: tuple[str, ...] = ()
     """What was found wrong with the file and how it was handled, a sentence each."""
+    start: Start = "relaxed"
+    start_change: Array | None = None
+    """What an unknown start changes of the readings, (changes, channels, samples), torque first: independent
+    standard deviations."""
 
     @property
     def torque_ok(self) -> Mask:
@@ -101,6 +122,8 @@ class Dataset:
     trials: tuple[DatasetTrial, ...]
     notes: tuple[str, ...] = field(default=())
     """What was found wrong and how it was handled, those of the trials included."""
+    simulated: bool = False
+    """It was recorded on a simulated rig; no real needle was turned."""
 
     @property
     def replicates(self) -> dict[TrialCommand, tuple[int, ...]]:

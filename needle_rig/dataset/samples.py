@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from needle_rig.dataset.base_path import denoised_base
 from needle_rig.dataset.channels import stuck_runs, unwrapped
-from needle_rig.dataset.records import DatasetTrial, TrialCommand
+from needle_rig.dataset.records import DatasetTrial, Start, TrialCommand
 from needle_rig.dataset.table import MAX_SAMPLES
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
@@ -40,6 +40,7 @@ def checked_trial(
     start_s: float,
     notes: list[str],
     absent: Collection[str] = (),
+    start: Start = "relaxed",
 ) -> DatasetTrial:
     """A trial of `values` (samples, 3 + sensors): time, base angle, torque, Hall angles; SI, NaN if missing.
 
@@ -75,7 +76,8 @@ def checked_trial(
     base_known = np.isfinite(values[:, 1])
     filled = np.interp(time_s, time_s[base_known], values[base_known, 1])
     path_in = denoised_base(time_s, filled)
-    _check_rest(time_s, path_in.angle_rad, int(line[0]), shown)
+    if start == "relaxed":
+        _check_rest(time_s, path_in.angle_rad, int(line[0]), shown)
     if not phase[0] and len(set(phase.tolist())) == 1:
         phase = _phases_from_motion(path_in.holding, command.kind)
         notes.append(f"{shown}:1: no column `phase`; motions are told apart by the base's holds")
@@ -89,6 +91,7 @@ def checked_trial(
         command=command,
         file=shown,
         notes=tuple(notes),
+        start=start,
     )
 
 
@@ -186,12 +189,13 @@ def _check_rest(time_s: Array, base_rad: Array, line: int, shown: str) -> None:
         raise LeftOut(
             f"{shown}:{line}",
             f"the base already turns at {rate:.0f}°/s; a trial must start at rest, with the shaft relaxed at"
-            " 0°",
+            " 0°, unless it says `start: wound`",
         )
     if abs(start) > AT_REST_DEG:
         raise LeftOut(
             f"{shown}:{line}",
-            f"the base starts at {start:.1f}°; a trial must start with the shaft relaxed at 0°",
+            f"the base starts at {start:.1f}°; a trial must start with the shaft relaxed at 0°, unless it"
+            " says `start: wound`",
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from needle_rig.config.hints import UNITS, split_unit
 from needle_rig.config.places import show_path
-from needle_rig.dataset.records import DatasetTrial, TrialCommand
+from needle_rig.dataset.records import DatasetTrial, Start, TrialCommand
 from needle_rig.dataset.samples import checked_trial
 from needle_rig.dataset.table import Table, read_table
 from needle_rig.errors import BadInput
@@ -21,7 +21,12 @@ _DEFAULT_UNIT = {"time": "s", "angle": "deg", "torque": "nmm"}
 
 
 def read_trial(
-    path: Path, folder: Path, sensors: tuple[str, ...], command: TrialCommand, start_s: float
+    path: Path,
+    folder: Path,
+    sensors: tuple[str, ...],
+    command: TrialCommand,
+    start_s: float,
+    start: Start = "relaxed",
 ) -> DatasetTrial:
     """The trial in the file at `path`, which must lie in `folder`.
 
@@ -42,7 +47,9 @@ def read_trial(
     _name_unused(table, found, sensors, shown, notes)
     values = np.column_stack([time_s, base, torque, *hall])
     absent = {name for name in ("base_torque", *sensors) if name not in found}
-    return checked_trial(values, table.text, table.line, sensors, shown, command, start_s, notes, absent)
+    return checked_trial(
+        values, table.text, table.line, sensors, shown, command, start_s, notes, absent, start
+    )
 
 
 def _columns(table: Table, shown: str) -> dict[str, tuple[int, str, str]]:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from needle_rig.dataset.channels import suspected_factor, white_noise
-from needle_rig.dataset.records import DatasetTrial, Needle
+from needle_rig.dataset.description import UNTOLD_NM2
+from needle_rig.dataset.records import UNKNOWN_SIGMA, DatasetTrial, Needle
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
 
+LEAST_TWIST_DEG = 3.0
+"""Below it the twist is the sensors' noise."""
 WOUND_DEG = 3.0
 """A shaft whose sensors start this far from where the other trials start was not relaxed."""
 
@@ -31,37 +35,73 @@ def check_units(
         _check_torque(trial, layout, needle)
 
 
-def leave_out_wound(
+def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Needle, str]:
+    """The shaft with the rigidity that the torque's span over that of the twist tells, within a factor of
+    about two; and a sentence of what cannot be told."""
+    known = {s: place for s, place in enumerate(layout.sensor_positions_m) if place > 0}
+    found: list[float] = []
+    for trial in trials:
+        base, torque = trial.trial.base_angle_rad, trial.torque_nm
+        for sensor, place in sorted(known.items(), key=lambda item: item[1]):
+            twist = base - trial.hall_rad[:, sensor]
+            both = np.isfinite(twist) & np.isfinite(torque)
+            if both.sum() >= 20 and np.ptp(twist[both]) > math.radians(LEAST_TWIST_DEG):
+                found.append(float(np.ptp(torque[both]) / np.ptp(twist[both])) * place)
+                break
+    said = "rig.needle: the torsional rigidity is unknown"
+    if found:
+        rigidity = float(np.median(found))
+        return Needle.of_rigidity(rigidity, UNKNOWN_SIGMA), (
+            f"{said}: about {rigidity * 1e6:.2g} N·mm² from torque over twist, and learnt from there; a gain"
+            " of the torque sensor and a rigidity that is off cannot be told apart"
+        )
+    return Needle.of_rigidity(UNTOLD_NM2, UNKNOWN_SIGMA), (
+        f"{said} and no trial has a torque beside an angle of the shaft: {UNTOLD_NM2 * 1e6:g} N·mm² stands"
+        " for it; angles alone tell friction over rigidity, a torque alone tells them only as far as the"
+        " shaft's spring shows at reversals"
+    )
+
+
+def judge_starts(
     trials: Sequence[DatasetTrial], sensors: tuple[str, ...]
 ) -> tuple[list[DatasetTrial], list[str]]:
-    """The trials that start as the others do, and a sentence for each that does not.
+    """The trials, those that start unlike the others as wound; and a sentence for each.
 
-    A shaft that was left wound shows it before the first motion. Offsets that all trials share stay.
+    A shaft that was left wound shows it before the first motion: in the torque, or in two angles or more.
+    One angle alone that begins elsewhere is a sensor that has moved: its trial is left out. Offsets that all
+    trials share stay.
     """
-    if len(trials) < 3:
+    relaxed = [t for t in trials if t.start == "relaxed"]
+    if len(relaxed) < 3:
         return list(trials), []
-    starts = np.array([_at_start(t) for t in trials])
     with np.errstate(invalid="ignore"):
-        usual = _median(starts)
-        away = np.abs(starts - usual)
+        usual = _median(np.array([_at_start(t) for t in relaxed]))
     largest = float(np.nanmax([np.nanmax(np.abs(t.torque_nm), initial=0.0) for t in trials]) or 0.0)
+    limits = np.array([max(0.3 * largest, 1e-6), *([math.radians(WOUND_DEG)] * len(sensors))])
     kept: list[DatasetTrial] = []
     notes: list[str] = []
-    for trial, start, distance in zip(trials, starts, away, strict=True):
-        hall = distance[1:]
-        worst = int(np.nanargmax(hall)) if np.isfinite(hall).any() else -1
-        if worst >= 0 and hall[worst] > math.radians(WOUND_DEG):
-            notes.append(
-                f"{trial.file}:2: left out: {sensors[worst]} begins at "
-                f"{math.degrees(start[1 + worst]):.1f}°, others at {math.degrees(usual[1 + worst]):.1f}°"
-            )
-        elif np.isfinite(distance[0]) and distance[0] > max(0.3 * largest, 1e-6):
-            notes.append(
-                f"{trial.file}:2: left out: the torque starts at {start[0] * 1e3:.3f} N·mm, other trials at "
-                f"{usual[0] * 1e3:.3f} N·mm; start relaxed"
-            )
-        else:
+    for trial in trials:
+        start = _at_start(trial)
+        with np.errstate(invalid="ignore"):
+            away = np.where(np.isfinite(start), np.abs(start - usual), 0.0)
+        unlike = np.flatnonzero(away > limits)
+        if trial.start != "relaxed" or not unlike.size:
             kept.append(trial)
+            continue
+        worst = int(unlike[np.argmax(away[unlike] / limits[unlike])])
+        if worst:
+            words = f"{sensors[worst - 1]} begins at {math.degrees(start[worst]):.1f}°"
+            others = f"others at {math.degrees(usual[worst]):.1f}°"
+        else:
+            words = f"the torque starts at {start[0] * 1e3:.3f} N·mm"
+            others = f"other trials at {usual[0] * 1e3:.3f} N·mm"
+        if unlike[0] == 0 or unlike.size > 1:
+            notes.append(f"{trial.file}:2: {words}, {others}: taken as a wound start")
+            kept.append(dataclasses.replace(trial, start="wound"))
+        else:
+            notes.append(
+                f"{trial.file}:2: left out: {words}, {others}; where the shaft was wound: `start: wound`"
+            )
     return kept, notes
 
 
@@ -154,7 +194,7 @@ def _check_hall(trial: DatasetTrial, sensor: int, name: str) -> None:
 
 def _check_torque(trial: DatasetTrial, layout: Layout, needle: Needle) -> None:
     """The twist up to the first sensor gives the torque to a factor of about two."""
-    if not layout.sensor_positions_m or not layout.tissue_sections_m:
+    if not layout.sensor_positions_m or not layout.tissue_sections_m or not needle.rigidity_is_known:
         return
     nearest = int(np.argmin(layout.sensor_positions_m))
     twist = trial.trial.base_angle_rad - trial.hall_rad[:, nearest]

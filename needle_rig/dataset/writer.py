@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.config.places import show_path, write_yaml
-from needle_rig.dataset.description import FORMAT
-from needle_rig.dataset.records import Dataset, DatasetTrial
+from needle_rig.dataset.description import FORMAT, MODULUS_GPA
+from needle_rig.dataset.records import Dataset, DatasetTrial, Needle
 from needle_rig.errors import BadInput
 from needle_rig.records import JsonObject
 
@@ -30,21 +30,28 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
     for number, trial in enumerate(dataset.trials, start=1):
         file = f"trials/{number:02d}.csv"
         (target / file).write_text(_csv(trial, dataset.sensor_names), encoding="utf-8")
-        trials.append({"file": file, "start_s": round(trial.trial.start_s, 3), **trial.command.file_keys()})
-    constants: dict[str, float] = {
-        "diameter_mm": _tidy(needle.diameter_m * 1e3),
-        "shear_modulus_gpa": _tidy(needle.shear_modulus_pa * 1e-9),
-        "density_g_cm3": _tidy(needle.density_kg_m3 * 1e-3),
-    }
-    if needle.rigidity_sigma != 0.02:
-        constants["uncertainty_percent"] = _tidy(needle.rigidity_sigma * 100.0)
+        told: JsonObject = {"file": file, "start_s": round(trial.trial.start_s, 3)}
+        if trial.start != "relaxed":
+            told["start"] = trial.start
+        trials.append(told | trial.command.file_keys())
+    rigidity_nmm2 = _tidy(needle.torsional_rigidity_nm2 * 1e6)
+    segments = [
+        {
+            "from_mm": _tidy(a * 1e3),
+            "to_mm": _tidy(b * 1e3),
+            "torsional_rigidity_nmm2": rigidity_nmm2 * relative,
+        }
+        for a, b, relative in layout.segments
+    ]
     described = {
         "format": FORMAT,
         "name": dataset.name,
+        **({"simulated": True} if dataset.simulated else {}),
         "rig": {
-            "needle": constants,
+            "needle": _constants(needle),
             "tissue_sections_mm": [[_tidy(a * 1e3), _tidy(b * 1e3)] for a, b in layout.tissue_sections_m],
             "needle_length_mm": _tidy(layout.needle_length_m * 1e3),
+            **({"segments": segments} if segments else {}),
             "hall_sensors": [
                 {"name": name, "position_mm": _tidy(at * 1e3)}
                 for name, at in zip(dataset.sensor_names, layout.sensor_positions_m, strict=True)
@@ -54,6 +61,23 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
     }
     (target / "dataset.yaml").write_text(write_yaml(described), encoding="utf-8")
     return target
+
+
+def _constants(needle: Needle) -> JsonObject:
+    """The needle as files state it: a rigidity that no wire of its diameter has stands as it is."""
+    if not needle.rigidity_is_known:
+        return {"torsional_rigidity_nmm2": "unknown"}
+    modulus_gpa = _tidy(needle.shear_modulus_pa * 1e-9)
+    constants: JsonObject = {
+        "diameter_mm": _tidy(needle.diameter_m * 1e3),
+        "shear_modulus_gpa": modulus_gpa,
+        "density_g_cm3": _tidy(needle.density_kg_m3 * 1e-3),
+    }
+    if not MODULUS_GPA[0] < modulus_gpa <= MODULUS_GPA[1]:
+        constants = {"torsional_rigidity_nmm2": _tidy(needle.torsional_rigidity_nm2 * 1e6)}
+    if needle.rigidity_sigma != 0.02:
+        constants["uncertainty_percent"] = _tidy(needle.rigidity_sigma * 100.0)
+    return constants
 
 
 def _csv(trial: DatasetTrial, sensors: tuple[str, ...]) -> str:

@@ -12,11 +12,9 @@ import can
 from can.interfaces.slcan import slcanBus
 
 from needle_rig.config.schema import CanSection
+from needle_rig.devices.device import FrameHandler
 from needle_rig.devices.ports import claim, claim_interface, interface_reason, port_reason
 from needle_rig.errors import RigFault
-
-FrameHandler = Callable[[int, bytes, float], None]
-"""Receives (frame id, data, host time in s of its arrival)."""
 
 _FRAMES_A_WAKE = 512
 _FRAME_LETTERS = frozenset((b"t", b"T", b"r", b"R"))
@@ -32,6 +30,7 @@ class CanLink:
         self._bus: can.BusABC | None = None
         self._reader: _Reader | None = None
         self._lock_fd: int | None = None
+        self.place = f"{config.interface} {config.channel}"
         self.lost = False
         """Whether the adapter went away."""
         self.trouble = ""
@@ -39,8 +38,8 @@ class CanLink:
 
     def open(self) -> None:
         """Claim the port and listen in the running loop. Raises RigFault in one sentence."""
-        self.close()
-        place = f"CAN bus ({self._config.interface} {self._config.channel})"
+        self._release()
+        place = f"CAN bus ({self.place})"
         try:
             if self._config.interface == "slcan":
                 self._lock_fd = claim(self._config.channel.partition("@")[0])
@@ -48,7 +47,7 @@ class CanLink:
                 self._lock_fd = claim_interface(self._config.channel)
             self._bus = _open_bus(self._config)
         except (can.CanError, OSError, ValueError) as error:
-            self.close()
+            self._release()
             self.trouble = f"{place}: {_reason(error, self._config)}; see links.can in the rig file"
             raise RigFault(self.trouble) from error
         self._reader = _Reader(self._bus, self._receive, self._on_lost)
@@ -69,8 +68,11 @@ class CanLink:
             return False
         return True
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """Stop listening and release the port; safe to call twice."""
+        self._release()
+
+    def _release(self) -> None:
         if self._reader is not None:
             self._reader.stop()
             self._reader = None
@@ -83,8 +85,7 @@ class CanLink:
             self._lock_fd = None
 
     def _on_lost(self, error: Exception) -> None:
-        place = f"CAN bus ({self._config.interface} {self._config.channel})"
-        self.lost, self.trouble = True, f"{place}: {_reason(error, self._config)}"
+        self.lost, self.trouble = True, f"CAN bus ({self.place}): {_reason(error, self._config)}"
 
     def _receive(self, message: can.Message) -> None:
         if not (message.is_extended_id or message.is_error_frame or message.is_remote_frame):

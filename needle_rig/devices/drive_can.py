@@ -3,80 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
+from needle_rig.config.files import find_config_file
+from needle_rig.config.schema import NodeDevice
+from needle_rig.devices.device import Drive, Host
 from needle_rig.devices.link_clock import LinkClock
-from needle_rig.records import Command, DriveFault, DriveState
-from needle_rig.rig import RawReadings
+from needle_rig.records import Command, DriveFault
 from needle_rig.wire.can_frames import (
     COUNTER_MODULUS,
     DRIVE_COMMAND_ID,
+    DRIVE_HEALTH_ID,
     DRIVE_REFERENCE_ID,
+    DRIVE_STATUS_ID,
     HEARTBEAT_MODULUS,
-    CanCodec,
+    DriveCommand,
     DriveHealth,
+    DriveReference,
     DriveStatus,
+    load_codec,
 )
 
 HEALTH_AGE_LIMIT_S = 0.1
 """DRIVE_HEALTH comes every 10 ms: ten that are missing, while statuses come, mean a node that is ill."""
+_IDS = (DRIVE_STATUS_ID, DRIVE_HEALTH_ID, DRIVE_COMMAND_ID, DRIVE_REFERENCE_ID)
 
 
-class DriveCan:
+class DriveCan(Drive):
     """Newest status of the drive with its age; every command carries the next counter and heartbeat."""
 
-    def __init__(
-        self, codec: CanCodec, send: Callable[[int, bytes], bool], raw: RawReadings | None = None
-    ) -> None:
-        self._codec = codec
-        self._send = send
-        self._raw = raw
-        self._clock = LinkClock(codec.drive_clock_period_s)
+    Options = NodeDevice
+
+    def __init__(self, options: NodeDevice, host: Host) -> None:  # noqa: ARG002 a node has none
+        self._host = host
+        self._codec = load_codec(find_config_file("needle_rig.dbc"))
+        self._bus = self.link = host.can(self._receive)
+        self._clock = LinkClock(self._codec.drive_clock_period_s)
         self._counter = 0
         self._heartbeat = 0
-        self._status_faults = DriveFault.NONE
         self._health = DriveHealth(DriveFault.NONE, False, False, False, math.nan, 0, 0)
         self._health_s = -math.inf
-        self.angle_rad = math.nan
-        self.state = DriveState.SILENT
+        self._status_faults = DriveFault.NONE
 
-    @property
-    def faults(self) -> DriveFault:
-        """Every reason that the drive gives."""
-        return self._status_faults | self._health.faults
-
-    @property
-    def referenced(self) -> bool:
-        """Whether the node knows its zero; False after it started."""
-        return self._health.referenced
-
-    @property
-    def supply_on(self) -> bool:
-        """Whether the safe-torque-off line lets the motor have its supply."""
-        return self._health.supply_on
-
-    @property
-    def emergency_stop(self) -> bool:
-        """Whether the emergency stop is pressed or its loop broken."""
-        return self._health.emergency_stop
-
-    @property
-    def index_rad(self) -> float:
-        """Angle at which the index mark passed last; NaN until it did."""
-        return self._health.index_rad
-
-    def take(self, status: DriveStatus, now_s: float) -> None:
-        """A DRIVE_STATUS whose checksum was right."""
-        if self._raw is not None:
-            row = (now_s, status.node_time_s, float(status.counter), status.angle_rad)
-            self._raw("drive", (*row, float(status.state), float(status.faults | self._health.faults)))
-        if self._clock.accept(status.counter, status.node_time_s, now_s):
-            self.angle_rad, self.state, self._status_faults = status.angle_rad, status.state, status.faults
-
-    def take_health(self, health: DriveHealth, now_s: float) -> None:
-        """A DRIVE_HEALTH whose checksum was right; one that repeats the counter is no news."""
-        if health.counter != self._health.counter or math.isinf(self._health_s):
-            self._health, self._health_s = health, now_s
+    def complaint(self, now_s: float) -> str:
+        """What is wrong with a node that does speak, for the message of a missing link."""
+        if math.isinf(self._health_s) and self._clock.age_s(now_s) < HEALTH_AGE_LIMIT_S:
+            return "it sends no DRIVE_HEALTH; flash the firmware of this version: needle-rig firmware build"
+        return ""
 
     def age_s(self, now_s: float) -> float:
         """Time since the newest status was sampled; infinite before the first status and the first health.
@@ -87,19 +59,39 @@ class DriveCan:
         age_s = self._clock.age_s(now_s)
         return max(age_s, health_age_s) if health_age_s > HEALTH_AGE_LIMIT_S else age_s
 
-    def complaint(self, now_s: float) -> str:
-        """What is wrong with a node that does speak, for the message of a missing link."""
-        if math.isinf(self._health_s) and self._clock.age_s(now_s) < HEALTH_AGE_LIMIT_S:
-            return "it sends no DRIVE_HEALTH; flash the firmware of this version: needle-rig firmware build"
-        return ""
-
     def command(self, command: Command) -> None:
         """Send `command` at once or not at all: the next one comes within a tick."""
         if command.release:
             return
         self._counter = (self._counter + 1) % COUNTER_MODULUS
         self._heartbeat = (self._heartbeat + 1) % HEARTBEAT_MODULUS
-        self._send(DRIVE_COMMAND_ID, self._codec.encode_command(command, self._counter, self._heartbeat))
+        self._bus.send(DRIVE_COMMAND_ID, self._codec.encode_command(command, self._counter, self._heartbeat))
         if command.reference_rad is not None:
             reference = self._codec.encode_reference(command.reference_rad, self._counter, self._heartbeat)
-            self._send(DRIVE_REFERENCE_ID, reference)
+            self._bus.send(DRIVE_REFERENCE_ID, reference)
+
+    def _receive(self, frame_id: int, data: bytes, now_s: float) -> None:
+        content = self._codec.decode(frame_id, data) if frame_id in _IDS else None
+        if isinstance(content, DriveStatus):
+            self._take(content, now_s)
+        elif isinstance(content, DriveHealth):
+            self._take_health(content, now_s)
+        elif isinstance(content, DriveCommand | DriveReference):
+            # Neither slcan nor SocketCAN gives us our own frames back: this is another master's.
+            self.foreign_commands += 1
+
+    def _take(self, status: DriveStatus, now_s: float) -> None:
+        row = (now_s, status.node_time_s, float(status.counter), status.angle_rad)
+        self._host.record("drive", (*row, float(status.state), float(status.faults | self._health.faults)))
+        if self._clock.accept(status.counter, status.node_time_s, now_s):
+            self.angle_rad, self.state, self._status_faults = status.angle_rad, status.state, status.faults
+            self.faults = self._status_faults | self._health.faults
+
+    def _take_health(self, health: DriveHealth, now_s: float) -> None:
+        """One that repeats the counter is no news."""
+        if health.counter == self._health.counter and not math.isinf(self._health_s):
+            return
+        self._health, self._health_s = health, now_s
+        self.faults = self._status_faults | health.faults
+        self.referenced, self.supply_on = health.referenced, health.supply_on
+        self.emergency_stop, self.index_rad = health.emergency_stop, health.index_rad

@@ -1,4 +1,4 @@
-"""The rig behind its ports: torque and drive nodes on CAN, Hall node on serial."""
+"""The rig behind its ports: drive, torque sensor and Hall sensors as the rig file names them."""
 
 from __future__ import annotations
 
@@ -7,24 +7,28 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
+from typing import ParamSpec, Protocol, TypeVar
 
-from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.can_bus import CanLink
-from needle_rig.devices.drive_can import DriveCan
-from needle_rig.devices.hall_serial import HallSerial
-from needle_rig.devices.torque_can import TorqueCan
+from needle_rig.devices.device import (
+    BytePort,
+    BytesHandler,
+    CanPort,
+    Device,
+    Drive,
+    FrameHandler,
+    HallSensors,
+    Host,
+    Link,
+    TorqueSensor,
+)
+from needle_rig.devices.ethernet import UdpPort, fetch_page
+from needle_rig.devices.library import make_device
+from needle_rig.devices.serial_line import SerialLine
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.records import STOP, Command, Measurement
 from needle_rig.rig import RawReadings
-from needle_rig.wire.can_frames import (
-    CanCodec,
-    DriveCommand,
-    DriveHealth,
-    DriveReference,
-    DriveStatus,
-    TorqueStatus,
-)
 from needle_rig.wire.hall_frames import HallFrame
 
 _POLL_S = 0.005
@@ -32,40 +36,118 @@ _LAST_STOPS = 3
 _RETRY_S = 0.5
 _FRESH_S = 0.1
 
+_Kind = TypeVar("_Kind", bound=Device)
+_Given = ParamSpec("_Given")
+
+
+class RigHost(Host, Protocol):
+    """A host for all devices of a rig. `links` are those that were asked for; `kind` says by whom."""
+
+    links: list[Link]
+    kind: str
+    defects: dict[str, str]
+    """By kind: how its device failed on what it was handed."""
+
+
+class RealHost:
+    """Real ports for the devices of one rig."""
+
+    def __init__(self, config: RigConfig, raw: RawReadings | None, now: Callable[[], float]) -> None:
+        self.sensors = tuple(sensor.name for sensor in config.layout.hall_sensors)
+        self.tick_s = 1.0 / config.tick_hz
+        self.now = now
+        self.base_rad: Callable[[], float] = lambda: math.nan
+        self.links: list[Link] = []
+        self.kind = ""
+        self.defects: dict[str, str] = {}
+        self._raw = raw
+        self._can_section = config.links.can
+        self._bus: CanLink | None = None
+        self._listeners: list[FrameHandler] = []
+
+    def record(self, source: str, row: tuple[float, ...]) -> None:
+        """See `Host.record`."""
+        if self._raw is not None:
+            self._raw(source, row)
+
+    def can(self, received: FrameHandler) -> CanPort:
+        """See `Host.can`; all devices share it."""
+        if self._bus is None:
+            self._bus = CanLink(self._can_section, self._on_frame, self.now)
+            self.links.append(self._bus)
+        self._listeners.append(self._guarded(received))
+        return self._bus
+
+    def serial(self, port: str, baud: int, received: BytesHandler) -> BytePort:
+        """See `Host.serial`."""
+        line = SerialLine(self.kind, port, baud, self._guarded(received), self.now)
+        self.links.append(line)
+        return line
+
+    def udp(self, address: str, port: int, received: BytesHandler) -> BytePort:
+        """See `Host.udp`."""
+        made = UdpPort(self.kind, address, port, self._guarded(received), self.now)
+        self.links.append(made)
+        return made
+
+    async def page(self, address: str, port: int, path: str) -> bytes:
+        """See `Host.page`."""
+        return await asyncio.to_thread(fetch_page, address, port, path)
+
+    def _guarded(self, received: Callable[_Given, None]) -> Callable[_Given, None]:
+        """`received`, whose defect makes its own link old and does not end the tick."""
+        kind = self.kind
+
+        def guarded(*given: _Given.args, **named: _Given.kwargs) -> None:
+            try:
+                received(*given, **named)
+            except Exception as error:  # noqa: BLE001 a device of one's own may raise anything
+                self.defects[kind] = f"its device has a defect: {type(error).__name__}: {error}"
+
+        return guarded
+
+    def _on_frame(self, frame_id: int, data: bytes, now_s: float) -> None:
+        for listener in self._listeners:
+            listener(frame_id, data, now_s)
+
 
 class HardwareRig:
-    """A `Rig` made of the links of `config`. `raw` receives every reading whose checksum was right."""
+    """A `Rig` made of the devices of `config`. `raw` receives every reading whose checksum was right."""
 
     def __init__(
         self,
         config: RigConfig,
         raw: RawReadings | None = None,
         now: Callable[[], float] = time.monotonic,
+        host: RigHost | None = None,
     ) -> None:
-        for key, port in (("can.channel", config.links.can.channel), ("hall.port", config.links.hall.port)):
+        """`host` stands in for this computer's ports."""
+        for key, port in config.links.ports.items():
             if port == "auto":
                 raise BadInput(
                     f"links.{key}: auto is the port of a simulated rig, which nobody has started; name a port"
                 )
-        self._links = config.links
         self._now = now
-        self._codec = CanCodec(find_config_file("needle_rig.dbc"))
-        self._can = CanLink(config.links.can, self._on_frame, now)
-        self._torque = TorqueCan(self._codec.torque_clock_period_s, raw)
-        self._drive = DriveCan(self._codec, self._can.send, raw)
-        sensors = tuple(sensor.name for sensor in config.layout.hall_sensors)
-        self._hall = HallSerial(config.links.hall, sensors, raw, now, self._base_now)
+        self._host: RigHost = RealHost(config, raw, now) if host is None else host
+        self._drive = self._made(config, "drive", Drive)
+        self._torque = self._made(config, "torque", TorqueSensor)
+        self._hall = self._made(config, "hall", HallSensors)
+        self._kinds: dict[Device, str] = {self._torque: "torque", self._drive: "drive", self._hall: "hall"}
+        self._host.base_rad = self._base_now  # type: ignore[method-assign]
         self._watching: asyncio.TimerHandle | None = None
-        self._foreign_commands = 0
+        self._set_ups: dict[Device, asyncio.Task[None]] = {}
+        self._trouble: dict[Device, str] = {}
 
     async def open(self, timeout_s: float = 3.0) -> None:
-        """Connect and wait for the first reading of every link; RigFault names a missing one and its port.
+        """Connect and wait for the first reading of every device; RigFault names a missing one and its port.
 
         Stop commands go out meanwhile, so that the drive knows its host before it is asked to move.
         """
         try:
-            self._can.open()
-            self._hall.open()
+            for link in self._host.links:
+                link.open()
+            for device in self._kinds:
+                await device.set_up()
             self._watch()
             deadline_s = self._now() + timeout_s
             while missing := self._missing():
@@ -73,6 +155,7 @@ class HardwareRig:
                     raise RigFault(f"no reading within {timeout_s:g} s from the {' and the '.join(missing)}")
                 self.write(STOP)
                 await asyncio.sleep(_POLL_S)
+                self._poll()
         except BaseException:
             await self.close()
             raise
@@ -81,32 +164,33 @@ class HardwareRig:
         """Newest values with their ages; never blocks."""
         # After a pause of this process the ports hold frames that the loop has not brought yet; judged by
         # what it has brought, every link would look dead.
-        self._can.poll()
-        self._hall.poll()
+        self._poll()
         now_s = self._now()
+        drive, torque, hall = self._drive, self._torque, self._hall
         return Measurement(
             time_s=now_s,
-            base_angle_rad=self._drive.angle_rad,
-            torque_nm=self._torque.torque_nm,
-            hall_rad=self._hall.angle_rad,
-            drive_state=self._drive.state,
-            drive_faults=self._drive.faults,
-            torque_age_s=self._torque.age_s(now_s),
-            hall_age_s=self._hall.age_s(now_s),
-            drive_age_s=self._drive.age_s(now_s),
-            torque_complaint=self._can.trouble or self._torque.complaint,
-            hall_complaint=self._hall.complaint,
-            referenced=self._drive.referenced,
-            supply_on=self._drive.supply_on,
-            emergency_stop=self._drive.emergency_stop,
-            index_rad=self._drive.index_rad,
-            foreign_commands=self._foreign_commands,
+            base_angle_rad=drive.angle_rad,
+            torque_nm=torque.torque_nm,
+            hall_rad=hall.angle_rad,
+            drive_state=drive.state,
+            drive_faults=drive.faults,
+            torque_age_s=torque.age_s(now_s),
+            hall_age_s=hall.age_s(now_s),
+            drive_age_s=drive.age_s(now_s),
+            torque_complaint=self._complaint(torque, now_s),
+            hall_complaint=self._complaint(hall, now_s),
+            drive_complaint=self._complaint(drive, now_s),
+            referenced=drive.referenced,
+            supply_on=drive.supply_on,
+            emergency_stop=drive.emergency_stop,
+            index_rad=drive.index_rad,
+            foreign_commands=drive.foreign_commands,
         )
 
     @property
     def hall_frame(self) -> HallFrame | None:
-        """The newest frame of the Hall node, with its field amplitudes."""
-        return self._hall.frame
+        """The newest frame of the Hall node, with its field amplitudes; None where another device stands."""
+        return getattr(self._hall, "frame", None)
 
     def write(self, command: Command) -> None:
         """Send one command; never blocks. A dead link shows in the ages of later readings."""
@@ -118,30 +202,51 @@ class HardwareRig:
         """Stop the drive and release every port; safe to call twice."""
         if self._watching is not None:
             self._watching.cancel()
+        for task in self._set_ups.values():
+            task.cancel()
+        await asyncio.gather(*self._set_ups.values(), return_exceptions=True)
+        self._set_ups.clear()
         for _ in range(_LAST_STOPS):
             self.write(STOP)
-        self._can.close()
-        await self._hall.close()
+        for device in self._kinds:
+            device.shut_down()
+        for link in self._host.links:
+            await link.close()
+
+    def _made(self, config: RigConfig, kind: str, of: type[_Kind]) -> _Kind:
+        self._host.kind = kind
+        device = make_device(config.links, kind, self._host)
+        assert isinstance(device, of)
+        return device
+
+    def _poll(self) -> None:
+        for link in self._host.links:
+            link.poll()
 
     def _watch(self) -> None:
-        """Open again what was pulled out and put back; the ages tell the brain when it works."""
-        for link in (self._can, self._hall):
+        """Open again what was pulled out and put back, and set up a device that started again; the ages tell
+        the brain when it works.
+        """
+        for link in self._host.links:
             if link.lost:
                 with contextlib.suppress(RigFault):
                     link.open()
+        for device in self._kinds:
+            busy = device in self._set_ups and not self._set_ups[device].done()
+            if not busy and not device.link.lost and device.needs_set_up(self._now()):
+                self._set_ups[device] = asyncio.create_task(self._set_up(device), name="set up a device")
         self._watching = asyncio.get_running_loop().call_later(_RETRY_S, self._watch)
 
-    def _on_frame(self, frame_id: int, data: bytes, now_s: float) -> None:
-        content = self._codec.decode(frame_id, data)
-        if isinstance(content, TorqueStatus):
-            self._torque.take(content, now_s)
-        elif isinstance(content, DriveStatus):
-            self._drive.take(content, now_s)
-        elif isinstance(content, DriveHealth):
-            self._drive.take_health(content, now_s)
-        elif isinstance(content, DriveCommand | DriveReference):
-            # Neither slcan nor SocketCAN gives us our own frames back: this is another master's.
-            self._foreign_commands += 1
+    async def _set_up(self, device: Device) -> None:
+        self._trouble.pop(device, None)
+        try:
+            await device.set_up()
+        except RigFault as fault:
+            self._trouble[device] = str(fault)
+
+    def _complaint(self, device: Device, now_s: float) -> str:
+        defect = self._host.defects.get(self._kinds[device], "")
+        return device.link.trouble or defect or device.complaint(now_s) or self._trouble.get(device, "")
 
     def _base_now(self) -> float:
         """The base's angle, for the Hall sensors' turns; NaN when it is old."""
@@ -149,16 +254,12 @@ class HardwareRig:
         return self._drive.angle_rad if fresh else math.nan
 
     def _missing(self) -> list[str]:
-        """The links without a first reading, as a person would look for them."""
+        """The devices without a first reading, as a person would look for them."""
         now_s = self._now()
-        can = f"{self._links.can.interface} {self._links.can.channel}"
-        found = (
-            (self._torque.age_s(now_s), "torque link", can, self._can.trouble or self._torque.complaint),
-            (self._drive.age_s(now_s), "drive link", can, self._drive.complaint(now_s)),
-            (self._hall.age_s(now_s), "Hall link", self._links.hall.port, self._hall.complaint),
-        )
-        return [
-            f"{name} ({port}{': ' + complaint if complaint else ''})"
-            for age_s, name, port, complaint in found
-            if math.isinf(age_s)
-        ]
+        found = ((self._torque, "torque link"), (self._drive, "drive link"), (self._hall, "Hall link"))
+        missing: list[str] = []
+        for device, name in found:
+            if math.isinf(device.age_s(now_s)):
+                complaint = self._complaint(device, now_s)
+                missing.append(f"{name} ({device.link.place}{': ' + complaint if complaint else ''})")
+        return missing

@@ -43,6 +43,20 @@ def interface_reason(code: int, name: str) -> str:
     return f"cannot use {name}: {os.strerror(code)}"
 
 
+def network_reason(error: OSError) -> str:
+    """Why a device on the network cannot be reached, and what to do, for a person."""
+    if isinstance(error, TimeoutError):
+        return "nobody answers; is it on, and this its address?"
+    if error.errno in (errno.EAFNOSUPPORT, errno.EACCES, errno.EPERM):
+        return (
+            "no right to use the network; a service needs IPAddressAllow= and RestrictAddressFamilies=AF_INET"
+        )
+    if isinstance(error, socket.gaierror):
+        return "no such address"
+    told = os.strerror(error.errno).lower() if error.errno else str(error)
+    return f"{told}; is it on, and this its address? ping shows whether it is there"
+
+
 def port_reason(error: OSError, path: str) -> str:
     """Why a port cannot be opened, and what to do, for a person."""
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):

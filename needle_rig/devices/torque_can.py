@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
+from needle_rig.config.files import find_config_file
+from needle_rig.config.schema import NodeDevice
+from needle_rig.devices.device import Host, TorqueSensor
 from needle_rig.devices.link_clock import LinkClock
-from needle_rig.rig import RawReadings
-from needle_rig.wire.can_frames import TORQUE_OK, TorqueStatus
+from needle_rig.wire.can_frames import TORQUE_OK, TORQUE_STATUS_ID, TorqueStatus, load_codec
 
 _COMPLAINTS = {
     TORQUE_OK: "",
@@ -16,24 +16,31 @@ _COMPLAINTS = {
 }
 
 
-class TorqueCan:
+class TorqueCan(TorqueSensor):
     """A torque that the node does not vouch for (starting, saturated, broken) counts as none."""
 
-    def __init__(self, clock_period_s: float, raw: RawReadings | None = None) -> None:
-        self._clock = LinkClock(clock_period_s)
-        self._raw = raw
-        self.torque_nm = math.nan
-        self.complaint = ""
-        """What is wrong with frames that do come, for the message of a missing link."""
+    Options = NodeDevice
 
-    def take(self, status: TorqueStatus, now_s: float) -> None:
-        """A frame whose checksum was right."""
-        if self._raw is not None:
-            self._raw("torque", (now_s, status.node_time_s, float(status.counter), status.torque_nm))
-        self.complaint = _COMPLAINTS.get(status.state, f"the node is in state {status.state}")
-        if status.state == TORQUE_OK and self._clock.accept(status.counter, status.node_time_s, now_s):
-            self.torque_nm = status.torque_nm
+    def __init__(self, options: NodeDevice, host: Host) -> None:  # noqa: ARG002 a node has none
+        self._host = host
+        self._codec = load_codec(find_config_file("needle_rig.dbc"))
+        self.link = host.can(self._receive)
+        self._clock = LinkClock(self._codec.torque_clock_period_s)
+        self._complaint = ""
+
+    def complaint(self, now_s: float) -> str:  # noqa: ARG002
+        """What is wrong with frames that do come, for the message of a missing link."""
+        return self._complaint
 
     def age_s(self, now_s: float) -> float:
         """Time since the newest good torque was sampled; infinite before the first."""
         return self._clock.age_s(now_s)
+
+    def _receive(self, frame_id: int, data: bytes, now_s: float) -> None:
+        status = self._codec.decode(frame_id, data) if frame_id == TORQUE_STATUS_ID else None
+        if not isinstance(status, TorqueStatus):
+            return
+        self._host.record("torque", (now_s, status.node_time_s, float(status.counter), status.torque_nm))
+        self._complaint = _COMPLAINTS.get(status.state, f"the node is in state {status.state}")
+        if status.state == TORQUE_OK and self._clock.accept(status.counter, status.node_time_s, now_s):
+            self.torque_nm = status.torque_nm

@@ -9,6 +9,7 @@ import numpy as np
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
 from needle_rig.dataset.description import layout_of, needle_of
+from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.importing.commands import commanded
@@ -121,6 +122,9 @@ def _recording(
         ]
     )
     parts = {part.role: part for part in mapping.channels}
+    start: Start = mapping.trials.start
+    if start == "wound" and any(part.zero == "start" for role, part in parts.items() if role != BASE):
+        start = "zeroed"
     cuts, notes_of_cut = cuts_of(mapping, table, of, zero_s, number, parts, sensors)
     notes += [f"{source}: {note}" for note in notes_of_cut]
     trials = []
@@ -137,7 +141,16 @@ def _recording(
         try:
             trials.append(
                 checked_trial(
-                    values, phase, lines, sensors, shown, TrialCommand("unknown"), start_s, said, absent
+                    values,
+                    phase,
+                    lines,
+                    sensors,
+                    shown,
+                    TrialCommand("unknown"),
+                    start_s,
+                    said,
+                    absent,
+                    start,
                 )
             )
         except LeftOut as left:

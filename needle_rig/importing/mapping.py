@@ -62,6 +62,8 @@ class TrialsPart(_Part):
     clock: str | None = None
     source: str | None = None
     times_s: tuple[tuple[float, float], ...] = ()
+    start: Literal["relaxed", "wound"] = "relaxed"
+    """How the shaft is where a trial begins; the base may stand or turn anywhere at a wound start."""
     why: str = ""
     doubt: str = ""
 

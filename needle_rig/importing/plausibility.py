@@ -119,7 +119,7 @@ def _torque_size(
     needle: Needle,
 ) -> Iterator[str]:
     seen = max((float(np.ptp(x[np.isfinite(x)])) for x in torque if np.isfinite(x).any()), default=0.0)
-    if seen == 0.0 or not layout.tissue_sections_m:
+    if seen == 0.0 or not layout.tissue_sections_m or not needle.rigidity_is_known:
         return
     rigidity = needle.torsional_rigidity_nm2
     first = layout.tissue_sections_m[0][0]

@@ -29,7 +29,7 @@ def read_rig(path: Path) -> RigPart:
             )
         data = inside
     rig = validate(RigPart, data, places)
-    for part in (rig, rig.needle):
+    for part in (rig, rig.needle, *rig.segments):
         for key in part.model_extra or {}:
             raise places.error((), f"{key}: unknown key of a layout; remove it")
     layout_of(rig, places)

@@ -106,6 +106,11 @@ def model_mapping(saved: SavedModel) -> JsonObject:
             "needle_length_mm": _tidy(layout.needle_length_m),
             "tissue_sections_mm": [[_tidy(a), _tidy(b)] for a, b in layout.tissue_sections_m],
             "sensor_positions_mm": [_tidy(x) for x in layout.sensor_positions_m],
+            **(
+                {"segments": [[_tidy(a), _tidy(b), of] for a, b, of in layout.segments]}
+                if layout.segments
+                else {}
+            ),
         },
         "base": {name: fitted(name) for name in BASE_PARAMETERS},
         "effects": effects,
@@ -150,6 +155,7 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
                 m(place.needle_length_mm),
                 tuple((m(a), m(b)) for a, b in place.tissue_sections_mm),
                 tuple(m(x) for x in place.sensor_positions_mm),
+                tuple((m(a), m(b), of) for a, b, of in place.segments),
             ),
             found.base[TORSIONAL_RIGIDITY].value / NMM2_PER_NM2,
             per_length_n(found.base[FRICTION].value),

@@ -69,6 +69,8 @@ class LayoutOfModel(Section):
     needle_length_mm: Annotated[float, Field(gt=0)]
     tissue_sections_mm: tuple[tuple[float, float], ...]
     sensor_positions_mm: tuple[float, ...]
+    segments: tuple[tuple[float, float, float], ...] = ()
+    """Start and end in mm, torsional rigidity over the needle's."""
 
 
 class ChannelErrors(Section):

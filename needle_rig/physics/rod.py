@@ -37,6 +37,8 @@ class Layout:
     needle_length_m: float
     tissue_sections_m: tuple[tuple[float, float], ...]
     sensor_positions_m: tuple[float, ...]
+    segments: tuple[tuple[float, float, float], ...] = ()
+    """(start in m, end in m, torsional rigidity over the needle's) of each stretch that differs from it."""
 
     def __post_init__(self) -> None:
         length = self.needle_length_m
@@ -54,6 +56,19 @@ class Layout:
                     f"{span} overlaps or precedes the section before it, which ends at {before * 1e3:g} mm;"
                     " list sections in order from the base"
                 )
+            before = end
+        before = 0.0
+        for number, (start, end, relative) in enumerate(self.segments, 1):
+            span = f"segment {number} ({start * 1e3:g} to {end * 1e3:g} mm)"
+            if not (math.isfinite(start) and math.isfinite(end) and end - start > SAME_PLACE_M):
+                raise BadInput(f"{span} has no length; its end must lie beyond its start")
+            if start < before - SAME_PLACE_M or end > length + SAME_PLACE_M:
+                raise BadInput(
+                    f"{span} overlaps the one before it or leaves the needle, which is 0 to"
+                    f" {length * 1e3:g} mm long; list segments in order from the base"
+                )
+            if not (math.isfinite(relative) and relative > 0):
+                raise BadInput(f"{span} is {relative:g} times as rigid as the needle; it must be above 0")
             before = end
         for number, place in enumerate(self.sensor_positions_m, 1):
             if not 0 <= place <= length + SAME_PLACE_M:
@@ -268,7 +283,9 @@ def build_rod(
         position_m=position,
         tissue_length_m=length,
         section=section_of,
-        stiffness_nm_per_rad=torsional_rigidity_nm2 / np.diff(position),
+        stiffness_nm_per_rad=torsional_rigidity_nm2
+        * _relative_rigidity(layout, position)
+        / np.diff(position),
         slip_plus_nm=friction_n * length,
         slip_minus_nm=friction_n * length,
         compliance_rad_per_nm=np.zeros(nodes),
@@ -290,15 +307,24 @@ def build_rod(
 
 
 def _special_places(layout: Layout) -> list[float]:
-    """Base, section ends, sensors and tip in order, coincident ones merged."""
+    """Base, ends of sections and segments, sensors and tip in order, coincident ones merged."""
     wanted = [0.0, layout.needle_length_m, *layout.sensor_positions_m]
-    for start, end in layout.tissue_sections_m:
+    for start, end in (*layout.tissue_sections_m, *(segment[:2] for segment in layout.segments)):
         wanted += [start, end]
     places = [0.0]
     for place in sorted(wanted):
         if place - places[-1] > SAME_PLACE_M:
             places.append(min(place, layout.needle_length_m))
     return places
+
+
+def _relative_rigidity(layout: Layout, position_m: Array) -> Array:
+    """Of the elements between nodes, over the needle's: (nodes - 1,). Segments end at nodes."""
+    middle = 0.5 * (position_m[1:] + position_m[:-1])
+    relative = np.ones(len(middle))
+    for start, end, factor in layout.segments:
+        relative[(middle > start) & (middle < end)] = factor
+    return relative
 
 
 def _section_between(layout: Layout, start: float, end: float) -> int:

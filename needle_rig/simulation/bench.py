@@ -17,7 +17,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +35,22 @@ PREFIX = "needle-rig-bench-"
 
 def needs_bench(config: RigConfig) -> bool:
     """Whether a port of `config` is `auto`, that is, the bench's."""
-    return "auto" in (config.links.can.channel, config.links.hall.port)
+    return "auto" in config.links.ports.values()
+
+
+def with_ports(config: RigConfig, ports: Mapping[str, str], interface: str = "slcan") -> RigConfig:
+    """`config` with a bench's `ports`; its CAN bus is of this `interface`."""
+    changes: dict[str, dict[str, object]] = {}
+    for link, place in ports.items():
+        if link == "can":
+            changes[link] = {"interface": interface, "channel": place}
+        elif link == "hall":
+            changes[link] = {"port": place}
+        else:
+            address, rdt_port, http_port = place.split(":")
+            changes[link] = {"address": address, "rdt_port": int(rdt_port), "http_port": int(http_port)}
+    sections = {link: getattr(config.links, link).model_copy(update=new) for link, new in changes.items()}
+    return config.model_copy(update={"links": config.links.model_copy(update=sections)})
 
 
 class Bench:
@@ -48,18 +63,12 @@ class Bench:
         self._folder = folder
         self._text = b""
         self.ports = ports
-        """Names of the ports: `can` and `hall`."""
+        """Where the links are: `can`, `hall`, and `torque` of a sensor on the network."""
 
     def configured(self, config: RigConfig) -> RigConfig:
         """`config` with this bench's ports where it says `auto`."""
-        links = config.links
-        if links.can.channel == "auto":
-            can = links.can.model_copy(update={"interface": "slcan", "channel": self.ports["can"]})
-            links = links.model_copy(update={"can": can})
-        if links.hall.port == "auto":
-            hall = links.hall.model_copy(update={"port": self.ports["hall"]})
-            links = links.model_copy(update={"hall": hall})
-        return config.model_copy(update={"links": links})
+        auto = [key.partition(".")[0] for key, port in config.links.ports.items() if port == "auto"]
+        return with_ports(config, {link: self.ports[link] for link in auto})
 
     def tell(self, line: str) -> None:
         """Send a control line, such as `torque freeze`."""
@@ -114,7 +123,7 @@ class Bench:
             raise RigFault(f"the simulated rig did not start within {timeout_s:g} s")
         if "error" in said:
             raise (BadInput if said["exit_code"] == BadInput.exit_code else RigFault)(said["error"])
-        self.ports = {name: said[name] for name in ("can", "hall")}
+        self.ports = {name: said[name] for name in ("can", "hall", "torque") if name in said}
 
     def kill(self) -> None:
         """End it at once, whatever it does; `close` takes away what is left."""
@@ -225,7 +234,10 @@ def main(arguments: list[str] | None = None) -> int:
             say({"error": str(error), "exit_code": error.exit_code})
             return error.exit_code
         stack.callback(loop.close)
-        say({"can": loop.ports["can"], "hall": loop.ports["hall"]})
+        said: Said = {"can": loop.ports["can"], "hall": loop.ports["hall"]}
+        if "torque" in loop.ports:
+            said["torque"] = loop.ports["torque"]
+        say(said)
         be_urgent()
         with contextlib.suppress(KeyboardInterrupt):
             loop.run(0, end_with_control=not options.keep)

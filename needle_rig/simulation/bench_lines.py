@@ -32,5 +32,6 @@ class Said(TypedDict, total=False):
     cpu_s: float
     can: str
     hall: str
+    torque: str
     error: str
     exit_code: int

@@ -18,7 +18,9 @@ from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.records import Measurement
 from needle_rig.simulation.bench_lines import Said
+from needle_rig.simulation.cia402_node import Cia402Node
 from needle_rig.simulation.faults import Faults, over_index
+from needle_rig.simulation.netft_sensor import NetFtPorts
 from needle_rig.simulation.node_set import build_nodes
 from needle_rig.simulation.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
 from needle_rig.simulation.socketcan_port import SocketCanPort
@@ -41,7 +43,9 @@ MACHINE = {
     "torque-cell": ("dead", "stick", "restore"),
     "estop": ("press", "restore"),
 }
-"""What else can be made to break, and how; `drive reset` restarts the drive node."""
+"""What else can be made to break, and how; `drive reset` restarts the drive, `drive emergency` breaks one of
+another make from within."""
+_EMERGENCY_CODE = 0x2310
 _LEAST_LOOP_HZ = 1000
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
@@ -118,6 +122,7 @@ class BenchLoop:
         self._codec = CanCodec(find_config_file("needle_rig.dbc"))
         nodes = build_nodes(config, self._codec)
         self._torque, self._hall, self._drive = nodes.torque, nodes.hall, nodes.drive
+        self._netft = None if nodes.netft is None else NetFtPorts(nodes.netft)
         self._inputs, self._front_end = nodes.inputs, nodes.front_end
         self._no_field = nodes.no_field
         self._by_hand_rad = 0.0
@@ -145,16 +150,20 @@ class BenchLoop:
     def ports(self) -> dict[str, str]:
         """Where the rig's links are."""
         can, hall = (str(self._ports_folder / name) for name in ("can", "hall"))
-        return {"can": self._interface or can, "hall": hall}
+        network = {} if self._netft is None else {"torque": self._netft.place}
+        return {"can": self._interface or can, "hall": hall, **network}
 
     def run(self, control_fd: int, *, end_with_control: bool = True) -> None:
         """Run until `control_fd` ends; commands come from it, a line each."""
         rest = b""
         self._start_s = deadline_s = time.monotonic()
         watched: list[Any] = [control_fd]
+        sockets = [] if self._netft is None else self._netft.waited_on
         while True:
             ports = [self._can_port] if self._can_port is not None else []
-            ready, _, _ = select.select([*watched, *ports], [], [], max(deadline_s - time.monotonic(), 0.0))
+            ready, _, _ = select.select(
+                [*watched, *ports, *sockets], [], [], max(deadline_s - time.monotonic(), 0.0)
+            )
             late_s = time.monotonic() - deadline_s
             if late_s > _GIVE_UP_S:
                 self._stand_still(late_s)
@@ -163,6 +172,9 @@ class BenchLoop:
                 self._now_us = round((time.monotonic() - self._start_s) * 1e6)
                 self._hub.serve(self._can_port)
                 self._hub.flush()
+            for asked in sockets:
+                if asked in ready and self._netft is not None:
+                    self._netft.serve(asked)
             if control_fd in ready:
                 text = os.read(control_fd, 4096)
                 if not text and end_with_control:
@@ -185,6 +197,8 @@ class BenchLoop:
             port.close()
         if self._hall_port is not None:
             self._hall_port.close()
+        if self._netft is not None:
+            self._netft.close()
         for name in ("can", "hall"):
             (self._ports_folder / name).unlink(missing_ok=True)
 
@@ -229,7 +243,11 @@ class BenchLoop:
             return
         self._due -= 1.0
         now_us, counts = self._now_us, self._inputs(self._plant.read())
-        self._send("torque", self._torque.step(now_us, counts.torque))
+        if self._netft is not None:
+            record = self._netft.sensor.step(now_us, counts.torque)
+            self._netft.send((self._taps["torque"].through(record) if record else None) or b"")
+        else:
+            self._send("torque", self._torque.step(now_us, counts.torque))
         frames, self._velocity_rad_s = self._drive.step(
             now_us,
             counts.encoder,
@@ -246,7 +264,8 @@ class BenchLoop:
             self._say({"event": "drive", "state": state, "faults": faults, "late_s": round(late_s, 6)})
         hall = self._taps["hall"]
         pairs = (*counts.hall[:-1], self._no_field) if hall.fault == "fade" else counts.hall
-        data = hall.through(self._hall.step(now_us, pairs))
+        sent = self._hall.step(now_us, pairs)
+        data = hall.through(sent) if sent else None
         if self._hall_port is not None:
             self._hall_port.write(data or b"")
             self._hall_port.flush()
@@ -296,19 +315,24 @@ class BenchLoop:
             self._taps[link].fault = fault
             if link == "hall" and fault in ("unplug", "restore"):
                 self._plug_hall(fault == "restore")
+            if link == "torque" and self._netft is not None:
+                self._netft.plugged = fault != "unplug"
             if link == "can" and fault in ("unplug", "restore"):
                 self._plug_can(fault == "restore")
             self._say({"event": "fault", "link": link, "fault": fault})
         elif words == ["drive", "reset"]:
             self._drive.reset(self._now_us)
             self._say({"event": "fault", "link": "drive", "fault": "reset"})
+        elif words == ["drive", "emergency"] and isinstance(self._drive, Cia402Node):
+            self._drive.fail(_EMERGENCY_CODE)
+            self._say({"event": "fault", "link": "drive", "fault": "emergency"})
         elif len(words) == 2 and words[1] in MACHINE.get(words[0], ()):
             self._break(*words)
             self._say({"event": "fault", "link": words[0], "fault": words[1]})
         elif len(words) == 2 and words[0] in ("turn", "weigh"):
             self._handle(*words)
         elif words:
-            choices = [f"{'|'.join(LINKS)} {'|'.join(FAULTS)}", "drive reset"]
+            choices = [f"{'|'.join(LINKS)} {'|'.join(FAULTS)}", "drive reset|emergency"]
             choices += [f"{place} {'|'.join(ways)}" for place, ways in MACHINE.items()]
             self._say({"error": f"{' '.join(words)!r}: give one of: {'; '.join(choices)}; or: status"})
 

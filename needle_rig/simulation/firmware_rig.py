@@ -239,7 +239,8 @@ class FirmwareRig:
         self.hall_frame = frame
         now_s = self.plant.time_s
         fresh = now_s - self._newest["drive"][1] < FRESH_S if "drive" in self._newest else False
-        self._hall.take(frame, now_s, self._measurement.base_angle_rad if fresh else math.nan)
+        base_rad = self._measurement.base_angle_rad if fresh else math.nan
+        self._hall.take(frame.angle_rad, frame.complaints, now_s, base_rad)
         self._measurement = replace(self._measurement, hall_rad=self._hall.angle_rad)
         if self._raw is not None:
             self._raw("hall", (now_s, frame.node_time_s, float(frame.counter), *self._hall.angle_rad))

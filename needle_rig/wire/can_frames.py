@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from dataclasses import dataclass
@@ -226,6 +227,12 @@ class CanCodec:
         # Not strict: the values are within their signals already, and checking costs as much as encoding.
         data: bytes = self._messages[frame_id].encode({**values, "checksum": 0}, strict=False)
         return data[:7] + bytes((checksum(frame_id, data),))
+
+
+@functools.cache
+def load_codec(path: str | os.PathLike[str]) -> CanCodec:
+    """The codec of the DBC at `path`, made once. Raises BadInput when it is not that DBC."""
+    return CanCodec(path)
 
 
 def _period(message: Any, name: str) -> float:

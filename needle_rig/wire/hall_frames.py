@@ -36,6 +36,17 @@ class HallFrame:
     angle_rad: tuple[float, ...]
     field: tuple[int, ...]
 
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """What is wrong with each sensor's reading; empty where it can be used."""
+        lowest, highest = HEALTHY_FIELD
+        return tuple(
+            ""
+            if lowest <= amplitude <= highest
+            else f"sees a field of {amplitude}, healthy is {lowest} to {highest}"
+            for amplitude in self.field
+        )
+
 
 def cobs_encode(content: bytes) -> bytes:
     """`content` without zero bytes (Cheshire and Baker 1999), not yet closed by 0x00."""

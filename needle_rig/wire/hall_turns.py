@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 from needle_rig.units import deg
-from needle_rig.wire.hall_frames import HEALTHY_FIELD, HallFrame
 
 GAP_S = 0.25
 """Within it no rig turns half a turn: the nearest turn is right. After more, the base tells where to look."""
@@ -26,7 +25,7 @@ class HallTurns:
         self._lost = [""] * count
         self._told_rad = [math.nan] * count
         self.complaint = ""
-        """What is wrong with the newest frame, and what to do."""
+        """What is wrong with the newest reading, and what to do."""
 
     @property
     def angle_rad(self) -> tuple[float, ...]:
@@ -38,17 +37,18 @@ class HallTurns:
         """When the sensor that is longest without a good value had one."""
         return min(self._healthy_s)
 
-    def take(self, frame: HallFrame, now_s: float, base_rad: float) -> None:
-        """A frame that is news; `base_rad` is the base's angle now, NaN when it is not known."""
+    def take(
+        self, angle_rad: Sequence[float], unusable: Sequence[str], now_s: float, base_rad: float
+    ) -> None:
+        """A reading that is news: an angle a sensor, and why it cannot be used (empty where it can).
+
+        `base_rad` is the base's angle now, NaN when it is not known.
+        """
         complaints = []
-        for index, (angle, amplitude) in enumerate(zip(frame.angle_rad, frame.field, strict=True)):
-            name = self._sensors[index]
-            if not HEALTHY_FIELD[0] <= amplitude <= HEALTHY_FIELD[1]:
-                complaints.append(f"{name} sees a field of {amplitude}, healthy is 20000 to 60000")
-                continue
-            complaint = self._follow(index, angle, now_s, base_rad)
+        for index, (angle, reason) in enumerate(zip(angle_rad, unusable, strict=True)):
+            complaint = reason or self._follow(index, angle, now_s, base_rad)
             if complaint:
-                complaints.append(f"{name} {complaint}")
+                complaints.append(f"{self._sensors[index]} {complaint}")
         self.complaint = "; ".join(complaints)
 
     def refer(self, base_rad: float) -> None:

@@ -72,6 +72,19 @@ class NoisePolicy:
         "95 %, two-sided",
         _NOISE,
     )
+    start_sigmas: float = _threshold(
+        0.5,
+        "half of what a shaft's two extreme starts differ by, in σ of a reading, below which that no longer"
+        " matters",
+        "a bias of 0.5σ in one reading is not seen: p = 0.62",
+        _NOISE,
+    )
+    start_free_share: float = _threshold(
+        0.5,
+        "share of a trial's readings that must be free of its start for a run-in; below it, that is fitted",
+        "chosen, not derived",
+        _NOISE,
+    )
     offset_floor_share: float = _threshold(
         0.7, "share of the floor that an offset from trial to trial has at least", CHOSEN, _NOISE
     )

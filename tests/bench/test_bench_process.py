@@ -30,9 +30,9 @@ def test_a_config_that_says_auto_gets_the_ports(bench: Bench) -> None:
     assert needs_bench(config)
     ready = bench.configured(config)
     assert not needs_bench(ready)
-    assert (ready.links.can.channel, ready.links.hall.port) == (bench.ports["can"], bench.ports["hall"])
+    assert (ready.links.can.channel, ready.links.hall_port) == (bench.ports["can"], bench.ports["hall"])
     named = bench.configured(load_rig_config(None, {"links.hall.port": "/dev/ttyUSB7"}))
-    assert named.links.hall.port == "/dev/ttyUSB7"
+    assert named.links.hall_port == "/dev/ttyUSB7"
 
 
 def test_it_says_how_it_goes(bench: Bench) -> None:

@@ -106,7 +106,7 @@ def test_ports_that_are_missing_or_taken_are_one_sentence(
     assert out == ""
     assert len(sentences(err)) == 1
     assert "in use by another program" in err
-    rig_file.write_text(rig_config_text(config).replace(config.links.hall.port, "/dev/ttyNOTHERE"))
+    rig_file.write_text(rig_config_text(config).replace(config.links.ports["hall.port"], "/dev/ttyNOTHERE"))
     first.terminate()
     first.communicate(timeout=60)
     third = compensate()

@@ -114,7 +114,7 @@ def test_a_node_that_is_silent_at_the_start_is_named_with_its_port(
 ) -> None:
     bench.harm(link, "silence")
     error = refusal(config, timeout_s=0.3)
-    port = config.links.hall.port if link == "hall" else config.links.can.channel
+    port = config.links.ports["hall.port" if link == "hall" else "can.channel"]
     assert named in str(error)
     assert port in str(error)
     assert str(error).count("link (") == 1

@@ -333,16 +333,53 @@ def test_not_at_rest_at_the_start(folder: Path) -> None:
     assert "01.csv:2: left out: the base already turns at" in dataset.notes[0]
 
 
-def test_a_shaft_left_wound(tmp_path: Path) -> None:
+def _moved(tmp_path: Path, columns: dict[int, float]) -> Path:
+    """A copy of a dataset whose fourth trial has numbers added to columns."""
     shutil.copytree(PRACTICE / "none", tmp_path / "set")
     file = tmp_path / "set" / "trials" / "04.csv"
     table = [line.split(",") for line in file.read_text().splitlines()]
     for row in table[1:]:
-        row[6] = f"{float(row[6]) - 12:.3f}"
+        for column, added in columns.items():
+            row[column] = f"{float(row[column]) + added:.3f}"
     file.write_text("\n".join(",".join(r) for r in table))
-    dataset = read_dataset(tmp_path / "set")
+    return tmp_path / "set"
+
+
+def test_one_angle_that_begins_elsewhere_is_a_sensor_that_moved(tmp_path: Path) -> None:
+    dataset = read_dataset(_moved(tmp_path, {6: -12.0}))
     assert len(dataset.trials) == 7
     assert "04.csv:2: left out: hall_4 begins at -11.9°, others at" in dataset.notes[0]
+    assert "`start: wound`" in dataset.notes[0]
+
+
+def test_two_angles_that_begin_elsewhere_are_a_wound_start(tmp_path: Path) -> None:
+    dataset = read_dataset(_moved(tmp_path, {5: -9.0, 6: -12.0}))
+    assert [t.start for t in dataset.trials] == [*["relaxed"] * 3, "wound", *["relaxed"] * 4]
+    assert "04.csv:2: hall_4 begins at -11.9°, others at" in dataset.notes[0]
+    assert "taken as a wound start" in dataset.notes[0]
+
+
+def test_a_torque_that_begins_elsewhere_is_a_wound_start(tmp_path: Path) -> None:
+    dataset = read_dataset(_moved(tmp_path, {2: 0.08}))
+    assert dataset.trials[3].start == "wound"
+    assert "the torque starts at 0.08" in dataset.notes[0]
+
+
+def test_a_declared_start_is_kept_wherever_the_base_stands_and_written_again(tmp_path: Path) -> None:
+    shutil.copytree(PRACTICE / "none", tmp_path / "set")
+    file = tmp_path / "set" / "trials" / "01.csv"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([lines[0], *lines[100:]]))
+    described = tmp_path / "set" / "dataset.yaml"
+    assert len(read_dataset(tmp_path / "set").trials) == 7
+    told = "file: trials/01.csv\n"
+    text = described.read_text()
+    assert told in text
+    described.write_text(text.replace(told, f"{told}  start: zeroed\n"))
+    dataset = read_dataset(tmp_path / "set")
+    assert [t.start for t in dataset.trials] == ["zeroed", *["relaxed"] * 7]
+    again = read_dataset(write_dataset(dataset, tmp_path / "again"))
+    assert [t.start for t in again.trials] == ["zeroed", *["relaxed"] * 7]
 
 
 def test_three_samples(folder: Path) -> None:

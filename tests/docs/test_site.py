@@ -187,7 +187,12 @@ def test_commands_and_options_exist(page: Path) -> None:
 def test_files_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     named = PATH.findall(text) + re.findall(r"scripts/[a-z_-]+(?:\.\w+)?", text)
-    made = {"config/effects/broken.py", "docs/evidence/NAME.md", "calibration/NODE.yaml"}
+    made = {
+        "config/effects/broken.py",
+        "config/devices/NAME.py",
+        "docs/evidence/NAME.md",
+        "calibration/NODE.yaml",
+    }
     places = (ROOT, ROOT / "needle_rig", ROOT / "needle_rig/workbench", ROOT / "docs")
     missing = {name for name in named if not any((place / name).exists() for place in places)}
     assert not missing - made

@@ -29,6 +29,7 @@ from needle_rig.importing import (
     write_mapping,
 )
 from needle_rig.importing.extra import needed
+from needle_rig.importing.mapping import TrialsPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
 
@@ -256,6 +257,30 @@ def test_one_long_recording_is_cut_where_the_shaft_is_as_it_was(tmp_path: Path, 
     dataset = dataset_of(mapping, Path())
     assert len(dataset.trials) == 3
     assert [len(places) for places in dataset.replicates.values()] == [2, 1]
+
+
+@pytest.mark.parametrize(("zero", "start"), [("start", "zeroed"), (0.0, "wound")])
+def test_a_recording_that_began_late_says_how_the_shaft_was(
+    tmp_path: Path, rig: RigPart, table: np.ndarray, zero: float | str, start: str
+) -> None:
+    mapping = mapped(written(tmp_path / "log.csv", table), rig)
+    written(tmp_path / "log.csv", table[100:])
+    late = mapping.model_copy(
+        update={
+            "clocks": {
+                name: clock.model_copy(
+                    update={"files": tuple(f.model_copy(update={"sha256": None}) for f in clock.files)}
+                )
+                for name, clock in mapping.clocks.items()
+            },
+            "channels": tuple(c.model_copy(update={"zero": zero}) for c in mapping.channels),
+        }
+    )
+    wound = late.model_copy(update={"trials": TrialsPart(start="wound")})
+    (trial,) = dataset_of(wound, Path()).trials
+    assert trial.start == start
+    first = 0.0 if start == "zeroed" else table[100, 2]
+    assert trial.torque_nm[0] * 1e3 == pytest.approx(first, abs=0.004)
 
 
 def test_a_faster_recording_is_averaged_down(tmp_path: Path, rig: RigPart, table: np.ndarray) -> None:

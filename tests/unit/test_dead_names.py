@@ -14,6 +14,8 @@ FOUND_BY_FILE_NAME = ("needle_rig/physics/effects", "needle_rig/control/strategi
 CALLED_BY_LIBRARIES = {
     "__getattr__": "Python: attributes of the package",
     "Ki": "simple_pid",
+    "MAX_RETRIES": "canopen",
+    "RESPONSE_TIMEOUT": "canopen",
     "_callbacks": "cffi: kept alive",
     "_finalize_final_module": "numba",
     "_finalized": "numba",
@@ -28,6 +30,7 @@ CALLED_BY_LIBRARIES = {
     "model_config": "pydantic",
     "no_compile": "numba",
     "padding": "intelhex",
+    "send_message": "canopen",
     "should_exit": "uvicorn",
     "typing_context": "numba",
     "yaml_implicit_resolvers": "PyYAML",

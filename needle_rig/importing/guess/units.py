@@ -184,7 +184,10 @@ def torque_unit(
 
 def _stiffness_unit(s: Series, written: Unit, base: Series, base_si: Array, rig: RigPart) -> UnitGuess | None:
     """A doubt on a written unit when the torque first rises as no shaft of this length does, else None."""
-    rigidity = needle_of(rig.needle).torsional_rigidity_nm2
+    needle = needle_of(rig.needle)
+    if not needle.rigidity_is_known:
+        return None
+    rigidity = needle.torsional_rigidity_nm2
     slope = signals.first_stiffness(base_si, torque_from_start(base, s), math.radians(FIRST_DEG))
     least, most = rigidity / (rig.needle_length_mm * 1e-3), math.inf
     if rig.tissue_sections_mm and rig.tissue_sections_mm[0][0] > 0:
@@ -209,7 +212,7 @@ def _of_twist(
     rig: RigPart | None,
 ) -> tuple[float, str] | None:
     """Span of the torque that the twist up to the nearest sensor asks for, N·m, and how it is known."""
-    if rig is None or base_si is None:
+    if rig is None or base_si is None or not needle_of(rig.needle).rigidity_is_known:
         return None
     places = {p.name: p.position_mm * 1e-3 for p in rig.hall_sensors if p.position_mm > 0}
     near = [c for c in channels if c.role in places and c.unit is not None]

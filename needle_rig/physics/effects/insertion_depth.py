@@ -67,6 +67,7 @@ class InsertionDepth(Effect):
             rod.layout.needle_length_m,
             tuple((float(a), float(b)) for a, b in moved(np.array(sections))),
             tuple(float(x) for x in moved(np.array(rod.layout.sensor_positions_m))),
+            rod.layout.segments,
         )
         return replace(
             rod,

@@ -19,7 +19,9 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.observations.binning import bin_trial
+from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.noise import measure_noise, with_replicate_scatter
 from needle_rig.workbench.policy import POLICY
 
@@ -57,6 +59,15 @@ def null_model(dataset: Dataset) -> NeedleModel:
     return NeedleModel("null", dataset.layout, dataset.needle.torsional_rigidity_nm2, FRICTIONS_N[2])
 
 
+def judged(dataset: Dataset) -> Dataset:
+    """What a model is held against: trials with an unknown start after a run-in, one command alone in blocks.
+
+    Raises BadInput, SolverError.
+    """
+    null = null_model(dataset)
+    return in_blocks(after_run_in(dataset, dataclasses.replace(null, element_length_m=element_length(null))))
+
+
 def element_length(model: NeedleModel) -> float:
     """Element length of fits, m: 4 mm or a sixth of the shortest section; its discretisation error is a
     nuisance."""
@@ -75,6 +86,7 @@ def fit_baseline(
     """
     if not dataset.trials:
         raise BadInput(f"{dataset.name}: no trial is left to compare with; see its notes")
+    dataset = judged(dataset)
     current = model or null_model(dataset)
     if len(current.layout.sensor_positions_m) != len(dataset.layout.sensor_positions_m):
         raise BadInput(

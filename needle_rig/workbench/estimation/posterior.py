@@ -33,8 +33,9 @@ MOST_NUISANCE = 8.0
 """Bound of a nuisance coefficient, in prior standard deviations."""
 FRICTION_BOUNDS_N = (1e-7, 0.045)
 """Bounds of friction: none that a sensor sees, and twenty times the shipped needles' most."""
-MOST_RIGIDITY = 1.5
-"""Bound of the logarithm of rigidity over the stated one: a factor of 4.5."""
+MOST_RIGIDITY, MOST_SIGMAS = 1.5, 3.0
+"""Bound of the logarithm of rigidity over the stated one: a factor of 4.5, or so many prior standard
+deviations where it is known less well."""
 
 
 def start_vector(
@@ -66,15 +67,12 @@ class Objective:
         self.prior_sd = np.array([a.prior_sd for a in parameters])
         self.constrained_means = [2 + places for places in constrained_means(parameters)]
         self.stated = float(np.log(problem.base.torsional_rigidity_nm2))
+        reach = max(MOST_RIGIDITY, MOST_SIGMAS * problem.rigidity_prior)
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
         trial_friction, free = np.full(self.trials, MOST_TRIAL_FRICTION), np.full(self.q, MOST_NUISANCE)
-        self.low = np.r_[
-            np.log(FRICTION_BOUNDS_N[0]), self.stated - MOST_RIGIDITY, low, -trial_friction, -free
-        ]
-        self.high = np.r_[
-            np.log(FRICTION_BOUNDS_N[1]), self.stated + MOST_RIGIDITY, high, trial_friction, free
-        ]
+        self.low = np.r_[np.log(FRICTION_BOUNDS_N[0]), self.stated - reach, low, -trial_friction, -free]
+        self.high = np.r_[np.log(FRICTION_BOUNDS_N[1]), self.stated + reach, high, trial_friction, free]
 
     def unpacked(self, x: Array) -> ParameterVector:
         """The parameter vector in x, without the nuisances."""

@@ -117,7 +117,10 @@ class Traces:
         """SHA-256 of layout, needle, commands and readings."""
         data = self.data
         stated = [asdict(data.layout), asdict(data.needle), data.sensor_names]
-        told = [[t.trial.start_s, asdict(t.command)] for t in data.trials]
+        told = [
+            [t.trial.start_s, asdict(t.command), *([] if t.start == "relaxed" else [t.start])]
+            for t in data.trials
+        ]
         phases = [t.phase.tolist() for t in data.trials]
         read = [
             part

@@ -70,6 +70,8 @@ class BinnedTrial:
     outliers: tuple[int, ...]
     """Samples set aside as outliers, a channel each."""
     missing: tuple[int, ...]
+    from_start: Array | None = None
+    """What an unknown start changes of the bin means (C, K, D), each a standard deviation."""
     from_encoder: Array | None = None
     """Changes of the model's bin means (C, K, D) for D paths that differ by the encoder's noise, where that
     counts as noise."""
@@ -209,6 +211,14 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
     place = np.empty(order.size, int)
     place[order] = np.cumsum(distinct) - 1
     grid_time, grid_base = grid_time[order][distinct], grid_base[order][distinct]
+    from_start = None
+    if given.start_change is not None:
+        from_start = np.array(
+            [
+                [bin_sum(block_mean(values) * size) / samples for values in change]
+                for change in given.start_change
+            ]
+        ).transpose(1, 2, 0)
     weights = np.zeros((number, grid_time.size))
     weights[of_bin, place[: first.size]] = size / samples[of_bin]
 
@@ -248,4 +258,5 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
         file=given.file,
         outliers=tuple(outliers),
         missing=tuple(missing),
+        from_start=from_start,
     )

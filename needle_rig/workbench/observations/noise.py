@@ -204,6 +204,9 @@ def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places,
             rate[inside] = np.gradient(binned.mean[channel, use][inside], time[inside])
     late = noise.jitter_s * rate
     matrix += np.outer(late, late) + np.diag((0.5 * late) ** 2)
+    if binned.from_start is not None:
+        moved = binned.from_start[channel, use]
+        matrix += moved @ moved.T
     if binned.from_encoder is not None:
         moved = binned.from_encoder[channel, use]
         matrix += moved @ moved.T / moved.shape[1]

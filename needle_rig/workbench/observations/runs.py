@@ -22,7 +22,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
     """`runs` of one rig as a dataset, in the order in which they were made.
 
     Raises BadInput for a run without a sequence, one that began with the base away from 0°, and for runs of
-    rigs that differ in layout or needle.
+    rigs that differ in layout or needle, or of which some are simulated.
     """
     if not runs:
         raise BadInput("no run was named; list them with: needle-rig runs")
@@ -33,6 +33,9 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
             raise BadInput(
                 f"{run.path}: its layout or needle differs from that of {runs[0].path}; keep them apart"
             )
+    if len({run.simulated for run in runs}) > 1:
+        shown = next(run.path for run in runs if run.simulated)
+        raise BadInput(f"{shown}: was made on a simulated rig, others were not; keep them apart")
     diameter_m = m(config.needle.diameter_mm)
     trials = in_series(tuple(_trial(run, _started(run) - first) for run in runs))
     return Dataset(
@@ -46,6 +49,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "") -> Dataset:
         ),
         trials=trials,
         notes=tuple(note for trial in trials for note in trial.notes),
+        simulated=runs[0].simulated,
     )
 
 

@@ -15,7 +15,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Baseline, element_length
+from needle_rig.workbench.estimation.baseline import Baseline, element_length, judged
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
@@ -71,6 +71,7 @@ def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
 
     Raises BadInput where there are more or fewer trials than were fitted, SolverError.
     """
+    dataset = judged(dataset)
     if len(dataset.trials) != len(found.trial_friction):
         raise BadInput(
             f"{dataset.name} has {len(dataset.trials)} trials, {len(found.trial_friction)} were fitted;"
@@ -83,10 +84,11 @@ def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
     models = [model.with_effects(FrictionOfTrial(factor)) for factor in found.trial_friction]
     readings = Simulator().readings(models, binned)
     left = np.hstack([b.mean - r for b, r in zip(binned, readings, strict=True)])
-    rms = np.sqrt(np.nanmean(left**2, axis=1))
+    rms = _rms_of_known(left)
     names = channel_names(dataset)
     factors = (nmm(1.0), *(deg(1.0) for _ in dataset.sensor_names))
-    return {name: factor * float(e) for name, factor, e in zip(names, factors, rms, strict=True)}
+    every = zip(names, factors, rms, strict=True)
+    return {name: factor * float(e) for name, factor, e in every if np.isfinite(e)}
 
 
 def uncertainties(found: Fit) -> dict[str, float]:
@@ -120,7 +122,7 @@ def spread_of_values(parameters: Sequence[FreeParameter], x: Array, covariance: 
 def errors_by_channel(
     baseline: Baseline, found: Fit, validation: CrossValidation
 ) -> dict[str, ChannelErrors]:
-    """Errors of bin means before and after, by channel and over all; each channel's floor."""
+    """Errors of bin means before and after, by channel that has readings and over all; each one's floor."""
     problem = baseline.problem
     before, after = _training(problem, baseline.current), _training(problem, found)
     held_before, held_after = (
@@ -131,6 +133,8 @@ def errors_by_channel(
     errors = {}
     for c, name in enumerate(channel_names(baseline.dataset)):
         factor = nmm(1.0) if c == 0 else deg(1.0)
+        if np.isnan(before[c]):
+            continue
         errors[name] = ChannelErrors(
             training_before=factor * before[c],
             training_after=factor * after[c],
@@ -166,8 +170,15 @@ def _rms(problem: Problem, residuals: tuple[Array, ...]) -> Array:
     count = problem.trials[0].mean.shape[0]
     if any(r.shape[:1] != (count,) for r in residuals):
         return np.full(count, np.inf)
-    joined = np.hstack(residuals)
-    return np.asarray(np.sqrt(np.nanmean(joined**2, axis=1)), dtype=np.float64)
+    return _rms_of_known(np.hstack(residuals))
+
+
+def _rms_of_known(values: Array) -> Array:
+    """Root mean square of each row's numbers, NaN for a row of none: a channel that was not recorded."""
+    known = np.isfinite(values)
+    count = known.sum(axis=1)
+    squares = np.where(known, values, 0.0) ** 2
+    return np.asarray(np.sqrt(squares.sum(axis=1) / np.where(count, count, np.nan)), dtype=np.float64)
 
 
 def _floors(problem: Problem, found: Fit) -> Array:

@@ -158,6 +158,53 @@ def test_runs_and_export_know_the_folder_of_the_service(
     assert run(["export", "last", "--csv", "--out", "out"]) == 0
 
 
+def test_diagnose_last_takes_the_newest_run_of_the_service(
+    here: Installation, run_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from needle_rig.cli import _workbench
+
+    put(here.rig_file, shipped_file("rig.hardware.yaml").read_text())
+    put(here.rig_file, here.rig_file.read_text().replace("directory: runs", f"directory: {here.runs}"))
+    assert run(["diagnose", "last"]) == 2
+    assert str(here.runs) in capsys.readouterr().err
+    here.runs.mkdir(parents=True)
+    (here.runs / run_path.name).write_bytes(run_path.read_bytes())
+    assert _workbench._found((Path("last"),)) == (here.runs / run_path.name,)
+    put(Path("last"))  # a file of that name is meant first
+    assert _workbench._found((Path("last"),)) == (Path("last"),)
+
+
+def test_a_dataset_of_a_simulated_run_says_so(
+    here: Installation, run_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from needle_rig.dataset import read_dataset
+
+    assert run(["export", str(run_path), "--dataset", "--out", "exported"]) == 0
+    assert "the rig was simulated" in capsys.readouterr().err
+    assert "simulated: true" in Path("exported/dataset.yaml").read_text()
+    exported = read_dataset("exported")
+    assert exported.simulated
+    assert not any("simulated" in note for note in exported.notes)
+    described = Path("exported/dataset.yaml").read_text().replace("simulated: true\n", "")
+    put(Path("exported/dataset.yaml"), described)
+    assert not read_dataset("exported").simulated
+
+
+def test_simulated_and_real_runs_are_kept_apart(run_path: Path) -> None:
+    from needle_rig.errors import BadInput
+    from needle_rig.recording import RunFile
+    from needle_rig.workbench.observations.runs import runs_as_dataset
+
+    class Real(RunFile):
+        @property
+        def simulated(self) -> bool:
+            return False
+
+    with pytest.raises(BadInput, match="was made on a simulated rig, others were not"):
+        runs_as_dataset([Real(run_path), RunFile(run_path)])
+    assert not runs_as_dataset([Real(run_path)]).simulated
+
+
 def test_a_rig_file_of_the_working_folder_comes_before_the_service(
     here: Installation, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -68,9 +68,9 @@ def test_a_value_at_the_age_limit_counts_and_one_beyond_it_is_a_temporary_fault(
 
 
 WHERE = {
-    "torque": "the CAN bus and the torque node",
-    "hall": "the serial cable and the hall node",
-    "drive": "the CAN bus and the drive node",
+    "torque": "the torque sensor, cable and supply",
+    "hall": "the Hall sensors, cable and supply",
+    "drive": "the drive, cable and supply",
 }
 
 
@@ -357,3 +357,18 @@ def test_a_slow_host_counts_a_link_dead_that_will_be_at_the_next_tick(link: str,
 def test_a_slow_host_tells_long_times_to_the_millisecond() -> None:
     text = known(slow_host_fault(having(torque_age_s=12.345), 7.654, LIMITS)).text
     assert "12345 ms old, the next look at it comes in 7654 ms, limit 50 ms" in text
+
+
+def test_what_a_drive_of_another_make_says_is_in_the_sentence_and_latches() -> None:
+    fault = find_fault(
+        having(drive_state=DriveState.FAULT, drive_complaint="emergency 0x2310 (over-current)"), LIMITS
+    )
+    assert fault is not None
+    assert fault.latching
+    assert fault.text == (
+        "the drive stopped by itself: emergency 0x2310 (over-current), then: needle-rig clear"
+    )
+
+
+def test_a_complaint_of_a_drive_that_goes_on_is_no_fault() -> None:
+    assert find_fault(having(drive_complaint="emergency 0x4210 (too hot)"), LIMITS) is None

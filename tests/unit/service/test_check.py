@@ -145,7 +145,8 @@ def test_a_rig_that_is_well_has_nothing_but_ok() -> None:
 @pytest.mark.parametrize(
     ("change", "name", "verdict"),
     [
-        ({"rates_hz": {"torque": 199.0, "hall": 1000.0, "drive": 1000.0}}, "torque node", "warn"),
+        ({"rates_hz": {"torque": 179.0, "hall": 1000.0, "drive": 1000.0}}, "torque node", "warn"),
+        ({"rates_hz": {"torque": 181.0, "hall": 1000.0, "drive": 1000.0}}, "torque node", "ok"),
         (
             {"sensors": {**SENSORS, "age_ms": {"torque": 1.0, "hall": 51.0, "drive": 1.0}}},
             "hall node",

@@ -54,7 +54,7 @@ def test_all_that_a_service_needs_is_there(place: Installation) -> None:
     )
     rig = load_rig_config(place.rig_file)
     assert (rig.name, rig.kind) == ("the one: here", "hardware")
-    assert (rig.links.can.interface, rig.links.can.channel, rig.links.hall.port) == (
+    assert (rig.links.can.interface, rig.links.can.channel, rig.links.hall_port) == (
         "socketcan",
         "can0",
         HALL,

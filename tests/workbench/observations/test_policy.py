@@ -7,7 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.model import load_parameters
+from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, nmm, rad
+from needle_rig.workbench.estimation.baseline import null_model
+from needle_rig.workbench.estimation.run_in import TURNS, _guessed, _Shaft, after_run_in, wound
 from needle_rig.workbench.observations.binning import (
     BinnedTrial,
     bin_trial,
@@ -18,11 +22,13 @@ from needle_rig.workbench.observations.binning import (
 from needle_rig.workbench.observations.noise import (
     _rest_offsets,
     _split,
+    covariance,
     floors,
     measure_noise,
     replicate_groups,
     with_replicate_scatter,
 )
+from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset
 
 
@@ -115,3 +121,40 @@ def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial
     total = motions * (len(group) - 1) * np.var(group, ddof=1)
     dof = motions * (len(group) - 1)
     assert found.motion[0] ** 2 == pytest.approx(total / (10.0 + dof), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("steps_deg", "runs_in"), [((60.0, -60.0, 60.0, -60.0), True), ((60.0, -60.0, 60.0), False)]
+)
+def test_a_run_in_leaves_half_of_the_readings(steps_deg: tuple[float, ...], runs_in: bool) -> None:
+    protocol = Protocol("late", (staircase(steps_deg, 45.0, 1.0),))
+    data = simulate_dataset(load_parameters("rig_rigid"), protocol, 5)
+    trial = dataclasses.replace(data.trials[0], start="wound")
+    found = after_run_in(dataclasses.replace(data, trials=(trial,)), null_model(data))
+    assert ("after a run-in" in found.notes[-1]) is runs_in
+    assert ("too few for a run-in (limit 50%)" in found.notes[-1]) is not runs_in
+
+
+def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    protocol = Protocol("late", (staircase((60.0, -60.0, 60.0), 45.0, 1.0),))
+    data = simulate_dataset(load_parameters("rig_rigid"), protocol, 5)
+    trial = dataclasses.replace(data.trials[0], start="wound")
+
+    def free(sigmas: float) -> bool:
+        ends = np.linspace(-sigmas, sigmas, len(TURNS))
+        seen = np.array([turn * one_sigma for turn in (0.0, *ends)])
+        monkeypatch.setattr(_Shaft, "_recorded", lambda *_: seen)
+        return "after a run-in 100%" in shaft.judged(trial)[1]
+
+    noise = measure_noise(data.trials, [bin_trial(t) for t in data.trials])
+    shaft = _guessed(data, noise, null_model(data))
+    binned = bin_trial(wound(trial, shaft._finer(trial), shaft.lag_rad))
+    one_sigma = np.full(binned.mean.shape, np.nan)
+    for c in range(len(one_sigma)):
+        use, matrix = covariance(noise, binned, c)
+        one_sigma[c, use] = np.sqrt(np.diag(matrix))
+    one_sigma = one_sigma[:, binned.time_s >= 0.0]
+    assert free(0.45)
+    assert not free(0.55)

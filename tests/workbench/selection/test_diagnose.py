@@ -215,12 +215,12 @@ def test_the_command_prints_the_stated_json(tmp_path: Path, monkeypatch: pytest.
     assert "torque_bias missing" in plain.stdout
 
 
-def test_a_single_command_is_ranked_and_said_to_be_weak() -> None:
+def test_a_single_command_is_ranked_by_blocks_of_its_time_and_said_to_be_weak() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
     found = diagnose(one, few("torque_bias", "tip_friction"))
     assert found.effects == ("torque_bias",)
-    assert found.as_json()["held_out_error_after"] is None
+    assert found.held_out_error_after < 1.1
     assert any("one command" in n for n in found.notes)
 
 

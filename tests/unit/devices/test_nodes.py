@@ -10,151 +10,151 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needle_rig.config.files import find_config_file
-from needle_rig.config.schema import CanSection, SerialSection
+from needle_rig.config.schema import CanSection, NodeDevice, SerialSection
 from needle_rig.devices.can_bus import CanLink
 from needle_rig.devices.drive_can import DriveCan
 from needle_rig.devices.hall_serial import HallSerial
+from needle_rig.devices.memory_host import MemoryHost
 from needle_rig.devices.torque_can import TorqueCan
 from needle_rig.records import Command, DriveFault, DriveState
 from needle_rig.simulation.slcan_hub import Pty
 from needle_rig.wire.can_frames import (
+    DRIVE_HEALTH_ID,
+    DRIVE_STATUS_ID,
+    TORQUE_STATUS_ID,
     CanCodec,
     DriveCommand,
     DriveHealth,
     DriveReference,
-    DriveStatus,
-    TorqueStatus,
 )
 from needle_rig.wire.hall_frames import encode_hall
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def hall(clock: Clock) -> HallSerial:
-    return HallSerial(SerialSection(port="/dev/none"), ("hall_1", "hall_2"), now=clock)
+def hall() -> tuple[HallSerial, MemoryHost]:
+    host = MemoryHost(("hall_1", "hall_2"))
+    return HallSerial(SerialSection(port="/dev/none"), host), host
 
 
 @given(st.lists(st.floats(-1.5, 1.5), min_size=40, max_size=200))
 def test_angles_are_followed_over_any_number_of_turns(steps_rad: list[float]) -> None:
-    clock = Clock()
-    device = hall(clock)
+    device, host = hall()
     angle = 0.0
     for index in range(30):
-        device.data_received(encode_hall(index, index * 1000, [0.0, 1.0], [40_000] * 2))
-        clock.now_s += 1e-3
+        host.bring(0, encode_hall(index, index * 1000, [0.0, 1.0], [40_000] * 2))
+        host.now_s += 1e-3
     for index, step in enumerate(steps_rad, 30):
         angle += step
-        device.data_received(encode_hall(index, index * 1000, [angle, 1.0 - angle], [40_000] * 2))
-        clock.now_s += 1e-3
+        host.bring(0, encode_hall(index, index * 1000, [angle, 1.0 - angle], [40_000] * 2))
+        host.now_s += 1e-3
         assert device.angle_rad == pytest.approx((angle, 1.0 - angle), abs=2e-6)
-    assert device.age_s(clock.now_s) < 0.002
+    assert device.age_s(host.now_s) < 0.002
 
 
 def test_a_sensor_without_a_magnet_grows_old_alone_and_is_named() -> None:
-    clock = Clock()
-    device = hall(clock)
+    device, host = hall()
     for index in range(200):
         field = [40_000, 40_000 if index < 100 else 500]
-        device.data_received(encode_hall(index, index * 1000, [index * 1e-3, index * 1e-3], field))
-        clock.now_s += 1e-3
+        host.bring(0, encode_hall(index, index * 1000, [index * 1e-3, index * 1e-3], field))
+        host.now_s += 1e-3
     assert device.angle_rad == pytest.approx((0.199, 0.099), abs=1e-6)
-    assert device.age_s(clock.now_s) == pytest.approx(0.101, abs=1e-6)
-    assert device.complaint == "hall_2 sees a field of 500, healthy is 20000 to 60000"
+    assert device.age_s(host.now_s) == pytest.approx(0.101, abs=1e-6)
+    assert device.complaint(host.now_s) == "hall_2 sees a field of 500, healthy is 20000 to 60000"
 
 
 def hall_after_an_outage(
     away_s: float, base_deg: tuple[float, float], hall_deg: float, base_known_frames: int = 60
-) -> HallSerial:
+) -> tuple[HallSerial, MemoryHost]:
     """Sensors that stood at 100°, were away, and came back at `hall_deg` while the base moved.
 
     The base's angle was known at the first `base_known_frames` of the 60 frames before.
     """
-    clock = Clock()
-    base = [math.radians(base_deg[0])]
-    port = SerialSection(port="/dev/none")
-    device = HallSerial(port, ("hall_1",), now=clock, base=lambda: base[0])
+    host = MemoryHost(("hall_1",))
+    host.base_is_rad = math.radians(base_deg[0])
+    device = HallSerial(SerialSection(port="/dev/none"), host)
     for index in range(60):
         if index == base_known_frames:
-            base[0] = math.nan
-        device.data_received(encode_hall(index, index * 1000, [math.radians(100.0)], [40_000]))
-        clock.now_s += 1e-3
-    clock.now_s += away_s
-    base[0] = math.radians(base_deg[1])
+            host.base_is_rad = math.nan
+        host.bring(0, encode_hall(index, index * 1000, [math.radians(100.0)], [40_000]))
+        host.now_s += 1e-3
+    host.now_s += away_s
+    host.base_is_rad = math.radians(base_deg[1])
     for index in range(60, 120):
         time_us = index * 1000 + round(away_s * 1e6)
-        device.data_received(encode_hall(index, time_us, [math.radians(hall_deg)], [40_000]))
-        clock.now_s += 1e-3
-    device.now_s = clock.now_s  # type: ignore[attr-defined]
-    return device
+        host.bring(0, encode_hall(index, time_us, [math.radians(hall_deg)], [40_000]))
+        host.now_s += 1e-3
+    return device, host
 
 
 @pytest.mark.parametrize("moved_deg", [-700.0, -200.0, 0.0, 30.0, 200.0, 540.0])
 @pytest.mark.parametrize("lag_deg", [-40.0, 0.0, 40.0])
 def test_turns_in_an_outage_are_those_of_the_base(moved_deg: float, lag_deg: float) -> None:
-    device = hall_after_an_outage(1.0, (10.0, 10.0 + moved_deg), 100.0 + moved_deg + lag_deg)
+    device, host = hall_after_an_outage(1.0, (10.0, 10.0 + moved_deg), 100.0 + moved_deg + lag_deg)
     assert math.degrees(device.angle_rad[0]) == pytest.approx(100.0 + moved_deg + lag_deg, abs=1e-3)
-    assert device.complaint == ""
+    assert device.complaint(host.now_s) == ""
 
 
 @pytest.mark.parametrize(("off_deg", "sure"), [(89.0, True), (-89.0, True), (91.0, False), (-91.0, False)])
 def test_turns_that_could_be_others_are_not_guessed_until_somebody_says_where_the_base_stands(
     off_deg: float, sure: bool
 ) -> None:
-    device = hall_after_an_outage(0.4, (10.0, 210.0), 300.0 + off_deg)
-    now_s: float = device.now_s  # type: ignore[attr-defined]
+    device, host = hall_after_an_outage(0.4, (10.0, 210.0), 300.0 + off_deg)
+    now_s = host.now_s
     assert (device.age_s(now_s) < 0.05) == sure
-    assert ("its turns are not known; give the base its reference anew" in device.complaint) != sure
+    assert ("its turns are not known; give the base its reference anew" in device.complaint(now_s)) != sure
     if not sure:
         assert math.degrees(device.angle_rad[0]) == pytest.approx(100.0, abs=1e-3)
         device.refer(math.radians(300.0))
-        device._now = lambda: now_s
         index, angle_rad = 120, math.radians(300.0 + off_deg)
-        device.data_received(encode_hall(index, index * 1000 + 400_000, [angle_rad], [40_000]))
+        host.bring(0, encode_hall(index, index * 1000 + 400_000, [angle_rad], [40_000]))
         assert math.degrees(device.angle_rad[0]) == pytest.approx(300.0 + off_deg, abs=1e-3)
-        assert (device.complaint, device.age_s(now_s) < 0.05) == ("", True)
+        assert (device.complaint(now_s), device.age_s(now_s) < 0.05) == ("", True)
 
 
 def test_turns_wait_for_a_base_that_is_not_known() -> None:
-    device = hall_after_an_outage(0.4, (10.0, math.nan), 110.0)
-    assert "its turns wait for the drive's angle" in device.complaint
-    assert device.age_s(device.now_s) > 0.4  # type: ignore[attr-defined]
+    device, host = hall_after_an_outage(0.4, (10.0, math.nan), 110.0)
+    assert "its turns wait for the drive's angle" in device.complaint(host.now_s)
+    assert device.age_s(host.now_s) > 0.4
 
 
 def test_a_base_not_known_when_the_sensor_fell_silent_tells_the_turns_by_what_was_known_before() -> None:
-    device = hall_after_an_outage(1.0, (10.0, 210.0), 300.0, base_known_frames=59)
+    device, host = hall_after_an_outage(1.0, (10.0, 210.0), 300.0, base_known_frames=59)
     assert math.degrees(device.angle_rad[0]) == pytest.approx(300.0, abs=1e-3)
-    assert device.complaint == ""
+    assert device.complaint(host.now_s) == ""
 
 
 def test_a_sensor_that_was_away_before_the_base_was_ever_known_starts_anew() -> None:
-    device = hall_after_an_outage(1.0, (10.0, 12.0), 102.0, base_known_frames=0)
+    device, host = hall_after_an_outage(1.0, (10.0, 12.0), 102.0, base_known_frames=0)
     assert math.degrees(device.angle_rad[0]) == pytest.approx(102.0, abs=1e-3)
-    assert device.complaint == ""
+    assert device.complaint(host.now_s) == ""
 
 
 def test_a_short_gap_needs_no_base() -> None:
-    device = hall_after_an_outage(0.15, (math.nan, math.nan), 110.0)
+    device, _ = hall_after_an_outage(0.15, (math.nan, math.nan), 110.0)
     assert math.degrees(device.angle_rad[0]) == pytest.approx(110.0, abs=1e-3)
 
 
 CODEC = CanCodec(find_config_file("needle_rig.dbc"))
 
 
+START_S = MemoryHost().now_s
+
+
+def drive() -> tuple[DriveCan, MemoryHost]:
+    host = MemoryHost()
+    return DriveCan(NodeDevice(), host), host
+
+
 def drive_that_speaks(health_until_s: float) -> DriveCan:
     """A drive whose statuses come for 0.5 s and whose health comes until `health_until_s`."""
-    device = DriveCan(CODEC, lambda frame_id, data: True)
+    device, host = drive()
     for ms in range(500):
         now_s = ms * 1e-3
+        host.now_s = START_S + now_s
         if ms % 10 == 0 and now_s < health_until_s:
             health = DriveHealth(DriveFault.STALL, True, False, True, 0.5, 3, ms // 10)
-            device.take_health(health, now_s)
-        device.take(DriveStatus(0.25, DriveState.FAULT, DriveFault.VELOCITY, ms % 16, now_s), now_s)
+            host.bring(DRIVE_HEALTH_ID, CODEC.encode_health(health))
+        status = CODEC.encode_drive(0.25, DriveState.FAULT, DriveFault.VELOCITY, ms, now_s)
+        host.bring(DRIVE_STATUS_ID, status)
     return device
 
 
@@ -162,31 +162,26 @@ def test_status_and_health_make_one_drive() -> None:
     device = drive_that_speaks(1.0)
     assert device.faults == DriveFault.STALL | DriveFault.VELOCITY
     assert (device.referenced, device.supply_on, device.emergency_stop) == (True, True, False)
-    assert (device.index_rad, device.angle_rad) == (0.5, 0.25)
-    assert device.age_s(0.5) < 0.01
+    assert (device.index_rad, device.angle_rad) == pytest.approx((0.5, 0.25), abs=1e-5)
+    assert device.age_s(START_S + 0.5) < 0.01
 
 
-@pytest.mark.parametrize(("missing_s", "dead"), [(0.09, False), (0.13, True)])
+@pytest.mark.parametrize(("missing_s", "dead"), [(0.085, False), (0.13, True)])
 def test_a_health_that_stays_away_is_a_dead_drive(missing_s: float, dead: bool) -> None:
-    assert (drive_that_speaks(0.5 - missing_s).age_s(0.5) > 0.1) == dead
+    assert (drive_that_speaks(0.5 - missing_s).age_s(START_S + 0.5) > 0.1) == dead
 
 
 def test_without_any_health_a_drive_is_not_known() -> None:
-    assert math.isinf(drive_that_speaks(-1.0).age_s(0.5))
-    assert "sends no DRIVE_HEALTH; flash the firmware" in drive_that_speaks(0.0).complaint(0.5)
-    assert drive_that_speaks(0.5).complaint(0.5) == ""
+    assert math.isinf(drive_that_speaks(-1.0).age_s(START_S + 0.5))
+    assert "sends no DRIVE_HEALTH; flash the firmware" in drive_that_speaks(0.0).complaint(START_S + 0.5)
+    assert drive_that_speaks(0.5).complaint(START_S + 0.5) == ""
 
 
 def test_a_reference_goes_out_after_its_command_with_the_same_heartbeat() -> None:
-    sent: list[object] = []
-
-    def send(frame_id: int, data: bytes) -> bool:
-        sent.append(CODEC.decode(frame_id, data))
-        return True
-
-    device = DriveCan(CODEC, send)
+    device, host = drive()
     device.command(Command())
     device.command(Command(reference_rad=-0.5))
+    sent = [CODEC.decode(*frame) for frame in host.sent]
     assert [type(content) for content in sent] == [DriveCommand, DriveCommand, DriveReference]
     command, reference = sent[1:]
     assert isinstance(command, DriveCommand)
@@ -200,21 +195,23 @@ def test_a_reference_goes_out_after_its_command_with_the_same_heartbeat() -> Non
     ("state", "complaint"), [(1, "starting"), (2, "saturated"), (3, "fault"), (9, "state 9")]
 )
 def test_a_torque_that_the_node_does_not_vouch_for_counts_as_none(state: int, complaint: str) -> None:
-    device = TorqueCan(167.77216)
+    host = MemoryHost()
+    device = TorqueCan(NodeDevice(), host)
     for index in range(300):
         bad = index >= 100
-        status = TorqueStatus(9.0 if bad else 1e-4, state if bad else 0, index % 16, index * 1e-3)
-        device.take(status, index * 1e-3)
-    assert device.torque_nm == 1e-4
-    assert device.age_s(0.3) > 0.19
-    assert complaint in device.complaint
+        status = CODEC.encode_torque(9.0 if bad else 1e-4, state if bad else 0, index, index * 1e-3)
+        host.now_s = START_S + index * 1e-3
+        host.bring(TORQUE_STATUS_ID, status)
+    assert device.torque_nm == pytest.approx(1e-4, abs=1e-9)
+    assert device.age_s(START_S + 0.3) > 0.19
+    assert complaint in device.complaint(host.now_s)
 
 
 def test_nothing_is_known_before_the_first_reading() -> None:
-    device = TorqueCan(167.77216)
+    device = TorqueCan(NodeDevice(), MemoryHost())
     assert math.isnan(device.torque_nm)
-    assert math.isinf(device.age_s(1.0))
-    assert math.isinf(hall(Clock()).age_s(1.0))
+    assert math.isinf(device.age_s(START_S))
+    assert math.isinf(hall()[0].age_s(START_S))
 
 
 lines = st.one_of(
@@ -243,7 +240,7 @@ def test_whatever_an_adapter_sends_the_next_good_frame_is_taken(noise: list[byte
                 await got
             assert not link.lost
         finally:
-            link.close()
+            await link.close()
             port.close()
 
     asyncio.run(scenario())

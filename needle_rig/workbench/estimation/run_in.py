@@ -1,0 +1,232 @@
+"""Trials whose shaft was not relaxed when the recording began: from where on that no longer matters.
+
+Dry friction keeps order: of two shafts on one path of the base, that which begins farther round at every
+place stays so (order preservation of Prandtl-Ishlinskii operators: Visintin 1994, III.2). Every start that
+friction can hold lies between the two in which each node has slipped to it, from above and from below.
+Readings that are the same from both are free of the start: a run-in leaves out the others. Where too few are
+free, the start is fitted as one turn from a relaxed shaft. What other turns would change, of a shaft with the
+friction found and of one held harder, has the covariance of an ensemble and counts as uncertainty.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.numerics import Array
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.rod import build_rod
+from needle_rig.units import deg, rad
+from needle_rig.workbench.estimation.simulator import Simulator
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, sample_weights
+from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise, whitener
+from needle_rig.workbench.policy import POLICY
+
+LAGS_DEG = (5.0, 12.0, 25.0, 50.0, 100.0, 200.0)
+"""Lags of a tip whose whole shaft slips, of which friction is guessed; a level finer follows."""
+FINER = (0.6, 0.8, 1.0, 1.25, 1.6)
+TURNS = (-2.0, -1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 2.0)
+"""Turns from a relaxed shaft to the start that are tried, in lags of the tip: the whole shaft slips in the
+outermost, whatever the friction."""
+FEW_TURNS = (-2.0, -0.5, 0.5, 2.0)
+"""Those of them that friction is guessed with,"""
+GUESSED_FROM = 2
+"""from the trials whose base turns farthest."""
+FINER_TURNS = (0.125, 0.0625)
+"""Steps about the best, in lags."""
+BEYOND = 1.5
+"""Of the guessed friction, which the extreme starts have: effects that are not in the model yet hold a shaft
+harder. An elastic tissue of 0.35 N·mm/rad per 100 mm lets the tip lag 1.6 times as far before all slips."""
+REVERSALS, SHRINK = 20, 0.8
+"""Turns to and fro that relax a shaft, the last a hundredth of the first; the slower they shrink, the less is
+left."""
+TURN_SAMPLES, TURN_S = 6, 2.0
+REST_S = 1.0
+PHASE = "run-in"
+WORDS = {
+    "wound": "begins with an unknown twist",
+    "zeroed": "begins with an unknown twist, from which torque and angles are counted",
+}
+
+
+def after_run_in(dataset: Dataset, null: NeedleModel) -> Dataset:
+    """The dataset; trials with an unknown start as far as they can be judged, each with a sentence.
+
+    The path of such a trial gets turns before it that wind the shaft as it was found to be. `null` is rigid
+    tissue in the dataset's geometry; its friction is guessed. Raises SolverError, BadInput.
+    """
+    if all(t.start == "relaxed" for t in dataset.trials):
+        return dataset
+    # with a path before it an unknown twist is no rest, whose scatter would count as noise
+    rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
+    noise = measure_noise(rests, [bin_trial(t) for t in rests])
+    shaft = _guessed(dataset, noise, null)
+    trials, notes = [], []
+    for given in dataset.trials:
+        if given.start == "relaxed":
+            trials.append(given)
+            continue
+        trial, note = shaft.judged(given)
+        trials.append(trial)
+        notes.append(note)
+    return dataclasses.replace(dataset, trials=tuple(trials), notes=(*dataset.notes, *notes))
+
+
+def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
+    """The trial with a path before it that relaxes the shaft and turns it by `turn_rad` to the start."""
+    base_rad = float(trial.trial.base_angle_rad[0])
+    relaxed_rad = base_rad - turn_rad
+    ends = [relaxed_rad + 2.0 * lag_rad * (-SHRINK) ** k for k in range(REVERSALS)]
+    corners = np.array([0.0, *ends, relaxed_rad, base_rad])
+    place = np.arange(TURN_SAMPLES * (len(corners) - 1)) / TURN_SAMPLES
+    path = np.r_[np.interp(place, np.arange(len(corners)), corners), base_rad, base_rad]
+    begin_s = float(trial.trial.time_s[0])
+    time_s = begin_s - REST_S - TURN_S * (len(corners) - 1 - np.r_[place, len(corners) - 1.0])
+    time_s = np.r_[time_s, begin_s - 0.5 * REST_S]
+    count = len(path)
+    unseen = np.full((count, trial.hall_rad.shape[1]), np.nan)
+    drive, change = trial.trial, trial.start_change
+    return dataclasses.replace(
+        trial,
+        trial=dataclasses.replace(
+            drive, time_s=np.r_[time_s, drive.time_s], base_angle_rad=np.r_[path, drive.base_angle_rad]
+        ),
+        base_measured_rad=np.r_[path, trial.base_measured_rad],
+        torque_nm=np.r_[np.full(count, np.nan), trial.torque_nm],
+        hall_rad=np.vstack([unseen, trial.hall_rad]),
+        phase=np.concatenate([np.full(count, PHASE), trial.phase]),
+        start_change=None if change is None else np.pad(change, ((0, 0), (0, 0), (count, 0))),
+    )
+
+
+def _guessed(dataset: Dataset, noise: Noise, null: NeedleModel) -> _Shaft:
+    """The shaft of the friction that fits the trials best, each from the start that fits it best."""
+    rod = build_rod(dataset.layout, null.torsional_rigidity_nm2, 1.0, null.element_length_m)
+    beyond_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1][1:]
+    lag_of_newton = max(float((beyond_nm / rod.stiffness_nm_per_rad).sum()), 1e-12)
+
+    def of(lag_rad: float) -> _Shaft:
+        model = dataclasses.replace(null, friction_n=lag_rad / lag_of_newton)
+        return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names))
+
+    travelled = sorted(dataset.trials, key=lambda t: -float(np.abs(np.diff(t.trial.base_angle_rad)).sum()))
+    told = travelled[:GUESSED_FROM]
+
+    def misfit(lag_rad: float) -> float:
+        return sum(of(lag_rad).start(t, FEW_TURNS)[1] for t in told)
+
+    level = min((rad(lag) for lag in LAGS_DEG), key=misfit)
+    return of(min((level * f for f in FINER), key=misfit))
+
+
+@dataclass(frozen=True)
+class _Shaft:
+    """A needle in rigid tissue, how far its tip lags when all of it slips, and the noise of the readings."""
+
+    model: NeedleModel
+    lag_rad: float
+    noise: Noise
+    sensor_names: tuple[str, ...]
+    simulator: Simulator = field(default_factory=Simulator)
+
+    def start(self, given: DatasetTrial, turns: Sequence[float] = TURNS) -> tuple[float, float]:
+        """(turn from a relaxed shaft to the start that fits best of some, χ² with it)."""
+        if given.start == "relaxed":
+            return 0.0, self._chi2(bin_trial(given))
+        tried = {turn: self._chi2(self._from(given, turn * self.lag_rad)) for turn in turns}
+        best = min(tried, key=lambda turn: tried[turn])
+        return best * self.lag_rad, tried[best]
+
+    def _finer(self, given: DatasetTrial) -> float:
+        """The turn that fits best, between those of `start`."""
+        best_rad, least = self.start(given)
+        for step in FINER_TURNS:
+            for turn_rad in (best_rad - step * self.lag_rad, best_rad + step * self.lag_rad):
+                chi2 = self._chi2(self._from(given, turn_rad))
+                if chi2 < least:
+                    best_rad, least = turn_rad, chi2
+        return best_rad
+
+    def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, str]:
+        """The trial without readings that depend on its start, or with these uncertain; and what was done."""
+        turn_rad = self._finer(given)
+        trial = wound(given, turn_rad, self.lag_rad)
+        binned = bin_trial(trial)
+        before = ((0, 0), (0, 0), (int((binned.time_s < given.trial.time_s[0]).sum()), 0))
+        turns_rad = [turn * self.lag_rad for turn in TURNS]
+        others = np.pad(self._recorded(given, [turn_rad, *turns_rad], 1.0), before)
+        harder = np.pad(self._recorded(given, [turn_rad, *(BEYOND * t for t in turns_rad)], BEYOND), before)
+        half = 0.5 * (harder[-1] - harder[1])
+        away = np.concatenate([others[1:] - others[0], harder[1:] - harder[0]])
+        free = np.zeros(half.shape, dtype=np.bool_)
+        for c in range(len(half)):
+            use, matrix = covariance(self.noise, binned, c)
+            free[c, use] = np.abs(half[c, use]) < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
+        known = np.isfinite(binned.mean)
+        share = float(free[known].mean())
+        of_sample = sample_weights(trial).tocsc().indices
+        changes = list(away / math.sqrt(len(away)))
+        if given.start == "zeroed":
+            first = of_sample[np.flatnonzero(trial.phase != PHASE)[0]]
+            changes += [np.where(place[:, None], half[:, [first]], 0.0) for place in np.eye(len(half))]
+        changed = np.array([np.broadcast_to(c, half.shape)[:, of_sample] for c in changes])
+        trial = dataclasses.replace(trial, start_change=changed)
+        if share < POLICY.noise.start_free_share:
+            limit = f"{POLICY.noise.start_free_share:.0%}"
+            return trial, (
+                f"{given.file}: {WORDS[given.start]}; {share:.0%} of the readings do not depend on it, too"
+                f" few for a run-in (limit {limit}): the start is fitted as a turn of"
+                f" {deg(turn_rad):.0f}° from a relaxed shaft, and what another start would change counts as"
+                " uncertainty"
+            )
+        keep = free[:, of_sample]
+        trial = dataclasses.replace(
+            trial,
+            torque_nm=np.where(keep[0], trial.torque_nm, np.nan),
+            hall_rad=np.where(keep[1:].T, trial.hall_rad, np.nan),
+        )
+        return trial, f"{given.file}: {WORDS[given.start]}; {self._run_in(binned, free, known, share)}"
+
+    def _recorded(self, given: DatasetTrial, turns_rad: Sequence[float], harder: float) -> Array:
+        """Means of the recorded bins (turns, C, K) from each start, of a shaft that is held `harder`."""
+        model = dataclasses.replace(self.model, friction_n=harder * self.model.friction_n)
+        starts = [bin_trial(wound(given, turn_rad, harder * self.lag_rad)) for turn_rad in turns_rad]
+        readings = self.simulator.readings([model] * len(starts), starts)
+        begin_s = float(given.trial.time_s[0])
+        return np.array([r[:, b.time_s >= begin_s] for r, b in zip(readings, starts, strict=True)])
+
+    def _run_in(
+        self, binned: BinnedTrial, free: npt.NDArray[np.bool_], known: npt.NDArray[np.bool_], share: float
+    ) -> str:
+        since = []
+        for name, is_free, is_known in zip(("torque", *self.sensor_names), free, known, strict=True):
+            judged = np.flatnonzero(is_free & is_known)
+            if judged.size:
+                since.append(f"{name} from {binned.time_s[judged[0]]:.3g} s")
+            elif is_known.any():
+                since.append(f"{name} never")
+        first = ", ".join(since)
+        return f"after a run-in {share:.0%} of the readings do not depend on that and are judged: {first}"
+
+    def _from(self, given: DatasetTrial, turn_rad: float) -> BinnedTrial:
+        """In bins, with `turn_rad` before it; what is counted from the start may be off by any lag."""
+        binned = bin_trial(wound(given, turn_rad, self.lag_rad))
+        if given.start != "zeroed":
+            return binned
+        channels, bins = binned.mean.shape
+        most_rad = rad(
+            LAGS_DEG[-1]
+        )  # of any shaft that is tried: a width of its own would favour the loosest
+        most_nm = most_rad * self.model.torsional_rigidity_nm2 / self.model.layout.needle_length_m
+        offsets = np.diag([most_nm, *[most_rad] * (channels - 1)])
+        return dataclasses.replace(binned, from_start=np.repeat(offsets[:, None, :], bins, axis=1))
+
+    def _chi2(self, binned: BinnedTrial) -> float:
+        (reading,) = self.simulator.readings([self.model], [binned])
+        return float((whitener(self.noise, binned)(binned.mean - reading) ** 2).sum())
