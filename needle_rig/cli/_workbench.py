@@ -23,7 +23,11 @@ model_option = click.option(
     "--model", "model_path", type=click.Path(path_type=Path), help="Model file; default: the null model."
 )
 effects_option = click.option(
-    "--effects", "directories", multiple=True, metavar="DIR", help="Further folder with effects."
+    "--effects",
+    "directories",
+    multiple=True,
+    metavar="DIR",
+    help="Further folder with effects, Python that will be run; config/effects is always searched.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)

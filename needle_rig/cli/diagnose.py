@@ -64,6 +64,8 @@ def command(
     from needle_rig.workbench.parallel import one_thread_each
 
     one_thread_each()
+    from needle_rig.workbench.learning.observations import Traces
+
     if out is not None and not out.absolute().parent.is_dir():
         raise BadInput(f"--out {out}: there is no folder {out.parent}; make it, or name another place")
     saved = read_saved(model_path, directories)
@@ -86,10 +88,14 @@ def command(
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
         return
     _show(found)
+    started = () if model_path is None else ("--model", str(model_path))
+    folders = [word for folder in directories for word in ("--effects", folder)]
     if found.verdict == "effect":
-        started = () if model_path is None else ("--model", str(model_path))
-        folders = [word for folder in directories for word in ("--effects", folder)]
         click.echo(_next_step(found, data, started, folders, out))
+    elif found.verdict == "unknown" and isinstance(observed, Traces):
+        words = ["needle-rig", "learn", *(str(path) for path in data), *started, *folders]
+        told = shlex.join([*words, "--out", "found.py"])
+        click.echo(f"look for a law that the library does not hold: {told}")
 
 
 def _next_step(

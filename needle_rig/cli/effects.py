@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._workbench import effects_option
+
 if TYPE_CHECKING:
     from needle_rig.physics.effect import Effect, ParameterInfo
     from needle_rig.records import JsonObject
@@ -16,14 +18,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("name", required=False)
-@click.option(
-    "--effects",
-    "directories",
-    multiple=True,
-    type=click.Path(),
-    metavar="DIR",
-    help="A further folder with effects of your own (config/effects is always searched).",
-)
+@effects_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> None:
     """List the effects, or show one: its law, source, parameters, units and ranges.

@@ -6,6 +6,8 @@ import json
 
 import click
 
+from needle_rig.cli._workbench import effects_option
+
 
 @click.command("identify")
 @click.argument("what", type=click.Choice(["jg", "damping", "friction"]))
@@ -15,7 +17,7 @@ import click
 @click.option(
     "--effect", "effects", multiple=True, metavar="NAME[=VALUE]", help="Effect of the simulated rig."
 )
-@click.option("--effects", "directories", multiple=True, metavar="DIR", help="Further folder with effects.")
+@effects_option
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the sensors' noise."
 )

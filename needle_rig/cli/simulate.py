@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._workbench import effects_option
+
 
 @click.command("simulate")
 @click.option("--parameters", default="rig_rigid", show_default=True, help="Parameter set, or a model file.")
@@ -18,7 +20,7 @@ import click
     metavar="NAME[=VALUE]",
     help="Effect to hide, e.g. tissue_elasticity=0.35; may be repeated. Without a value: its typical size.",
 )
-@click.option("--effects", "directories", multiple=True, metavar="DIR", help="Further folder with effects.")
+@effects_option
 @click.option("--protocol", default="standard", show_default=True, help="Name, or a YAML file.")
 @click.option("--replicates", type=click.IntRange(1, 100), default=1, help="Run the protocol so many times.")
 @click.option(

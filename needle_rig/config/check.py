@@ -172,11 +172,15 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
 
 
 def _chosen(models: list[type[BaseModel]], data: Any) -> type[BaseModel] | None:
-    """Of several models the one that the section's word `device` names."""
+    """Of several models the one that the section's word `device` names, if they have one; else the first."""
     if len(models) < 2:
         return models[0] if models else None
     word = data.get("device", "node") if isinstance(data, dict) else ""
-    return next((m for m in models if word in get_args(m.model_fields["device"].annotation)), None)
+    named = [m.model_fields.get("device") for m in models]
+    fits = (
+        m for m, field in zip(models, named, strict=True) if not field or word in get_args(field.annotation)
+    )
+    return next(fits, None)
 
 
 def _data_at(data: Any, path: DataPath) -> JsonObject:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 
 from needle_rig.config.schema import TextHall
-from needle_rig.devices.device import HallSensors, Host
+from needle_rig.devices.device import Host
 from needle_rig.devices.link_clock import LinkClock
+from needle_rig.devices.multi_turn import MultiTurnHall
 from needle_rig.units import rad
-from needle_rig.wire.hall_turns import HallTurns
 from needle_rig.wire.text_lines import CLOCK_MODULUS, TextLine, TextStream
 
 _TICK_S = {"ms": 1e-3, "us": 1e-6}
 _SHOWN_BYTES = 40
 
 
-class HallText(HallSensors):
-    """Newest angle of every sensor; one that says nan keeps its value and grows old.
+class HallText(MultiTurnHall):
+    """Lines of a clock and an angle a sensor; nan is no usable reading.
 
     A line counts when its clock went on: a controller that repeats itself, or a buffer that lags, shows.
     """
@@ -24,43 +24,28 @@ class HallText(HallSensors):
     Options = TextHall
 
     def __init__(self, options: TextHall, host: Host) -> None:
-        self._host = host
+        self._tick_s = _TICK_S[options.clock]
+        super().__init__(host, LinkClock(CLOCK_MODULUS * self._tick_s))
         self.link = host.serial(options.port, options.baud, self._receive)
         self._stream = TextStream(checksum=options.checksum)
-        self._tick_s = _TICK_S[options.clock]
-        self._clock = LinkClock(CLOCK_MODULUS * self._tick_s)
-        self._turns = HallTurns(host.sensors)
         self._unit_rad = {"deg": rad(1.0), "rad": 1.0}.get(
             options.angle, math.tau / (options.counts_per_turn or 1)
         )
-        self._misfit = ""
-        self.angle_rad = self._turns.angle_rad
 
-    def complaint(self, now_s: float) -> str:  # noqa: ARG002
+    def complaint(self, now_s: float) -> str:
         """What is wrong with lines that do come."""
         if self._stream.damaged:
             shown = self._stream.damaged[:_SHOWN_BYTES].decode("ascii", "replace")
             return f"a line cannot be read: {shown!r}; wanted is a clock, then an angle a sensor"
-        return self._misfit or self._turns.complaint
-
-    def refer(self, base_rad: float) -> None:
-        """The base stands at `base_rad`: sensors whose turns were lost take those nearest to it."""
-        self._turns.refer(base_rad)
-
-    def age_s(self, now_s: float) -> float:
-        """Age of the oldest sensor's newest value; infinite until every sensor gave one."""
-        return max(self._clock.age_s(now_s), now_s - self._turns.healthy_s)
+        return super().complaint(now_s)
 
     def _receive(self, data: bytes, now_s: float) -> None:
         for line in self._stream.feed(data):
             self._take(line, now_s)
 
     def _take(self, line: TextLine, now_s: float) -> None:
-        wanted = len(self._host.sensors)
-        if len(line.values) != wanted:
-            self._misfit = f"a line has {len(line.values)} angles, layout.hall_sensors has {wanted}"
+        if not self._fits(len(line.values)):
             return
-        self._misfit = ""
         node_time_s = line.clock * self._tick_s
         # 359.9° and -0.1° are one place: like the node's, a first angle lies within half a turn of zero
         angle_rad = tuple(math.remainder(value * self._unit_rad, math.tau) for value in line.values)

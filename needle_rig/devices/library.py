@@ -6,8 +6,6 @@ import importlib
 import importlib.util
 import inspect
 import os
-import sys
-import traceback
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -18,7 +16,7 @@ from pydantic import BaseModel
 from needle_rig.config.check import validate
 from needle_rig.config.files import config_directories
 from needle_rig.config.places import Places
-from needle_rig.config.regular_file import open_regular
+from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
 from needle_rig.config.schema import DeviceFile, LinksSection, Section
 from needle_rig.devices.device import Device, Drive, HallSensors, Host, TorqueSensor
 from needle_rig.errors import BadInput
@@ -38,9 +36,6 @@ SHIPPED: Mapping[tuple[str, str], tuple[str, str]] = MappingProxyType(
     }
 )
 """Module and class by (kind, word); a module is imported when it is chosen."""
-
-LIMIT_BYTES = 1_000_000
-"""A driver takes pages; what is a thousand times longer is none."""
 
 
 def make_device(links: LinksSection, kind: str, host: Host) -> Device:
@@ -88,9 +83,7 @@ def named_file(name: str) -> Path:
 
 def load_device(path: Path) -> type[Device]:
     """The device in the file `path`. Raises BadInput with file and line when it is missing or broken."""
-    with open_regular(path, str(path), LIMIT_BYTES) as file:
-        stamp = os.fstat(file.fileno()).st_mtime_ns
-    return _load(path.resolve(), stamp)
+    return _load(path.resolve(), stamp_ns(path))
 
 
 def _kind_of(device: type[Device]) -> str:
@@ -99,31 +92,10 @@ def _kind_of(device: type[Device]) -> str:
 
 @cache
 def _load(path: Path, stamp: int) -> type[Device]:  # noqa: ARG001 the cache's key
-    name = f"needle_rig_user_devices.d{abs(hash(path.parent)):x}.{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except SyntaxError as error:
-        raise BadInput(f"{path}:{error.lineno}: {error.msg}; correct the file or move it away") from None
-    except Exception as error:  # noqa: BLE001 any error of a user's file becomes one sentence
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
-        place = f"{path}:{lines[-1] if lines else 1}"
-        raise BadInput(f"{place}: {type(error).__name__} while the file is read: {error}") from None
-    classes = [
-        value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Device) and value.__module__ == name
-    ]
-    if len(classes) != 1:
-        raise BadInput(
-            f"{path}:1: {len(classes)} classes derive from Device; a device's file has exactly one"
-        )
-    _check(classes[0], path)
-    return classes[0]
+    module = load_module(path, "needle_rig_user_devices")
+    found: type[Device] = the_subclass(module, Device, "a device", path)
+    _check(found, path)
+    return found
 
 
 def _check(device: type[Device], path: Path) -> None:

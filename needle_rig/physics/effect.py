@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
@@ -184,9 +187,9 @@ class Effect:
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
-    def parameters(cls) -> dict[str, ParameterInfo]:
+    def parameters(cls) -> Mapping[str, ParameterInfo]:
         """The parameters by field name."""
-        return {f.name: f.metadata["info"] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+        return _parameters(cls)  # type: ignore[arg-type]  # mypy takes the hash of instances for that of classes
 
     @classmethod
     def at_strength(cls, strength: float) -> Self:
@@ -200,11 +203,12 @@ class Effect:
 
     def is_off(self) -> bool:
         """Whether every parameter stands at its off value (forms, as relaxation times, do not count)."""
-        return all(
-            bool(np.all(np.asarray(getattr(self, name)) == info.off))
-            for name, info in self.parameters().items()
-            if not info.shapes
-        )
+        for name, info in self.parameters().items():
+            value = getattr(self, name)
+            values = value if isinstance(value, tuple) else (value,)
+            if not info.shapes and any(v != info.off for v in values):
+                return False
+        return True
 
     def each(self, field: str, count: int) -> Array:
         """A per-sensor or per-section field, shape (count,). Raises BadInput on another count."""
@@ -216,6 +220,12 @@ class Effect:
                 f" give one for each {info.per}, or one for all"
             )
         return np.broadcast_to(values, (count,))
+
+
+@cache
+def _parameters(effect: type[Effect]) -> Mapping[str, ParameterInfo]:
+    fields = dataclasses.fields(effect)  # type: ignore[arg-type]
+    return MappingProxyType({f.name: f.metadata["info"] for f in fields})
 
 
 def with_lumped_friction(rod: Rod, nodes: int | Indices, friction_nm: float | Array) -> Rod:

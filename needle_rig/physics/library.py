@@ -12,21 +12,19 @@ import importlib.machinery
 import importlib.util
 import inspect
 import math
-import os
 import sys
-import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 
-from needle_rig.config.regular_file import open_regular
+from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
 from needle_rig.errors import BadInput
 from needle_rig.physics import effects as built_in
 from needle_rig.physics.effect import Effect, ParameterInfo
 
-LIMIT_BYTES = 1_000_000
-"""A law takes a page; what is a thousand times longer is no effect."""
+USERS = "needle_rig_user_effects"
+"""What stands for a package in the names of the modules that users' files are."""
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "shape": ("self", "rod", "trial"),
@@ -69,54 +67,35 @@ def built_in_effects() -> dict[str, type[Effect]]:
 
 def load_effect(path: Path) -> type[Effect]:
     """The effect in the file `path`. Raises BadInput with file and line when it is missing or broken."""
-    with open_regular(path, str(path), LIMIT_BYTES) as file:
-        stamp = os.fstat(file.fileno()).st_mtime_ns
-    return _load(path.parent.resolve() / path.name, stamp)
+    return _load(path.parent.resolve() / path.name, stamp_ns(path))
 
 
-class _Uncached(importlib.machinery.SourceFileLoader):
-    """Reads the file itself: bytecode kept beside it counts as new while size and second of its date are."""
+def as_sent(effects: Mapping[str, type[Effect]]) -> dict[str, type[Effect] | Path]:
+    """Effects as another process can take them: those of users' files as the files."""
+    return {name: _file_of(effect) or effect for name, effect in effects.items()}
 
-    def get_code(self, fullname: str) -> CodeType:
-        path = self.get_filename(fullname)
-        return self.source_to_code(self.get_data(path), path)
+
+def as_received(sent: Mapping[str, type[Effect] | Path]) -> dict[str, type[Effect]]:
+    """Inverse of `as_sent`. Raises BadInput where a file is no longer what it was."""
+    return {name: load_effect(each) if isinstance(each, Path) else each for name, each in sent.items()}
+
+
+def _file_of(effect: type[Effect]) -> Path | None:
+    if not effect.__module__.startswith(USERS):
+        return None
+    return Path(str(sys.modules[effect.__module__].__file__))
 
 
 @cache
 def _load(path: Path, stamp: int) -> type[Effect]:  # noqa: ARG001 the cache's key
-    # Effects know their name from their module; the directory keeps equal names in two folders apart.
-    module_name = f"needle_rig_user_effects.d{abs(hash(path.parent)):x}.{path.stem}"
-    loader = _Uncached(module_name, str(path))
-    spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module
-    try:
-        spec.loader.exec_module(module)
-    except SyntaxError as error:
-        raise BadInput(f"{path}:{error.lineno}: {error.msg}; correct the file or move it away") from None
-    except Exception as error:  # noqa: BLE001 any error of a user's file becomes one sentence
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
-        raise BadInput(
-            f"{path}:{lines[-1] if lines else 1}: {type(error).__name__} while the file is read: {error}"
-        ) from None
-    return effect_in(module, path)
+    return effect_in(load_module(path, USERS), path)
 
 
 def effect_in(module: ModuleType, path: Path) -> type[Effect]:
     """The one Effect subclass that `module` defines, checked. Raises BadInput with file and line."""
-    classes = [
-        value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Effect) and value.__module__ == module.__name__
-    ]
-    if len(classes) != 1:
-        raise BadInput(
-            f"{path}:1: {len(classes)} classes derive from Effect; an effect's file has exactly one"
-        )
-    _check(classes[0], path)
-    return classes[0]
+    found: type[Effect] = the_subclass(module, Effect, "an effect", path)
+    _check(found, path)
+    return found
 
 
 def _check(effect: type[Effect], path: Path) -> None:

@@ -183,8 +183,7 @@ def _run(
     laws, keep = _packed_laws(rod)
     creeps, viscous, memory = rod.depends_on_rate
     by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
-    limits = coefficients[[layout.PLUS, layout.MINUS]]
-    dry = by_rate and bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
+    dry = by_rate and _some_node_is_dry(coefficients)
     has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, dry)
     settings = layout.Settings(
         # seen from the mount, the base stays behind by the mount's turn as by that of a spring of its own
@@ -273,6 +272,14 @@ def _turn(packed: Array, by_rad: float) -> None:
     """Turn the needle and what holds it, but not the base's drive, in place."""
     packed[0] += by_rad
     packed[1, 1:] += by_rad
+
+
+def _some_node_is_dry(coefficients: Array) -> bool:
+    """Whether somewhere friction has no part that grows with the rate."""
+    from needle_rig.physics.kernel import layout
+
+    limits = coefficients[[layout.PLUS, layout.MINUS]]
+    return bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
 
 
 def _packed_state(rod: Rod, state: RodState) -> Array:

@@ -44,6 +44,8 @@ class Rig(TypedDict):
     """Of the simulated needle; None on a real rig."""
     tick_hz: float
     needle_length_mm: float
+    torsional_rigidity_nmm2: float
+    """As the rig file states it."""
     tissue_sections_mm: list[list[float]]
     hall_positions_mm: list[float]
     angle_limit_deg: float

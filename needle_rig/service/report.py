@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from needle_rig.config.schema import RigConfig
+from needle_rig.control.in_si import torsional_rigidity_nm2
 from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
 from needle_rig.numerics import rounded
 from needle_rig.records import DriveFault, Measurement
@@ -30,6 +31,7 @@ def rig_document(config: RigConfig, *, simulated: bool) -> documents.Rig:
         "parameters": config.simulation.parameters if config.simulation else None,
         "tick_hz": config.tick_hz,
         "needle_length_mm": config.needle.length_mm,
+        "torsional_rigidity_nmm2": round(torsional_rigidity_nm2(config) * 1e6, 4),
         "tissue_sections_mm": [list(section) for section in config.layout.tissue_sections_mm],
         "hall_positions_mm": [sensor.position_mm for sensor in config.layout.hall_sensors],
         "angle_limit_deg": config.drive.angle_limit_deg,

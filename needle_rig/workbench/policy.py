@@ -277,6 +277,24 @@ class TiePolicy:
 
 
 @dataclass(frozen=True)
+class LawPolicy:
+    """When a law that no library holds is said."""
+
+    ties: int = _threshold(
+        1,
+        "further laws that may tie with one that is said; with more, nothing is said",
+        "a pair can be told apart by one trial",
+        "laws/test_policy.py",
+    )
+    most: int = _threshold(
+        2,
+        "laws, or library effects beside one, that are added one after the other",
+        "more of them can stand for anything, as `verdict.at_any_value`",
+        "laws/test_policy.py",
+    )
+
+
+@dataclass(frozen=True)
 class SizePolicy:
     """A change of the readings that matters: the largest, and the root mean square of the same change.
 
@@ -373,6 +391,7 @@ class Policy:
     search: SearchPolicy = SearchPolicy()
     evidence: EvidencePolicy = EvidencePolicy()
     ties: TiePolicy = TiePolicy()
+    laws: LawPolicy = LawPolicy()
     size: SizePolicy = SizePolicy()
     verdict: VerdictPolicy = VerdictPolicy()
 

@@ -117,7 +117,16 @@ def test_a_compensation_runs_to_its_end_and_is_recorded(tmp_path: Path) -> None:
     assert result["motions"][-1]["base_deg"] == pytest.approx(45.0, abs=0.2)
 
 
-@pytest.mark.parametrize("fault", ["unplug", "silence", "garble", "freeze"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "unplug",
+        "silence",
+        # by default in virtual time alone: tests/closed_loop/test_other_devices.py
+        pytest.param("garble", marks=pytest.mark.slow),
+        pytest.param("freeze", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("link", ["torque", "hall"])
 def test_a_sensor_that_fails_in_mid_motion_is_named_and_heard_again(
     mended: Bench, link: str, fault: str

@@ -124,7 +124,7 @@ def test_a_node_with_another_number_of_sensors_is_told(config: RigConfig) -> Non
     data = config.model_dump()
     data["layout"]["hall_sensors"] = data["layout"]["hall_sensors"][:3]
     error = refusal(RigConfig.model_validate(data), timeout_s=0.3)
-    assert "the node sends 4 sensors, layout.hall_sensors has 3" in str(error)
+    assert "4 sensors are sent, layout.hall_sensors has 3" in str(error)
 
 
 def test_auto_ports_without_a_bench_are_refused() -> None:

@@ -76,7 +76,8 @@ def test_jog_hold_release_a_hand_and_home(loop: Loop) -> None:
     assert (now.drive_state, now.supply_on) == (DriveState.SILENT, False)
     loop.turn_by_hand(-50.0, 1.0)
     assert loop.brain.state.fault is None
-    assert loop.true_deg == pytest.approx(-20.0, abs=1.0)
+    # a motor follows with a time constant of 10 ms, here 0.5°
+    assert loop.true_deg == pytest.approx(-19.5, abs=0.2)
     loop.brain.home()
     loop.run(10.0, *OVER)
     assert loop.brain.state.fault is None

@@ -24,6 +24,7 @@ CALLED_BY_LIBRARIES = {
     "_options_end": "pydantic",
     "_repr_png_": "Jupyter",
     "app_state": "uvicorn",
+    "get_code": "importlib",
     "define_pipelines": "numba",
     "get_source_stamp": "numba",
     "ignore_aliases": "PyYAML",

@@ -166,6 +166,10 @@ def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
     assert f"the base stands at {sign * 573.5:.1f}°, outside ±572.958°" in fault.text
 
 
+def test_how_old_a_command_may_be_is_said_in_milliseconds() -> None:
+    assert DRIVE_SENTENCES[DriveFault.COMMAND_AGE].startswith("no valid command reached it for 50 ms;")
+
+
 @pytest.mark.parametrize("bit", list(DriveFault))
 def test_every_fault_bit_of_the_drive_has_its_sentence(bit: DriveFault) -> None:
     if bit is DriveFault.NONE:

@@ -221,7 +221,7 @@ def test_a_single_command_is_ranked_by_blocks_of_its_time_and_said_to_be_weak() 
     found = diagnose(one, few("torque_bias", "tip_friction"))
     assert found.effects == ("torque_bias",)
     assert found.held_out_error_after < 1.1
-    assert any("one command" in n for n in found.notes)
+    assert any("One command alone" in n for n in found.notes)
 
 
 def test_a_dead_sensor_does_not_stop_the_diagnosis() -> None:

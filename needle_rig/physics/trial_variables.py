@@ -1,0 +1,47 @@
+"""What the base's path in a trial tells at each sample: rate, travel, time since the stop, direction.
+
+Arrays have shape (samples,).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Trial
+from needle_rig.units import rad
+
+MOVES_RAD_S = rad(0.5)
+"""A base that turns faster than this moves: ten times the rate that the noise of an encoder leaves on a
+denoised path, a tenth of the slowest commanded rate."""
+
+
+def rate_rad_s(trial: Trial) -> Array:
+    """Rate of the base, by central differences."""
+    if trial.time_s.size < 2:
+        return np.zeros_like(trial.base_angle_rad)
+    return np.asarray(np.gradient(trial.base_angle_rad, trial.time_s))
+
+
+def travel_rad(trial: Trial) -> Array:
+    """Sum of |base motion| since the trial began."""
+    return np.asarray(np.cumsum(np.abs(np.diff(trial.base_angle_rad, prepend=trial.base_angle_rad[:1]))))
+
+
+def clock_s(trial: Trial) -> Array:
+    """Time on the clock of the series."""
+    return np.asarray(trial.start_s + trial.time_s)
+
+
+def stop_time_s(trial: Trial) -> Array:
+    """Time since the base last moved, or since the trial began."""
+    moves = np.abs(rate_rad_s(trial)) > MOVES_RAD_S
+    return np.asarray(trial.time_s - np.maximum.accumulate(np.where(moves, trial.time_s, trial.time_s[:1])))
+
+
+def direction(trial: Trial) -> Array:
+    """Sign of the last motion of the base, 0 before the first."""
+    rate = rate_rad_s(trial)
+    moves = np.abs(rate) > MOVES_RAD_S
+    last = np.maximum.accumulate(np.where(moves, np.arange(rate.size), -1))
+    return np.asarray(np.where(last >= 0, np.sign(rate[last]), 0.0))

@@ -1,0 +1,113 @@
+"""Who may ask the page's server: this computer's browser, from the page itself, with the token.
+
+A loopback address alone keeps nobody out who runs a page in the same browser: a foreign page may post to it
+or open a WebSocket (its Origin tells), and a foreign name may be pointed at it (DNS rebinding; its Host
+tells).
+"""
+
+from __future__ import annotations
+
+import hmac
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import JSONResponse
+from starlette.websockets import WebSocketClose
+
+from needle_rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+LOOPBACK = "127.0.0.1"
+API = "/api/"
+WEBSOCKET_TOKEN = "token."
+"""A browser cannot give a WebSocket a header, but it can name subprotocols: `token.` and the token."""
+POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+HEADERS = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+"""With every answer."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a request is not let in."""
+
+    status: int
+    sentence: str
+
+
+class Guard:
+    """Lets into `app` what comes from the page at `port`, and to its API what carries `token`."""
+
+    def __init__(self, app: ASGIApp, port: int, token: str) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._hosts = frozenset({f"{LOOPBACK}:{port}", f"localhost:{port}"})
+        self._origins = frozenset(f"http://{host}" for host in self._hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """See ASGI."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal = self.refusal(scope["path"], Headers(scope=scope))
+        if scope["type"] == "websocket":
+            if refusal is not None:
+                await WebSocketClose(code=1008, reason=refusal.sentence[:120])(scope, receive, send)
+                return
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        if refusal is None:
+            await self._app(scope, receive, with_headers)
+            return
+        answer = JSONResponse(
+            {"error": refusal.sentence, "exit_code": BadInput.exit_code},
+            refusal.status,
+            {"connection": "close"},
+        )
+        await answer(scope, receive, with_headers)
+
+    def refusal(self, path: str, headers: Headers) -> Refusal | None:
+        """Why a request for `path` with these headers is not let in; None when it is."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
+            return Refusal(421, "this server answers at its loopback address alone; open the printed address")
+        origin = headers.get("origin")
+        if origin is not None and origin not in self._origins:
+            return Refusal(403, "another site asked for this; open the printed address")
+        if path.startswith(API) and not self._has_token(headers):
+            return Refusal(401, "the token is missing or wrong; open the address that needle-rig web printed")
+        return None
+
+    def _has_token(self, headers: Headers) -> bool:
+        given = [text for name, text in headers.items() if name == "authorization"]
+        tokens = [text.removeprefix("Bearer ") for text in given if text.startswith("Bearer ")]
+        for offered in headers.getlist("sec-websocket-protocol"):
+            names = (name.strip() for name in offered.split(","))
+            tokens += [n.removeprefix(WEBSOCKET_TOKEN) for n in names if n.startswith(WEBSOCKET_TOKEN)]
+        return len(tokens) == 1 and hmac.compare_digest(tokens[0].encode(), self._token)

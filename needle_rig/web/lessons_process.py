@@ -1,0 +1,92 @@
+"""A process that stays for the lessons, since the first needs the solver compiled: lines in, lines out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.web.worker import NICE, Voice
+
+LINE_BYTES = 16 << 20
+PATIENCE_S = 300.0
+"""The first start compiles the solver."""
+
+
+class Lessons:
+    """The process as the server sees it: started at the first question, one answer at a time."""
+
+    def __init__(self, directories: tuple[str, ...]) -> None:
+        self._directories = directories
+        self._process: asyncio.subprocess.Process | None = None
+        self._alone = asyncio.Lock()
+
+    async def ask(self, effect: str | None, values: Mapping[str, float]) -> Any:
+        """A lesson, or the list of effects where none is named. Raises BadInput, RigFault."""
+        async with self._alone:
+            process = await self._running()
+            assert process.stdin is not None
+            assert process.stdout is not None
+            line = b""
+            with contextlib.suppress(ConnectionError, TimeoutError):
+                process.stdin.write(json.dumps({"effect": effect, "values": values}).encode() + b"\n")
+                await process.stdin.drain()
+                line = await asyncio.wait_for(process.stdout.readline(), PATIENCE_S)
+        if not line:
+            self.close()
+            raise RigFault("the process that computes the lessons ended; try again")
+        answer = json.loads(line)
+        if "error" in answer:
+            from needle_rig.errors import BadInput
+
+            raise BadInput(answer["error"])
+        return answer["result"]
+
+    async def _running(self) -> asyncio.subprocess.Process:
+        if self._process is None or self._process.returncode is not None:
+            self._process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "needle_rig.web.lessons_process", *self._directories),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                limit=LINE_BYTES,
+                start_new_session=True,
+            )
+        return self._process
+
+    def close(self) -> None:
+        """End it."""
+        if self._process is not None and self._process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.kill()
+        self._process = None
+
+
+def main() -> None:
+    """Answer until stdin ends."""
+    os.nice(NICE)
+    voice = Voice()
+    from needle_rig.workbench.parallel import one_thread_each
+
+    one_thread_each()
+    from needle_rig.model import effect_directories
+    from needle_rig.web.lessons import effects_document, lesson
+
+    directories = effect_directories(tuple(sys.argv[1:]))
+    for line in sys.stdin:
+        asked = json.loads(line)
+        try:
+            if asked["effect"] is None:
+                voice.tell(result=effects_document(directories))
+            else:
+                voice.tell(result=lesson(asked["effect"], asked["values"], directories))
+        except NeedleRigError as error:
+            voice.tell(error=str(error))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,365 @@
+"""The page's server: static modules, the rig's stream and orders, and the workbench's jobs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import secrets
+import socket as sockets
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from needle_rig.control.strategy import find_strategies
+from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
+from needle_rig.model import parameter_sets
+from needle_rig.service.orders import read_order
+from needle_rig.web.estimate import shaft_estimate
+from needle_rig.web.glossary import glossary_html
+from needle_rig.web.guard import LOOPBACK, WEBSOCKET_TOKEN, Guard
+from needle_rig.web.jobs import Jobs
+from needle_rig.web.lessons_process import Lessons
+from needle_rig.web.rig_link import ORDERS, RigLink
+from needle_rig.web.sources import NOTES_BYTES, Sources
+from needle_rig.web.uploads import TooMuch, Uploads
+from needle_rig.workbench.contest.strategies_table import NEEDS_OTHERS
+
+STATIC = Path(__file__).parent / "static"
+BODY_BYTES = 64 << 10
+BODY_S = 10.0
+CONNECTIONS = 128
+WATCHER_BYTES = 1024
+"""A watcher has nothing to say."""
+_DIAGNOSIS, _MODEL = "diagnosis.yaml", "model.yaml"
+
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the command line chose."""
+
+    socket: Path | None
+    data: tuple[Path, ...]
+    runs: Path
+    effects: tuple[str, ...]
+    """Folders with effects of one's own: Python that runs, which no upload can add to."""
+    jobs: int
+    """Processes of a diagnosis."""
+
+
+class Page:
+    """Everything behind the page, below one temporary `folder`."""
+
+    def __init__(self, settings: Settings, folder: Path) -> None:
+        self._settings, self._folder = settings, folder
+        self.rig = RigLink(settings.socket)
+        self.jobs = Jobs()
+        self.lessons = Lessons(settings.effects)
+        self.uploads = Uploads(folder / "uploads")
+        self.sources = Sources(settings.data, settings.runs, self.uploads)
+        self._made: dict[str, Path] = {}
+
+    # the rig
+
+    async def live(self, socket: WebSocket) -> None:
+        """What the daemon tells, as it comes."""
+        offered = [n for n in socket.scope["subprotocols"] if n.startswith(WEBSOCKET_TOKEN)]
+        await socket.accept(subprotocol=offered[0])
+
+        async def tell() -> None:
+            async with self.rig.watch() as listener:
+                async for text in listener.messages():
+                    await socket.send_text(text)
+
+        async def until_gone() -> None:
+            while (await socket.receive())["type"] != "websocket.disconnect":
+                pass
+
+        both = {asyncio.create_task(tell()), asyncio.create_task(until_gone())}
+        try:
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in both:
+                task.cancel()
+            await asyncio.gather(*both, return_exceptions=True)
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+                await socket.close()
+
+    async def order(self, request: Request) -> Response:
+        """One of the daemon's orders."""
+        name = request.path_params["order"]
+        if name not in ORDERS:
+            raise HTTPException(404)
+        content = read_order(name, await body(request)).model_dump(exclude_none=True)
+        return JSONResponse(await self.rig.order(name, content), 202)
+
+    async def estimate(self, request: Request) -> Response:
+        """The matrix that gives the shaft's angle between its sensors."""
+        rig = json.loads(await body(request))
+        try:
+            return JSONResponse(shaft_estimate(rig).as_json())
+        except (KeyError, TypeError, ValueError, ArithmeticError):
+            raise BadInput("this is no rig as the daemon tells it") from None
+
+    # the workbench
+
+    async def about(self, _: Request) -> Response:
+        """What can be chosen: data, strategies, parameter sets."""
+        sources = await asyncio.to_thread(self.sources.datasets)
+        return JSONResponse(
+            {
+                "data": [{"key": s.key, "name": s.name, "kind": s.kind} for s in sources],
+                "strategies": [
+                    {"name": name, "text": (kind.__doc__ or name).strip().splitlines()[0]}
+                    for name, kind in find_strategies().items()
+                    if name not in NEEDS_OTHERS
+                ],
+                "parameters": sorted(parameter_sets()),
+                "runs": str(self._settings.runs),
+            }
+        )
+
+    async def begin_job(self, request: Request) -> Response:
+        """Start a computation: its key."""
+        asked = as_mapping(await body(request))
+        kind, out = asked.get("kind"), self._folder / "jobs" / secrets.token_hex(8)
+        given: Document = {}
+        if kind in ("compare", "diagnose", "adopt", "show", "export"):
+            given["data"] = await asyncio.to_thread(self.sources.paths, texts(asked.get("data")))
+        if kind in ("compare", "diagnose", "undo", "strategies"):
+            given["model"] = self._file(asked.get("model"), _MODEL)
+        if kind in ("compare", "diagnose", "adopt", "undo", "strategies"):
+            given["effects"] = list(self._settings.effects)
+        if kind in ("diagnose", "strategies"):
+            given["jobs"] = self._settings.jobs
+        if kind == "adopt":
+            given["diagnosis"] = self._file(asked.get("diagnosis"), _DIAGNOSIS)
+            given["chosen"] = texts(asked.get("chosen", []))
+        elif kind == "undo" and given["model"] is None:
+            raise BadInput("there is no step to take back")
+        elif kind == "export":
+            given["form"] = str(asked.get("form"))
+        elif kind == "strategies":
+            given |= self._contest(asked)
+        elif "data" not in given and kind != "undo":
+            raise BadInput("this is no computation that the page knows")
+        out.mkdir(parents=True)
+        key = self.jobs.start(str(kind), {**given, "out": str(out)})
+        self._made[key] = out
+        return JSONResponse({"job": key}, 202)
+
+    def _contest(self, asked: Document) -> Document:
+        targets, seeds, parameters = asked.get("targets_deg"), asked.get("seeds"), asked.get("parameters")
+        whole = isinstance(targets, list) and all(isinstance(t, int | float) for t in targets)
+        if not whole or not isinstance(seeds, int) or parameters not in parameter_sets():
+            raise BadInput("give targets in degrees, a number of runs, and a parameter set of the list")
+        return {"targets_deg": targets, "seeds": seeds, "parameters": parameters}
+
+    def _file(self, key: object, name: str) -> str | None:
+        """The file of this name that a job made; None for no key."""
+        if key is None:
+            return None
+        path = self._made.get(str(key), self._folder) / name
+        if not path.is_file():
+            raise BadInput("what this builds on is not there any more; compute it again")
+        return str(path)
+
+    async def job(self, request: Request) -> Response:
+        """How far a computation is, or end it."""
+        key = request.path_params["key"]
+        job = self.jobs.cancel(key) if request.method == "DELETE" else self.jobs.get(key)
+        return JSONResponse(job.as_json())
+
+    async def file(self, request: Request) -> Response:
+        """A file that a job wrote, by its bare name."""
+        key, name = request.path_params["key"], request.path_params["name"]
+        folder = self._made.get(key)
+        listed = [] if folder is None else [path.name for path in folder.iterdir() if path.is_file()]
+        if folder is None or name not in listed:
+            raise BadInput(f"{name[:80]}: no such file; compute it again")
+        return FileResponse(folder / name, filename=name, content_disposition_type="attachment")
+
+    async def begin_upload(self, request: Request) -> Response:
+        """A place for files that a person drops."""
+        asked = as_mapping(await body(request))
+        return JSONResponse({"upload": self.uploads.begin(str(asked.get("name", "")))}, 201)
+
+    async def upload(self, request: Request) -> Response:
+        """One file of an upload."""
+        key, path = request.path_params["key"], request.path_params["path"]
+        try:
+            await self.uploads.take(key, path, request.stream())
+        except ClientDisconnect:
+            raise BadInput(f"{path[:80]}: the upload broke off; drop it again") from None
+        return JSONResponse({"files": len(self.uploads.get(key).files)}, 201)
+
+    # runs
+
+    async def runs(self, _: Request) -> Response:
+        """The recorded runs with tags and notes, newest first."""
+
+        def listed() -> list[Document]:
+            return [self.sources.run_document(run) for run in self.sources.runs()]
+
+        return JSONResponse({"runs": await asyncio.to_thread(listed)})
+
+    async def notes(self, request: Request) -> Response:
+        """Keep tags and a note beside a run."""
+        content = await body(request, NOTES_BYTES)
+        notes = await asyncio.to_thread(self.sources.keep_notes, request.path_params["name"], content)
+        return JSONResponse(notes.model_dump())
+
+    # effects
+
+    async def effects(self, _: Request) -> Response:
+        """The library."""
+        return JSONResponse({"effects": await self.lessons.ask(None, {})})
+
+    async def lesson(self, request: Request) -> Response:
+        """One effect in the standard trial."""
+        asked = as_mapping(await body(request))
+        values = asked.get("values")
+        if not isinstance(values, dict) or not all(isinstance(v, int | float) for v in values.values()):
+            raise BadInput("values: give a number for each parameter")
+        return JSONResponse(await self.lessons.ask(str(asked.get("effect")), values))
+
+    @contextlib.asynccontextmanager
+    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        """Listens to the daemon while the server runs."""
+        self.rig.open()
+        try:
+            yield
+        finally:
+            await self.jobs.close()
+            self.lessons.close()
+            await self.rig.close()
+
+
+def application(page: Page, port: int, token: str) -> Guard:
+    """The whole server at `port`, guarded."""
+
+    def put(path: str, answer: Callable[[Request], Awaitable[Response]], *methods: str) -> Route:
+        return Route(path, answer, methods=list(methods))
+
+    app = Starlette(
+        routes=[
+            WebSocketRoute("/api/live", page.live),
+            put("/api/rig/{order}", page.order, "POST"),
+            put("/api/estimate", page.estimate, "POST"),
+            put("/api/about", page.about, "GET"),
+            put("/api/jobs", page.begin_job, "POST"),
+            put("/api/jobs/{key}", page.job, "GET", "DELETE"),
+            put("/api/jobs/{key}/{name}", page.file, "GET"),
+            put("/api/uploads", page.begin_upload, "POST"),
+            put("/api/uploads/{key}/{path:path}", page.upload, "PUT"),
+            put("/api/runs", page.runs, "GET"),
+            put("/api/runs/{name}/notes", page.notes, "PUT"),
+            put("/api/effects", page.effects, "GET"),
+            put("/api/lesson", page.lesson, "POST"),
+            put("/glossary.html", glossary, "GET"),
+            Mount("/", StaticFiles(directory=STATIC, html=True)),
+        ],
+        exception_handlers={NeedleRigError: refuse, HTTPException: refuse_path},
+        lifespan=page.lifespan,
+    )
+    return Guard(app, port, token)
+
+
+async def glossary(_: Request) -> Response:
+    """The words of the documentation."""
+    return HTMLResponse(await asyncio.to_thread(glossary_html))
+
+
+async def body(request: Request, limit_bytes: int = BODY_BYTES) -> bytes:
+    """A short body, within its time."""
+    content = bytearray()
+    try:
+        async with asyncio.timeout(BODY_S):
+            async for chunk in request.stream():
+                content += chunk
+                if len(content) > limit_bytes:
+                    raise TooMuch(f"the request is longer than {limit_bytes} bytes; send less")
+    except (ClientDisconnect, TimeoutError):
+        raise BadInput("the request broke off; send it again") from None
+    return bytes(content)
+
+
+def as_mapping(content: bytes) -> Document:
+    """A JSON object; raises BadInput."""
+    try:
+        asked = json.loads(content or b"{}")
+    except (ValueError, RecursionError):
+        asked = None
+    if not isinstance(asked, dict):
+        raise BadInput("the request is no JSON object")
+    return asked
+
+
+def texts(given: object) -> list[str]:
+    """A list of texts; raises BadInput."""
+    if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
+        raise BadInput("no data was chosen; choose a dataset, or runs")
+    return given
+
+
+async def refuse(_: Request, error: Exception) -> Response:
+    """A sentence for the page."""
+    assert isinstance(error, NeedleRigError)
+    kinds = ((TooMuch, 413), (Aborted, 409), (RigFault, 503))
+    status = next((code for kind, code in kinds if isinstance(error, kind)), 422)
+    return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status)
+
+
+async def refuse_path(request: Request, error: Exception) -> Response:
+    """A path or a method that is not there."""
+    assert isinstance(error, HTTPException)
+    text = f"{request.method} {request.url.path[:80]}: {error.detail.lower()}"
+    return JSONResponse({"error": text, "exit_code": BadInput.exit_code}, error.status_code)
+
+
+def listening(port: int) -> sockets.socket:
+    """A socket at the loopback address; raises BadInput when the port is taken."""
+    listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
+    listener.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+    try:
+        listener.bind((LOOPBACK, port))
+    except OSError as error:
+        listener.close()
+        raise BadInput(
+            f"--port {port}: cannot listen there ({error.strerror}); choose another, or 0"
+        ) from None
+    return listener
+
+
+async def serve(page: Page, listener: sockets.socket, token: str, ready: Callable[[], None]) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    config = uvicorn.Config(
+        application(page, listener.getsockname()[1], token),
+        access_log=False,
+        log_config=None,
+        server_header=False,
+        limit_concurrency=CONNECTIONS,
+        timeout_keep_alive=5,
+        timeout_graceful_shutdown=1,
+        ws="websockets-sansio",
+        ws_max_size=WATCHER_BYTES,
+        ws_per_message_deflate=False,
+    )
+    server = uvicorn.Server(config)
+    running = asyncio.create_task(server.serve([listener]))
+    while not server.started and not running.done():
+        await asyncio.sleep(0.01)
+    ready()
+    await running

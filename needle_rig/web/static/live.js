@@ -1,0 +1,224 @@
+// The rig as it is now: the shaft, torque and angles over time, the sequence, orders, and faults as sentences.
+import { ask, token } from "./net.js";
+import { Plot, line } from "./plot.js";
+import { Shaft } from "./shaft.js";
+import { batch, html, number, signal, useSignal, words } from "./ui.js";
+
+const SILENT_MS = 800;
+const AGAIN_MS = 300;
+const SHOWN_S = 40;
+const DRAW_MS = 1000 / 30;
+
+/** The daemon's newest state; kept, greyed, when the connection is lost. @type {{value: any}} */
+export const rig = signal(null);
+export const connected = signal(false);
+/** What was refused last. */
+export const said = signal("");
+/** Why there is no connection. */
+const why = signal("connecting …");
+/** Matrix of the shaft's estimate. @type {{value: any}} */
+const estimate = signal(null);
+/** @type {{value: any}} */
+const ended = signal(null);
+/** Traces: time, base, each Hall angle; time, torque. @type {{value: {angles: any[], torque: any[]}}} */
+const traces = signal({ angles: [[]], torque: [[], []] });
+/** @type {number[][]} */
+let columns = [];
+let heard = 0;
+let drawn = 0;
+
+/** Stops the drive: no lease, no question. @param {string} how */
+export async function stop(how) {
+  try {
+    await ask("POST", "rig/stop", { reason: `stopped by a person with ${how}` });
+  } catch (error) {
+    said.value = `Stop was not passed on: ${/** @type {Error} */ (error).message}. Use the emergency stop.`;
+  }
+}
+
+/** Any other order. @param {string} name @param {object} [content] */
+async function order(name, content = {}) {
+  said.value = "";
+  try {
+    await ask("POST", `rig/${name}`, content);
+  } catch (error) {
+    said.value = /** @type {Error} */ (error).message;
+  }
+}
+
+/** Begin to listen, and again whenever the connection breaks. */
+export function open() {
+  const socket = new WebSocket(`ws://${location.host}/api/live`, ["needle-rig", `token.${token}`]);
+  socket.onmessage = (event) => take(JSON.parse(event.data));
+  socket.onclose = () => {
+    lose("the page's server does not answer; start it again: needle-rig web");
+    setTimeout(open, AGAIN_MS);
+  };
+}
+
+setInterval(() => {
+  if (connected.value && performance.now() - heard > SILENT_MS) lose("the daemon is silent");
+}, 100);
+
+/** @param {string} text */
+function lose(text) {
+  connected.value = false;
+  why.value = text;
+}
+
+/** @param {any} document */
+function take(document) {
+  if (document.type === "lost") return lose(document.text);
+  heard = performance.now();
+  if (document.type === "ended") {
+    ended.value = document;
+    return;
+  }
+  if (document.sensors) collect(document);
+  const due = heard - drawn >= DRAW_MS * 0.8 || document.type !== "state";
+  if (!due && connected.value) return;
+  drawn = heard;
+  batch(() => {
+    connected.value = true;
+    if (document.last && !ended.value) ended.value = document.last;
+    const before = rig.value;
+    rig.value = document;
+    if (columns.length) {
+      const now = columns[0].at(-1) ?? 0;
+      const ago = columns[0].map((time) => time - now);
+      traces.value = { angles: [ago, columns[1], ...columns.slice(3)], torque: [ago, columns[2]] };
+    }
+    if (JSON.stringify(before?.rig) !== JSON.stringify(document.rig)) {
+      ask("POST", "estimate", document.rig).then((found) => (estimate.value = found), () => (estimate.value = null));
+    }
+  });
+}
+
+/** Keep the last seconds. @param {any} state */
+function collect(state) {
+  const { sensors } = state;
+  const row = [state.time_s, sensors.base_deg, sensors.torque_nmm, ...sensors.hall_deg];
+  const last = columns[0]?.at(-1);
+  if (columns.length !== row.length || (last !== undefined && (row[0] < last || row[0] - last > SHOWN_S)))
+    columns = row.map(() => []);
+  if (columns[0].at(-1) === row[0]) return;
+  columns.forEach((column, k) => column.push(row[k]));
+  let old = 0;
+  while (columns[0][old] < row[0] - SHOWN_S) old += 1;
+  if (old > 0) columns.forEach((column) => column.splice(0, old));
+}
+
+export function Live() {
+  const state = rig.value;
+  if (!state)
+    return html`<h1>Live</h1>
+      <section class="card"><h2>No rig</h2><p class="lost">${why.value}</p>
+      <p>The workbench, the effects and the strategies work without a rig.</p></section>`;
+  return html`
+    <h1>Live</h1>
+    ${connected.value ? null : html`<p class="refusal" role="alert">The connection is lost: ${why.value}.
+      What is shown is the last that was heard.</p>`}
+    <div class=${connected.value ? "live" : "live grey"} inert=${!connected.value}>
+      <${Faults} state=${state} />
+      <section class="card wide">
+        <h2>Shaft</h2>
+        <${Shaft} state=${state} estimate=${estimate.value} />
+      </section>
+      <${Sequence} state=${state} />
+      <${Orders} state=${state} />
+      <section class="card half"><h2>Angles</h2>
+        <${Plot} label="Angles of the base and the Hall sensors over the last 40 seconds" unit="angle / °" time="time before now / s" least=${4} range=${[-SHOWN_S, 0]} height=${230}
+          series=${[line("base", "--base"), ...state.rig.hall_positions_mm.map((/** @type {number} */ _, /** @type {number} */ k) => line(`hall ${k + 1}`, `--c${k + 1}`))]}
+          data=${traces.value.angles} /></section>
+      <section class="card half"><h2>Torque at the base</h2>
+        <${Plot} label="Torque at the base over the last 40 seconds" unit="torque / N·mm" time="time before now / s" least=${0.02} range=${[-SHOWN_S, 0]} height=${230}
+          series=${[line("torque", "--c0")]} data=${traces.value.torque} /></section>
+      <${Settled} state=${state} />
+    </div>`;
+}
+
+/** @param {{state: any}} props */
+function Faults({ state }) {
+  const sensors = state.sensors;
+  const next = [];
+  if (sensors?.emergency_stop) next.push("The emergency stop is pressed. Release it, then clear.");
+  if (sensors && sensors.age_ms.drive !== null && !sensors.referenced)
+    next.push("The drive's zero is not known. Home it: by Hall sensor, or set an angle here.");
+  if (state.latched) next.push("This fault stays until a person has looked: mend its cause, then Clear.");
+  if (state.released) next.push("The base is released. Clear, or any motion, takes it again.");
+  const told = [...(state.fault ? [state.fault] : []), ...next, ...state.warnings];
+  if (!told.length) return null;
+  return html`<section class="card wide fault" role="alert"><h2>${state.fault ? "Fault" : "To do"}</h2>
+    <ul>${told.map((text) => html`<li>${text}</li>`)}</ul></section>`;
+}
+
+const PHASES = {
+  idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures",
+  done: "done", fault: "fault", aborted: "stopped",
+};
+
+/** @param {{state: any}} props */
+function Sequence({ state }) {
+  const settled = state.settled;
+  const active = Boolean(state.run) || state.moving;
+  const count = Math.max(state.motions_expected, settled.length);
+  const steps = Array.from({ length: count }, (_, k) => {
+    // the first settled entry of a run may be the rest before its first motion
+    const done = settled.filter((/** @type {any} */ m) => m.phase !== "rest")[k];
+    const now = active && !done && k === settled.filter((/** @type {any} */ m) => m.phase !== "rest").length;
+    return { name: done?.phase ?? (now ? state.motion : `motion ${k + 1}`), done: Boolean(done), now };
+  });
+  const phase = /** @type {any} */ (PHASES)[state.phase] ?? state.phase;
+  return html`<section class="card half"><h2>Sequence</h2>
+    <p class="phase"><strong>${active && state.motion ? `${state.motion}: ${phase}` : phase}</strong>
+      ${state.waiting_for ? html` · waits for ${state.waiting_for}` : null}
+      ${state.remaining_s !== null && active ? html` <span class="countdown">${number(state.remaining_s, 1)} s</span>` : null}</p>
+    ${active ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
+    ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°</p>` : null}
+    <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
+      aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text}</p>` : null}</section>`;
+}
+
+/** @param {{state: any}} props */
+function Orders({ state }) {
+  const target = useSignal("45");
+  const strategy = useSignal("reed2008");
+  const by = useSignal("10");
+  const busy = Boolean(state.run) || state.moving;
+  const names = ["reed2008", "reed2008_elastic", "planned", "estimator", "relax", "decay", "base_equals_tip"];
+  /** @param {any} s */
+  const write = (s) => (/** @type {any} */ e) => (s.value = e.target.value);
+  return html`<section class="card half"><h2>Orders</h2>
+    ${state.lease ? html`<p class="quiet">${state.lease} commands this rig.</p>` : null}
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); order("compensate", { target_deg: Number(target.value), strategy: strategy.value }); }}>
+      <label>Target <span class="unit"><input type="number" step="any" required value=${target.value} onInput=${write(target)} /> °</span></label>
+      <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${names.map((n) => html`<option value=${n}>${words(n)}</option>`)}</select></label>
+      <button class="go" disabled=${busy}>Compensate</button>
+    </form>
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); order("jog", { by_deg: Number(by.value) }); }}>
+      <label>Jog by <span class="unit"><input type="number" step="any" required value=${by.value} onInput=${write(by)} /> °</span></label>
+      <button disabled=${busy}>Jog</button>
+      <button type="button" disabled=${busy} onClick=${() => order("home")}>Home</button>
+      <button type="button" disabled=${busy} onClick=${() => order("home", { by: "hall" })}>Home by Hall</button>
+      <button type="button" disabled=${busy} onClick=${() => order("hold")}>Hold</button>
+      <button type="button" disabled=${busy} onClick=${() => order("release")}>Release</button>
+      <button type="button" disabled=${busy} onClick=${() => order("clear")}>Clear</button>
+    </form>
+    <p class="quiet">Escape stops at any time, Space while the needle moves.</p></section>`;
+}
+
+/** What the plan expected before each motion, beside what came. @param {{state: any}} props */
+function Settled({ state }) {
+  if (!state.settled.length) return null;
+  const halls = state.rig.hall_positions_mm.length;
+  return html`<section class="card wide"><h2>Motions: foretold and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
+    <thead><tr><th>motion</th><th>waypoint / °</th><th>base / °</th><th>torque / N·mm</th>
+      <th>foretold lag / °</th><th>measured lag / °</th><th>difference / °</th>
+      ${Array.from({ length: halls }, (_, k) => html`<th>hall ${k + 1} / °</th>`)}</tr></thead>
+    <tbody>${state.settled.map((/** @type {any} */ m) => html`<tr><th scope="row">${words(m.phase)}</th>
+      <td>${number(m.waypoint_deg, 1)}</td><td>${number(m.base_deg, 2)}</td><td>${number(m.torque_nmm, 4)}</td>
+      <td>${number(m.predicted_lag_deg, 1)}</td><td>${number(m.tip_lag_deg, 1)}</td>
+      <td>${number(m.tip_lag_deg === null || m.predicted_lag_deg === null ? null : m.tip_lag_deg - m.predicted_lag_deg, 1)}</td>
+      ${m.hall_deg.map((/** @type {number} */ a) => html`<td>${number(a, 1)}</td>`)}</tr>`)}</tbody></table></div></section>`;
+}

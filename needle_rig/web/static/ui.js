@@ -1,0 +1,33 @@
+// What every page module builds with: templates, state, and words that several pages use.
+import { h } from "./vendor/preact.js";
+import htm from "./vendor/htm.js";
+
+export { render } from "./vendor/preact.js";
+export { useEffect, useRef } from "./vendor/hooks.js";
+export { signal, computed, effect, batch, useSignal } from "./vendor/signals.js";
+
+export const html = htm.bind(h);
+
+/** A number with a fixed count of decimals, or a dash where there is none.
+ * @param {number | null | undefined} value @param {number} decimals */
+export const number = (value, decimals) =>
+  value === null || value === undefined || !Number.isFinite(value)
+    ? "–"
+    : value.toFixed(decimals).replace(/^-(0(\.0*)?)$/, "$1").replace("-", "−");
+
+/** A number with three significant digits.
+ * @param {number | null | undefined} value */
+export const significant = (value) => {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  return String(Number(value.toPrecision(3))).replace("-", "−");
+};
+
+/** A name of the program as people read it.
+ * @param {string} name */
+export const words = (name) => name.replaceAll("_", " ");
+
+/** A parameter as people read it: its unit, which ends its name, stands beside its value.
+ * @param {string} name */
+export const parameter = (name) =>
+  words(name.replace(/_(nmms?_per_rad(_per_100mm)?|nmm_per_100mm|nmm_per_min|nmm2|nmm|deg_s|deg|mm|m?s)(?=\[|$)/, ""))
+    .replace(".", ": ").replace(/\[(\d+)\]/, (_, k) => ` ${Number(k) + 1}`);

@@ -1,0 +1,233 @@
+"""Short formulas for a curve: named forms, ranked by description length against the spline.
+
+A form is an expression in the variable v, in the unit of the curve's axis; `reach`, the largest |v| in the
+data, and `low`, the smallest v, are numbers in it. Coefficients stand before a term and vanish with it;
+shapes (where a step is, how wide) do not. Against the likelihood of a spline's coefficients c,
+−2 log L(c) = cᵀGc − 2bᵀc, a formula's coefficients follow by least squares, its shapes from a grid; each
+parameter has its price (minimum description length: Rissanen, Automatica 14 (1978)).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from needle_rig.numerics import Array
+from needle_rig.units import RAD_PER_DEG
+from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.spline import Quadratic, Spline
+
+ShapeKind = Literal["place", "width", "times"]
+
+GRID = 240
+"""Points at which a formula and a spline are compared."""
+PLACES = 41
+WIDTHS = np.geomspace(0.02, 1.0, 10)
+"""Shares of half the range."""
+TIMES = tuple(range(1, 9))
+SMALL = 0.02
+"""Share of the largest coefficient that a coefficient is taken to be at least, when its size sets a scale."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A named family of formulas."""
+
+    name: str
+    expression: str
+    coefficients: tuple[str, ...]
+    shapes: tuple[tuple[str, ShapeKind], ...] = ()
+    periodic: bool = False
+    """For angles alone."""
+    short: str = ""
+    """The expression as a person writes it, where that is shorter."""
+
+    @property
+    def has_constant(self) -> bool:
+        """Whether it has a constant beside or alone."""
+        return "constant" in self.coefficients
+
+    @property
+    def text(self) -> str:
+        """To be read."""
+        return self.short or self.expression
+
+    def with_constant(self) -> Form:
+        """The same beside a constant."""
+        return Form(
+            f"constant and {self.name}",
+            f"constant + {self.expression}",
+            ("constant", *self.coefficients),
+            self.shapes,
+            self.periodic,
+            f"constant + {self.text}",
+        )
+
+
+_BEYOND = "0.5 * ({0} + abs({0})) / reach"
+_SIMPLE = (
+    Form("line", "line * v / reach", ("line",)),
+    Form("square", "square * (v / reach) ** 2", ("square",)),
+    Form("cube", "cube * (v / reach) ** 3", ("cube",)),
+    Form("signed square", "square * v * abs(v) / reach**2", ("square",)),
+    Form("absolute value", "size * abs(v) / reach", ("size",)),
+    Form(
+        "sine",
+        "sine * sin(times * RAD * v) + cosine * cos(times * RAD * v)",
+        ("sine", "cosine"),
+        (("times", "times"),),
+        periodic=True,
+    ),
+    Form("exponential", "size * exp(-(v - low) / scale)", ("size",), (("scale", "width"),)),
+    Form("logarithm", "size * log(1.0 + abs(v) / scale)", ("size",), (("scale", "width"),)),
+    Form("saturation", "size * v / (abs(v) + scale)", ("size",), (("scale", "width"),)),
+    Form("step", "step * tanh((v - at) / (0.01 * reach))", ("step",), (("at", "place"),)),
+    Form(
+        "dead zone",
+        "line * (v - 0.5 * (abs(v + dead) - abs(v - dead))) / reach",
+        ("line",),
+        (("dead", "width"),),
+        short="line * (v - clip(v, -dead, dead)) / reach",
+    ),
+    Form(
+        "line beyond",
+        f"line * {_BEYOND.format('(v - at)')}",
+        ("line",),
+        (("at", "place"),),
+        short="line * max(v - at, 0) / reach",
+    ),
+    Form(
+        "line below",
+        f"line * {_BEYOND.format('(at - v)')}",
+        ("line",),
+        (("at", "place"),),
+        short="line * max(at - v, 0) / reach",
+    ),
+    Form(
+        "bump",
+        "height * exp(-(((v - at) / width) ** 2))",
+        ("height",),
+        (("at", "place"), ("width", "width")),
+    ),
+)
+FORMS = (Form("constant", "constant", ("constant",)), *_SIMPLE, *(form.with_constant() for form in _SIMPLE))
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A form with its numbers."""
+
+    form: Form
+    reach: float
+    low: float
+    values: tuple[float, ...]
+    """Of the coefficients, then of the shapes."""
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """By name."""
+        names = (*self.form.coefficients, *(name for name, _ in self.form.shapes))
+        return dict(zip(names, self.values, strict=True))
+
+    def at(self, v: Array) -> Array:
+        """The curve (n,) at (n,), in the units of its axes."""
+        return np.broadcast_to(_evaluated(self.form, v, self.reach, self.low, self.parameters), v.shape)
+
+
+@dataclass(frozen=True)
+class RankedFormula:
+    """A formula and what it costs, relative to no law at all; lower is better."""
+
+    formula: Formula
+    cost: float
+
+
+def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list[RankedFormula]:
+    """The best formula of each form by cost: −2 log likelihood and `price` a parameter; best first."""
+    v = np.linspace(spline.low, spline.high, GRID)
+    basis = spline.basis(v)
+    to_coefficients = np.linalg.pinv(basis)
+    reach, low = _rounded(float(np.abs(v).max())), _rounded(spline.low)
+    found = []
+    for form in FORMS:
+        if form.periodic and law.variable not in ("angle", "base_angle"):
+            continue
+        # a drive counts from the start of the trial; a constant factor is friction or rigidity
+        if form.has_constant and (law.hook == "drive" or law.place in ("slip_limit", "rigidity")):
+            continue
+        best: RankedFormula | None = None
+        for shapes in _grid(form, spline):
+            columns = _columns(form, v, reach, low, shapes)
+            if not np.isfinite(columns).all():
+                continue
+            fall, at = quadratic.fall(to_coefficients @ columns)
+            cost = price * (len(form.coefficients) + len(form.shapes)) - fall
+            if best is None or cost < best.cost:
+                values = (*(float(a) for a in at), *shapes)
+                best = RankedFormula(Formula(form, reach, low, values), cost)
+        if best is not None:
+            found.append(best)
+    return sorted(found, key=lambda each: each.cost)
+
+
+def scaled_size(formula: Formula, name: str) -> float:
+    """A coefficient, or a size for it where it is next to none."""
+    value = formula.parameters[name]
+    largest = max(abs(formula.parameters[c]) for c in formula.form.coefficients)
+    least = SMALL * largest
+    return value if abs(value) >= least else math.copysign(least, value)
+
+
+def spelled(form: Form, functions: str, fields: str = "self.") -> str:
+    """The expression in Python, with the module that has its functions and what stands before a field."""
+    text = re.sub(r"\b(sin|cos|exp|log|tanh)\(", rf"{functions}.\1(", form.expression)
+    for name in (*form.coefficients, *(shape for shape, _ in form.shapes)):
+        text = re.sub(rf"(?<![.\w]){name}(?!\w|\()", f"{fields}{name}", text)
+    return text
+
+
+def _columns(form: Form, v: Array, reach: float, low: float, shapes: tuple[float, ...]) -> Array:
+    """What each coefficient stands before (n, m)."""
+    count = len(form.coefficients)
+    names = (*form.coefficients, *(name for name, _ in form.shapes))
+    columns = []
+    for row in np.eye(count):
+        told = dict(zip(names, (*row.tolist(), *shapes), strict=True))
+        columns.append(np.broadcast_to(_evaluated(form, v, reach, low, told), v.shape))
+    return np.column_stack(columns)
+
+
+def _evaluated(form: Form, v: Array, reach: float, low: float, values: dict[str, float]) -> Any:
+    functions = {name: getattr(np, name) for name in ("sin", "cos", "exp", "log", "tanh", "abs")}
+    known = {**functions, "RAD": RAD_PER_DEG, "v": v, "reach": reach, "low": low, **values}
+    # one text for the ranking and for the effect's file
+    return eval(_compiled(form.expression), {"__builtins__": {}}, known)
+
+
+def _compiled(expression: str) -> Any:
+    if expression not in _CODE:
+        _CODE[expression] = compile(expression, "formula", "eval")
+    return _CODE[expression]
+
+
+_CODE: dict[str, Any] = {}
+
+
+def _grid(form: Form, spline: Spline) -> Iterator[tuple[float, ...]]:
+    half = 0.5 * (spline.high - spline.low)
+    choices: dict[ShapeKind, list[float]] = {
+        "place": np.linspace(spline.low, spline.high, PLACES)[1:-1].tolist(),
+        "width": (half * WIDTHS).tolist(),
+        "times": [float(n) for n in TIMES],
+    }
+    return itertools.product(*(choices[kind] for _, kind in form.shapes))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,416 @@
+"""What law is missing that no library holds: a verdict, with its curve, its formula and its effect file."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from needle_rig.dataset import Dataset
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.laws.draft import Origin, Table, formula_text, written
+from needle_rig.workbench.laws.fitting import FormulaLaw, LawFit, Shared, present_score, seen
+from needle_rig.workbench.laws.formulas import Formula
+from needle_rig.workbench.laws.law import UNIT, Law
+from needle_rig.workbench.laws.search import (
+    FoundLaw,
+    LawSearch,
+    Parent,
+    Say,
+    asked_of,
+    kept,
+    tied,
+)
+from needle_rig.workbench.laws.spline_effect import SplineLaw
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.design import best_experiment
+from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
+from needle_rig.workbench.selection.documents import NextTrial
+from needle_rig.workbench.selection.search import Candidate, SearchTrace, score, try_effect
+
+Verdict = Literal["law", "none", "library", "cannot_tell"]
+"""A law that no library holds, nothing at all, effects of the library, or something that these data do not
+tell."""
+BAND_SIGMAS = 1.96
+CURVE_POINTS = 121
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A fitted curve at points `at` (n,), all in the units of the law."""
+
+    at: Array
+    value: Array
+    low: Array
+    """95 % band."""
+    high: Array
+    data: Array
+    """How many values of the variable the data have nearest to each vector."""
+    halves: tuple[Array, ...]
+    """The same curve from halves of the trials."""
+
+
+@dataclass(frozen=True)
+class LearntLaw:
+    """A law that was found, as it is told."""
+
+    law: Law
+    tied_with: tuple[Law, ...]
+    held_out_before: float
+    """Error on commands left out, in units of the noise."""
+    held_out_after: float
+    formula: str | None
+    parameters: tuple[tuple[str, float, float, str], ...]
+    """(name, value, standard deviation, unit) of the formula's."""
+    curve: Curve
+    told: Formula | Table
+    """What the effect file holds."""
+    experiment: NextTrial | None
+
+    def as_json(self) -> dict[str, Any]:
+        """As it stands in the JSON answer."""
+        return {
+            **self.law.as_json(),
+            "tied_with": [law.as_json() for law in self.tied_with],
+            "held_out_before": _plain(self.held_out_before),
+            "held_out_after": _plain(self.held_out_after),
+            "formula": self.formula,
+        }
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """The answer."""
+
+    verdict: Verdict
+    laws: tuple[LearntLaw, ...]
+    library: tuple[str, ...]
+    """Effects of the library that are named: in place of a law, or beside it."""
+    held_out_before: float
+    held_out_after: float
+    sentence: str
+    tried: int
+    """Laws that were tried."""
+    diagnosis: Diagnosis
+    origin: Origin
+
+    def as_json(self, seconds: float) -> dict[str, Any]:
+        """The stated form of the answer."""
+        return {
+            "verdict": self.verdict,
+            "laws": [law.as_json() for law in self.laws],
+            "seconds": round(seconds, 1),
+        }
+
+    def write_drafts(self, path: Path) -> tuple[Path, ...]:
+        """The effect files: the first law's at `path`, those of others numbered beside it."""
+        sections_m = self.diagnosis.baseline.dataset.layout.tissue_sections_m
+        files = []
+        for number, law in enumerate(self.laws, start=1):
+            file = path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")
+            files.append(written(file, law.law, law.told, self.origin, sections_m))
+        return tuple(files)
+
+
+def learn_laws(
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    model: NeedleModel | None = None,
+    *,
+    origin: Origin,
+    seed: int = 0,
+    workers: Callable[[], Work] = Work,
+    say: Say = lambda _: None,
+) -> Learnt:
+    """Hold the library against a dataset, then laws that it does not hold.
+
+    Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
+    """
+    diagnosis = diagnose(dataset, library, model, max_effects=1, seed=seed, work=workers(), say=say)
+    with workers() as work, LawSearch(diagnosis.search.problem, work, origin, say) as search:
+        return _Learning(diagnosis, search, dataset.sensor_names, origin).answer()
+
+
+def goes_on(steps: int, reached: bool) -> bool:
+    """Whether one more law, or a library effect beside it, is looked for."""
+    return not reached and steps < POLICY.laws.most
+
+
+def verdict_of(reached: bool, tied_with: int) -> Verdict:
+    """Of laws that were found, whether these reach the noise and how many tie with one of them at most."""
+    return "law" if reached and tied_with <= POLICY.laws.ties else "cannot_tell"
+
+
+class _Learning:
+    """One run: what is known as it goes on."""
+
+    def __init__(
+        self, diagnosis: Diagnosis, search: LawSearch, sensors: Sequence[str], origin: Origin
+    ) -> None:
+        self.diagnosis, self.search, self.sensors, self.origin = diagnosis, search, sensors, origin
+        trace = diagnosis.search
+        self.root = _parent(trace, trace.start)
+        self.library = min((_parent(trace, key) for key in _supported(trace)), key=lambda p: p.score)
+        self.found: list[tuple[FoundLaw, tuple[FoundLaw, ...]]] = []
+        self.tried = 0
+
+    def answer(self) -> Learnt:
+        """The laws, one after the other."""
+        current = self._first()
+        steps = 1
+        while current is not None and goes_on(steps, _reached(current)):
+            further = self._next(current)
+            if further is None:
+                break
+            current, steps = further, steps + 1
+        return self._told(current)
+
+    def _first(self) -> Parent | None:
+        """The fit with the first law; None where there is none."""
+        search, root, library = self.search, self.root, self.library
+        search.say("screening laws that the library does not hold")
+        on_root = search.promises(root)
+        alone = library.fit is root.fit
+        on_library = on_root if alone else search.promises(library)
+        self.tried = len(on_root)
+        best = on_library[0].gain if on_library else 0.0
+        if self.diagnosis.verdict != "unknown" and best <= asked_of(self.tried):
+            return None
+        search.say("fitting the leading laws")
+        rounds = [search.on_top_of(root, on_root)]
+        if not alone and not _better(rounds[0], library):
+            search.say("fitting laws beside what the library explains")
+            rounds.append(search.on_top_of(library, on_library))
+        return self._kept(rounds, library)
+
+    def _next(self, current: Parent) -> Parent | None:
+        """The fit with one more law, which must do better than any library effect in its place."""
+        search = self.search
+        search.say("looking for what is left")
+        promised = search.promises(current)
+        rival = self._with_library(current)
+        search.say("fitting the leading laws")
+        rounds = [search.on_top_of(current, promised)]
+        if rival is not current:
+            return self._kept(rounds, rival) or self._beside(current, rival)
+        return self._kept(rounds, rival)
+
+    def _kept(self, rounds: Sequence[Sequence[FoundLaw]], rival: Parent) -> Parent | None:
+        leading = [found for found in rounds if found]
+        if not leading:
+            return None
+        chosen = min(leading, key=lambda found: found[0].score)
+        first = leading[0]
+        # an effect of the library beside the law must be worth its name
+        if first[0].score < chosen[0].score + POLICY.search.fewer_named:
+            chosen = first
+        best = chosen[0]
+        if not kept(self.search.whole_problem(), best.parent, rival, best, self.tried):
+            return None
+        self.found.append((best, tied(chosen)))
+        return self.search.add(best)
+
+    def _with_library(self, current: Parent) -> Parent:
+        """The best fit of one library effect on top, or the fit itself."""
+        problem, search = self.search.whole_problem(), self.search
+        search.say("trying the library beside the law")
+        trace = self.diagnosis.search
+        names = [n for n in trace.names if n not in current.fit.effects]
+        search.work.share(Shared(search.problem, search.made))
+        tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n) for n in names])
+        known = current.score - score(problem, current.fit)
+        fits = [
+            Parent(c.fit, c.validation, score(problem, c.fit) + known)
+            for c in tried
+            if c.fit and c.validation
+        ]
+        return min([current, *fits], key=lambda p: p.score)
+
+    def _beside(self, current: Parent, rival: Parent) -> Parent | None:
+        """The library effect beside the law, if it is worth its name."""
+        gained = current.score - rival.score > POLICY.ties.close
+        return rival if gained and rival.validation.loss < current.validation.loss else None
+
+    def _told(self, current: Parent | None) -> Learnt:
+        diagnosis = self.diagnosis
+        before = diagnosis.held_out_error_before
+        if current is None or not self.found:
+            return self._without_law(before)
+        ties_most = max(len(ties) for _, ties in self.found)
+        reached = _reached(current)
+        verdict = verdict_of(reached, ties_most)
+        laws = tuple(self._law(current, place) for place in range(len(self.found)))
+        words = " and ".join(law.law.words() for law in laws)
+        if verdict == "law":
+            sentence = words[0].upper() + words[1:] + "."
+        elif not reached:
+            sentence = (
+                f"A law is missing, and these data do not say which: the nearest ({words}) leaves"
+                f" {current.validation.error:.2f} × the noise on commands left out."
+            )
+        else:
+            sentence = (
+                "A law is missing, and these data do not say which:"
+                f" {ties_most + 1} of those that were tried do alike; the nearest: {words}."
+            )
+        made = {each.best.made.name for each, _ in self.found}
+        library = tuple(e for e in current.fit.effects if e not in made and e not in diagnosis.search.start)
+        return self._answer(verdict, laws, library, current.validation.error, sentence)
+
+    def _without_law(self, before: float) -> Learnt:
+        diagnosis = self.diagnosis
+        if diagnosis.verdict == "none":
+            sentence = f"Nothing is missing that these data show; {self.tried} laws were tried."
+            return self._answer("none", (), (), before, sentence)
+        if diagnosis.verdict == "effect":
+            named = " with ".join(diagnosis.effects)
+            sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
+            after = diagnosis.held_out_error_after
+            return self._answer("library", (), diagnosis.effects, after, sentence)
+        sentence = (
+            "Something is missing that is neither an effect of the library nor one of the"
+            f" {self.tried} laws that were tried."
+        )
+        return self._answer("cannot_tell", (), (), before, sentence)
+
+    def _answer(
+        self,
+        verdict: Verdict,
+        laws: tuple[LearntLaw, ...],
+        library: tuple[str, ...],
+        after: float,
+        sentence: str,
+    ) -> Learnt:
+        before = self.diagnosis.held_out_error_before
+        diagnosis, origin = self.diagnosis, self.origin
+        return Learnt(verdict, laws, library, before, after, sentence, self.tried, diagnosis, origin)
+
+    def _law(self, current: Parent, place: int) -> LearntLaw:
+        found, ties = self.found[place]
+        formula, parameters = _fitted_formula(current.fit, found)
+        curve = self._curve(current, found)
+        told = formula or Table(curve.at, curve.value)
+        text = None if formula is None else f"{formula.form.name}: {formula_text(formula)}"
+        return LearntLaw(
+            found.law,
+            tuple(each.law for each in ties),
+            found.parent.validation.error,
+            found.best.validation.error,
+            text,
+            parameters,
+            curve,
+            told,
+            self._experiment(found, ties),
+        )
+
+    def _experiment(self, found: FoundLaw, ties: Sequence[FoundLaw]) -> NextTrial | None:
+        """The trial that would tell the law from the first that ties with it."""
+        if not ties:
+            return None
+        self.search.say("looking for the experiment that would tell")
+        other = ties[0]
+        problem = Shared(self.search.problem, (*self.search.made, other.best.made)).with_made()
+        first, second = found.best.fit, other.best.fit
+        return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
+
+    def _curve(self, current: Parent, found: FoundLaw) -> Curve:
+        """The spline's curve with its band, and from halves of the trials."""
+        spline = found.spline
+        assert isinstance(spline.made, SplineLaw)
+        assert spline.coefficients is not None
+        assert spline.covariance is not None
+        coefficients = spline.coefficients
+        if found.formula is None:
+            # as all laws were last fitted together
+            own = [each.effect == spline.made.name for each in current.fit.parameters]
+            coefficients = spline.made.coefficients(current.fit.vector.scaled_values[own])
+        family = spline.made.spline
+        at = np.linspace(family.low, family.high, CURVE_POINTS)
+        basis = family.basis(at)
+        value = basis @ coefficients
+        spread = BAND_SIGMAS * np.sqrt(np.maximum(((basis @ spline.covariance) * basis).sum(axis=1), 0.0))
+        values = seen(self.search.problem, spline.law) / UNIT[spline.law.variable_unit][2]
+        step = at[1] - at[0]
+        data, _ = np.histogram(values, bins=np.r_[at - step / 2, at[-1] + step / 2])
+        halves = [basis @ c for c in self._from_halves(spline)]
+        return Curve(at, value, value - spread, value + spread, data, tuple(halves))
+
+    def _from_halves(self, spline: LawFit) -> list[Array]:
+        """The spline's coefficients from every other trial of each command, and from the others."""
+        assert isinstance(spline.made, SplineLaw)
+        made = tuple(m for m in self.search.made if m.name != spline.made.name)
+        problem = Shared(self.search.problem, made).with_made(spline.made)
+        count, found = spline.made.spline.count, []
+        for half in (0, 1):
+            trials = [t for t in range(len(problem.trials)) if t % 2 == half]
+            if len(trials) <= 1:
+                continue
+            vector = spline.fit.vector
+            start = dataclasses.replace(vector, trial_friction=vector.trial_friction[trials])
+            again = fit(problem.over([problem.trials[t] for t in trials]), spline.fit.effects, start)
+            if again is not None:
+                found.append(spline.made.coefficients(again.vector.scaled_values[-count:]))
+        return found
+
+
+def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
+    """Whether a law alone reaches the noise, and does better than the library."""
+    best = met[0].best if met else None
+    return best is not None and best.score < library.score and best.validation.error <= POLICY.verdict.reached
+
+
+def _try_library(shared: Shared, parent: Fit, effect: str) -> Candidate:
+    return try_effect(shared.with_made(), parent, effect)
+
+
+def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:
+    found, validation = trace.fits[key]
+    return Parent(found, validation or trace.root_validation, present_score(trace.problem, found))
+
+
+def _supported(trace: SearchTrace) -> list[frozenset[str]]:
+    """The sets of library effects that do better than what they start from; that itself among them."""
+    return [trace.start, *(k for k in trace.fits if k != trace.start and trace.passes(trace.start, k))]
+
+
+def _reached(found: Parent) -> bool:
+    """Whether commands left out are foretold to within the noise; one command alone leaves none out."""
+    return not math.isfinite(found.validation.error) or found.validation.error <= POLICY.verdict.reached
+
+
+def _fitted_formula(
+    current: Fit, found: FoundLaw
+) -> tuple[Formula | None, tuple[tuple[str, float, float, str], ...]]:
+    """The formula with its numbers as all laws were last fitted together, and these with their errors."""
+    best = found.best.made
+    if not isinstance(best, FormulaLaw):
+        return None, ()
+    rows = []
+    for parameter, at, error in zip(
+        current.parameters, current.vector.scaled_values, current.scaled_errors, strict=True
+    ):
+        if parameter.effect == best.name:
+            spread = _spread(parameter, float(at), float(error))
+            rows.append((parameter.field, parameter.value(float(at)), spread))
+    formula = dataclasses.replace(best.formula, values=tuple(value for _, value, _ in rows))
+    units = {a.field: a.info.unit for a in current.parameters if a.effect == best.name}
+    return formula, tuple((field, value, spread, units[field]) for field, value, spread in rows)
+
+
+def _spread(parameter: FreeParameter, at: float, error: float) -> float:
+    low, high = (parameter.value(float(np.clip(at + s * error, *parameter.bounds))) for s in (-1, 1))
+    return abs(high - low) / 2
+
+
+def _plain(error: float) -> float | None:
+    return round(error, 4) if math.isfinite(error) else None

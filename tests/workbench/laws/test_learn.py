@@ -1,0 +1,158 @@
+"""Laws hidden in small datasets, and what is said of them; the hidden ones are written here, by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from needle_rig.model import load_model, save_model
+from needle_rig.physics.effect import Effect, Reading, parameter
+from needle_rig.physics.library import find_effects, load_effect
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.laws.draft import Origin
+from needle_rig.workbench.laws.fitting import Shared, candidates, fit_spline, screen
+from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.learning.adopt import adopt, undo
+from needle_rig.workbench.learning.observations import Traces
+from tests.values import known
+from tests.workbench.hidden import dataset, effect, few
+
+ORIGIN = Origin("hidden", "cd" * 32, "2026-11-23")
+ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
+
+
+@dataclass(frozen=True)
+class ThirdHarmonic(Effect):
+    """The second Hall sensor errs three times a turn."""
+
+    size_deg: float = parameter(
+        off=0.0, lower=-9.0, upper=9.0, typical=2.0, smallest=0.5, literature=(-9.0, 9.0), unit="°"
+    )
+
+    def observe(self, reading: Reading) -> Reading:
+        hall_rad = reading.hall_rad.copy()
+        hall_rad[:, 1] += np.radians(self.size_deg) * np.sin(3.0 * hall_rad[:, 1])
+        return dataclasses.replace(reading, hall_rad=hall_rad)
+
+
+@pytest.fixture(scope="module")
+def data() -> Any:
+    return dataset(ThirdHarmonic(2.0), seed=31)
+
+
+@pytest.fixture(scope="module")
+def learnt(data: Any) -> Any:
+    return learn_laws(data, few(), origin=ORIGIN)
+
+
+def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt: Any) -> None:
+    assert learnt.verdict == "law"
+    (law,) = learnt.laws
+    assert law.law == Law("observe", "hall_2", "angle")
+    assert law.tied_with == ()
+    assert law.held_out_before > 2.0
+    assert law.held_out_after < 1.1
+    assert law.formula is not None
+    assert law.formula.startswith("sine: ")
+    fields = {name: (value, spread) for name, value, spread, _ in law.parameters}
+    value, spread = fields["times"]
+    assert abs(value - 3.0) < 4.0 * spread
+    assert abs(fields["sine_deg"][0] - 2.0) < 4.0 * fields["sine_deg"][1]
+
+
+def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
+    curve = learnt.laws[0].curve
+    truth = 2.0 * np.sin(np.radians(3.0 * curve.at))
+    covered = curve.data > 0
+    inside = (curve.low <= truth) & (truth <= curve.high)
+    assert inside[covered].mean() > 0.9
+    assert len(curve.halves) == 2
+    for half in curve.halves:
+        assert np.abs(half - truth)[covered].mean() < 0.5
+
+
+def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:
+    told = json.loads(json.dumps(learnt.as_json(1.25)))
+    assert set(told) == {"verdict", "laws", "seconds"}
+    assert set(told["laws"][0]) == {
+        *("hook", "place", "variable", "tied_with", "held_out_before", "held_out_after", "formula")
+    }
+    assert [told["laws"][0][k] for k in ("hook", "place", "variable")] == ["observe", "hall_2", "angle"]
+
+
+def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
+    learnt: Any, data: Any, tmp_path: Any
+) -> None:
+    (path,) = learnt.write_drafts(tmp_path / "third_harmonic.py")
+    library = {**few(), "third_harmonic": load_effect(path)}
+    saved = adopt(Traces(data), "third_harmonic", library)
+    errors = saved.history[-1].errors["noise_units"]
+    assert known(errors.held_out_before) > 2.0
+    assert known(errors.held_out_after) < 1.1
+    save_model(tmp_path / "fitted.yaml", saved)
+    again = load_model(tmp_path / "fitted.yaml", effects=[tmp_path])
+    assert again.model.values()["third_harmonic.sine_deg"] == pytest.approx(2.0, abs=0.2)
+    assert undo(again).model.effects == ()
+
+
+def test_the_curves_are_drawn(learnt: Any) -> None:
+    from needle_rig.figures.laws import laws_figure
+
+    figure = laws_figure(learnt)
+    assert len(figure.axes) == 2
+    assert "hall_2" in figure.axes[0].get_title()
+
+
+def test_nothing_hidden_is_no_law() -> None:
+    found = learn_laws(dataset(seed=5), few(), origin=ORIGIN)
+    assert (found.verdict, found.laws) == ("none", ())
+
+
+@pytest.mark.slow
+def test_an_effect_that_the_library_holds_is_no_law() -> None:
+    found = learn_laws(dataset(ELASTIC), few(), origin=ORIGIN)
+    assert (found.verdict, found.laws, found.library) == ("library", (), ("tissue_elasticity",))
+
+
+@pytest.fixture(scope="module")
+def baseline(data: Any) -> Any:
+    return fit_baseline(data, None, few())
+
+
+def test_screening_ranks_the_law_that_is_there_first(baseline: Any) -> None:
+    shared = Shared(baseline.problem)
+    every = [
+        m for m in candidates(baseline.problem, "law") if m.law.hook == "observe" and m.law.place != "halls"
+    ]
+    screened = [screen(shared, baseline.current, made) for made in every]
+    best = max((s for s in screened if s is not None), key=lambda s: s.gain)
+    assert best.made.law == Law("observe", "hall_2", "angle")
+
+
+def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
+    made = next(m for m in candidates(baseline.problem, "law") if m.law == Law("observe", "hall_2", "angle"))
+    shared = Shared(baseline.problem)
+    sent = pickle.loads(pickle.dumps((shared, baseline.current, made)))
+    here, there = screen(shared, baseline.current, made), screen(*sent)
+    assert here is not None
+    assert there is not None
+    assert here.gain == pytest.approx(there.gain)
+    fitted = fit_spline(shared, baseline.current, here, whole=False)
+    assert fitted is not None
+    assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
+
+
+def test_a_users_effect_goes_to_another_process_as_its_file(
+    baseline: Any, learnt: Any, tmp_path: Any
+) -> None:
+    (path,) = learnt.write_drafts(tmp_path / "mine.py")
+    library = {**find_effects(), "mine": load_effect(path)}
+    problem = dataclasses.replace(baseline.problem, library=library)
+    assert pickle.loads(pickle.dumps(problem)).library == library

@@ -1,0 +1,109 @@
+"""A row on either side of the thresholds of laws, and of what a law must do to be said."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from needle_rig.workbench.laws import search
+from needle_rig.workbench.laws.learn import goes_on, verdict_of
+from needle_rig.workbench.laws.search import FoundLaw, Parent, asked_of, borne, kept, tied
+
+NO_PROBLEM: Any = None
+
+
+def fitted(score: Any, loss: Any = 0.0, error: Any = 1.0) -> Any:
+    validation = SimpleNamespace(loss=loss, error=error)
+    found = SimpleNamespace(pull_rigidity=0.0)
+    return SimpleNamespace(score=score, validation=validation, fit=found, law="law")
+
+
+def parent(score: Any, loss: Any = 100.0, error: Any = 3.0) -> Any:
+    made = fitted(score, loss, error)
+    return Parent(made.fit, made.validation, score)
+
+
+@pytest.fixture(autouse=True)
+def large_and_not_ours(monkeypatch: Any) -> Any:
+    monkeypatch.setattr(search, "within_discretisation_error", lambda *_: False)
+    monkeypatch.setattr(search, "matters", lambda *_: True)
+
+
+@pytest.mark.parametrize(("formula", "said"), [(99.9, True), (100.0, True), (100.1, False)])
+def test_a_formula_is_said_where_it_costs_no_more_than_its_spline(formula: Any, said: Any) -> None:
+    assert (borne(fitted(formula), fitted(100.0)) is not None) is said
+
+
+def test_no_formula_at_all_is_none() -> None:
+    assert borne(None, fitted(100.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("reached", "tied_with", "verdict"),
+    [(True, 0, "law"), (True, 1, "law"), (True, 2, "cannot_tell"), (False, 0, "cannot_tell")],
+)
+def test_a_law_is_said_in_a_tie_of_two_at_most_and_where_the_noise_is_reached(
+    reached: Any, tied_with: Any, verdict: Any
+) -> None:
+    assert verdict_of(reached, tied_with) == verdict
+
+
+@pytest.mark.parametrize(
+    ("found", "reached", "on"), [(0, False, True), (1, False, True), (2, False, False), (1, True, False)]
+)
+def test_two_laws_are_looked_for_as_long_as_something_is_left(found: Any, reached: Any, on: Any) -> None:
+    assert goes_on(found, reached) is on
+
+
+def test_the_price_grows_with_the_number_of_laws_that_were_tried() -> None:
+    assert asked_of(1) == pytest.approx(10.0)
+    assert asked_of(70) == pytest.approx(10.0 + 2.0 * np.log(70.0))
+
+
+@pytest.mark.parametrize(("score", "is_kept"), [(1000.0 - 18.4, False), (1000.0 - 18.6, True)])
+def test_a_law_must_beat_its_parent_by_what_is_asked(score: Any, is_kept: Any) -> None:
+    before = parent(1000.0)
+    assert kept(NO_PROBLEM, before, before, FoundLaw(fitted(score), None, before), 70) is is_kept
+
+
+@pytest.mark.parametrize(("rival", "is_kept"), [(910.0, False), (930.0, True)])
+def test_a_law_is_not_named_where_a_library_effect_does_as_well(rival: Any, is_kept: Any) -> None:
+    before = parent(1000.0)
+    found = FoundLaw(fitted(900.0), None, before)
+    assert kept(NO_PROBLEM, before, parent(rival, loss=50.0), found, 70) is is_kept
+
+
+def test_a_law_that_foretells_nothing_is_not_kept() -> None:
+    before = parent(1000.0)
+    assert not kept(NO_PROBLEM, before, before, FoundLaw(fitted(900.0, loss=101.0), None, before), 70)
+
+
+def test_a_law_that_foretells_less_than_the_library_is_not_kept() -> None:
+    before = parent(1000.0)
+    found = FoundLaw(fitted(900.0, loss=60.0), None, before)
+    assert not kept(NO_PROBLEM, before, parent(960.0, loss=50.0), found, 70)
+
+
+@pytest.mark.parametrize("which", ["within_discretisation_error", "matters"])
+def test_what_may_be_our_own_error_or_is_too_small_is_no_law(which: Any, monkeypatch: Any) -> None:
+    before = parent(1000.0)
+    found = FoundLaw(fitted(900.0), None, before)
+    assert kept(NO_PROBLEM, before, before, found, 70)
+    monkeypatch.setattr(search, which, lambda *_: which == "within_discretisation_error")
+    assert not kept(NO_PROBLEM, before, before, found, 70)
+
+
+def test_laws_within_ten_of_the_first_tie_with_it() -> None:
+    before = parent(1000.0)
+    first, near, far = (FoundLaw(fitted(s), None, before) for s in (100.0, 109.9, 110.1))
+    assert tied((first, near, far)) == (near,)
+    assert tied(()) == ()
+
+
+def test_the_formula_is_what_is_added_where_there_is_one() -> None:
+    before = parent(1000.0)
+    found = FoundLaw(fitted(100.0), None, before)
+    assert found.best.score == 100.0
+    assert dataclasses.replace(found, formula=fitted(90.0)).score == 90.0

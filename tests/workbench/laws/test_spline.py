@@ -1,0 +1,59 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from needle_rig.workbench.laws.spline import Quadratic, Spline, smoothed
+
+FAMILY = Spline(-60.0, 90.0, 16, 1.0, np.inf)
+AT = np.random.default_rng(1).uniform(-60.0, 90.0, 600)
+SIGMA = 0.05
+
+
+def likelihood(values: Any, seed: Any = 2) -> Any:
+    noisy = values + SIGMA * np.random.default_rng(seed).standard_normal(values.size)
+    basis = FAMILY.basis(AT)
+    return Quadratic(basis.T @ basis / SIGMA**2, basis.T @ noisy / SIGMA**2)
+
+
+def test_the_basis_sums_to_one_within_and_is_constant_beyond() -> None:
+    assert FAMILY.basis(AT).sum(axis=1) == pytest.approx(1.0)
+    coefficients = np.arange(16.0)
+    ends = FAMILY.values(coefficients, np.array([-60.0, -1e4, 90.0, 1e4]))
+    assert ends[0] == pytest.approx(ends[1])
+    assert ends[2] == pytest.approx(ends[3])
+
+
+def test_a_value_at_the_very_end_is_inside_whatever_rounding_does() -> None:
+    odd = Spline(-53.39632980791057, 95.68968183007787, 16, 1.0, 1.0)
+    assert np.isfinite(odd.values(np.ones(16), np.array([odd.high, odd.low]))).all()
+
+
+def test_a_curve_comes_out_of_its_noise() -> None:
+    truth = 0.3 * np.sin(np.radians(2.0 * AT))
+    _, gain, coefficients = smoothed(FAMILY, likelihood(truth), 0.3)
+    assert gain > 1000.0
+    assert np.abs(FAMILY.values(coefficients, AT) - truth).max() < 0.03
+
+
+def test_noise_alone_promises_nothing() -> None:
+    gains = [smoothed(FAMILY, likelihood(np.zeros_like(AT), seed), 0.3)[1] for seed in range(20)]
+    assert max(gains) < 10.0
+
+
+def test_a_line_is_found_smoother_than_a_wave() -> None:
+    line, _, _ = smoothed(FAMILY, likelihood(AT / 90.0), 0.3)
+    wave, _, _ = smoothed(FAMILY, likelihood(np.sin(np.radians(7.0 * AT))), 0.3)
+    assert line.roughness < wave.roughness
+
+
+def test_coefficients_of_the_prior_have_its_amplitude() -> None:
+    rough = Spline(0.0, 1.0, 8, 0.5, 1e6)
+    assert rough.root @ rough.root.T == pytest.approx(0.25 * np.eye(8), rel=1e-6)
+
+
+def test_a_quadratic_falls_as_least_squares_says() -> None:
+    quadratic = Quadratic(np.diag([2.0, 8.0]), np.array([2.0, 4.0]))
+    fall, at = quadratic.fall(np.eye(2))
+    assert at == pytest.approx([1.0, 0.5])
+    assert fall == pytest.approx(4.0)
