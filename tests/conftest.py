@@ -31,7 +31,8 @@ TRIALS = 5
 SPOILED_S = 0.01
 """A pause of the machine that spoils a trial in real time: the least margin of what such tests assert."""
 WITNESS = pytest.StashKey[Stillness]()
-REPEATED = pytest.StashKey[list[str]]()
+REPEATED = "repeated"
+"""Property of the first report of a test that was repeated; it says why, in words."""
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -47,22 +48,26 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         stash[WITNESS] = Stillness()
         item.config.add_cleanup(stash[WITNESS].close)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    repeated: list[tuple[str, object]] = []
     for trial in range(1, TRIALS + 1):
         stash[WITNESS].longest_s()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         pause_s = stash[WITNESS].longest_s()
         if trial == TRIALS or pause_s < SPOILED_S or not any(report.failed for report in reports):
             break
-        stash.setdefault(REPEATED, []).append(f"{item.nodeid}: the machine paused for {pause_s * 1e3:.0f} ms")
+        repeated.append((REPEATED, f"{item.nodeid}: the machine paused for {pause_s * 1e3:.0f} ms"))
+    reports[0].user_properties.extend(repeated)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Name the trials that were repeated."""
-    if repeated := config.stash.get(REPEATED, []):
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name the trials that were repeated, in whichever process they ran."""
+    reports = (report for each in terminalreporter.stats.values() for report in each)
+    properties = (pair for report in reports for pair in getattr(report, "user_properties", ()))
+    if repeated := [why for name, why in properties if name == REPEATED]:
         terminalreporter.section("trials repeated")
         for line in repeated:
             terminalreporter.line(line)

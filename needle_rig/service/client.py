@@ -91,29 +91,29 @@ class DaemonClient:
         from websockets.sync.client import ClientConnection, unix_connect
 
         def connect() -> ClientConnection:
-            return unix_connect(
-                str(self.path), uri="ws://daemon/stream", max_size=None, compression=None, close_timeout=1
+            open_ones.close()
+            return open_ones.enter_context(
+                unix_connect(
+                    str(self.path), uri="ws://daemon/stream", max_size=None, compression=None, close_timeout=1
+                )
             )
 
-        def documents() -> Iterator[Document]:
+        def documents(connection: ClientConnection) -> Iterator[Document]:
             while True:
                 with contextlib.suppress(ConnectionClosed):
-                    for text in connections[-1]:
+                    for text in connection:
                         yield json.loads(text)
-                connections[-1].close()
                 try:
-                    connections.append(connect())
+                    connection = connect()
                 except (OSError, InvalidHandshake, EOFError):
                     return
 
-        try:
-            connections = [connect()]
-        except (OSError, InvalidHandshake, EOFError) as error:
-            raise self._silent(error) from None
-        try:
-            yield documents()
-        finally:
-            connections[-1].close()
+        with contextlib.ExitStack() as open_ones:
+            try:
+                first = connect()
+            except (OSError, InvalidHandshake, EOFError) as error:
+                raise self._silent(error) from None
+            yield documents(first)
 
     def _silent(self, error: Exception) -> RigFault:
         said = str(error) or type(error).__name__

@@ -52,7 +52,7 @@ def in_real_time(request: Request, nodes: str) -> tuple[SettledMotion, ...]:
     "nodes",
     [
         pytest.param("python", marks=pytest.mark.slow),
-        "firmware",
+        pytest.param("firmware", marks=pytest.mark.slow),
         pytest.param("image", marks=pytest.mark.slow),
     ],
 )

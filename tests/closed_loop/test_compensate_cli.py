@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from needle_rig.cli.main import run
 from needle_rig.recording import RunFile
 from tests.closed_loop.shell import ROOT, Shell, all_gone, wait_for_line
 
@@ -218,15 +219,26 @@ DUPLICATE = "format: needle-rig/1\nname: a\nname: b\n"
         (["--target", "45", "--socket", "nobody.sock", "--fast"], 2, "--fast"),
     ],
 )
-def test_bad_use_is_one_sentence(shell: Shell, arguments: list[str], code: int, wanted: str) -> None:
+def test_bad_use_is_one_sentence(
+    shell: Shell,
+    arguments: list[str],
+    code: int,
+    wanted: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     (shell.folder / "duplicate.yaml").write_text(DUPLICATE)
     rig = (ROOT / "config" / "rig.yaml").read_text().replace("port: auto", "port: /dev/ttyNONE")
     (shell.folder / "port.yaml").write_text(rig)
-    done = shell.run("compensate", "--json", *arguments)
-    assert done.returncode == code, done.stderr
-    assert done.stdout == ""
-    assert wanted in done.stderr
-    assert len(done.stderr.splitlines()) == 1, done.stderr
+    monkeypatch.chdir(shell.folder)
+    for name, value in shell.environment.items():
+        monkeypatch.setenv(name, value)
+    ended = run(["compensate", "--json", *arguments])
+    said = capfd.readouterr()
+    assert ended == code, said.err
+    assert said.out == ""
+    assert wanted in said.err
+    assert len(said.err.splitlines()) == 1, said.err
     assert not list(shell.folder.glob("runs/*"))
 
 

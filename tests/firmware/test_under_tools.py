@@ -84,6 +84,7 @@ def asan() -> Path | None:
     return path.resolve() if path.is_absolute() else None
 
 
+@pytest.mark.slow
 def test_no_undefined_behaviour_and_no_bad_address(tmp_path: Path) -> None:
     runtime = asan()
     if runtime is None:

@@ -27,6 +27,7 @@ def trial(nodes: str) -> tuple[VirtualRun, tuple[bytes, ...]]:
     return run_virtual(Brain(config), rig, REQUEST), tuple(frames)
 
 
+@pytest.mark.slow
 def test_image_and_library_send_the_same_frames_over_a_whole_trial() -> None:
     (library, library_frames), (image, image_frames) = trial("firmware"), trial("image")
     assert len(library_frames) > 10_000 * 3
@@ -35,7 +36,7 @@ def test_image_and_library_send_the_same_frames_over_a_whole_trial() -> None:
     assert library.settled == image.settled
 
 
-@pytest.mark.parametrize("nodes", ["firmware", "image"])
+@pytest.mark.parametrize("nodes", ["firmware", pytest.param("image", marks=pytest.mark.slow)])
 def test_it_ends_where_the_plant_alone_ends(nodes: str) -> None:
     (plant, _), (firmware, _) = trial("python"), trial(nodes)
     assert [motion.name for motion in firmware.settled] == [motion.name for motion in plant.settled]

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 SCRIPT = Path(__file__).resolve().parent.parent.parent / "scripts/fuzz_files"
-SHARE = 0.015
+SHARE = 0.008
 
 
 def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> None:
@@ -26,10 +26,10 @@ def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> Non
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [re.split(r"\s{2,}", row) for row in done.stdout.splitlines()[1:]]
     assert len(rows) == 13
-    assert sum(int(row[1]) for row in rows) >= 60
+    assert sum(int(row[1]) for row in rows) >= 30
     refused, read = sum(int(row[5]) for row in rows), sum(int(row[3]) for row in rows)
-    assert refused > 20, "the damage is noticed"
-    assert read > 20, "and files that are still whole are read"
+    assert refused > 10, "the damage is noticed"
+    assert read > 10, "and files that are still whole are read"
 
 
 def test_the_campaign_notices_what_it_looks_for(tmp_path: Path) -> None:

@@ -102,7 +102,9 @@ def test_links_in_a_zip_are_refused(kept: Uploads, tmp_path: Path) -> None:
     assert not files_of(tmp_path)
 
 
-@pytest.mark.parametrize("content", [b"", b"no zip", zipped(**{"a.csv": b"x" * 5000})[:-30]])
+@pytest.mark.parametrize(
+    "content", [b"", b"no zip", zipped(**{"a.csv": b"x" * 5000})[:-30]], ids=["empty", "no zip", "cut off"]
+)
 def test_a_broken_zip_is_refused_in_a_sentence(kept: Uploads, tmp_path: Path, content: bytes) -> None:
     with pytest.raises(BadInput, match="cannot be unpacked"):
         take(kept, kept.begin("mine"), "broken.zip", content)

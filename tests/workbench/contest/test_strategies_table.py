@@ -114,6 +114,7 @@ def test_what_is_foretold_is_of_the_targets_and_starts_that_are_run() -> None:
     assert small.reed2008_deg < 2.0 < 6.0 < large.reed2008_deg
 
 
+@pytest.mark.slow
 def test_each_effect_has_a_rig_and_a_line_of_its_own() -> None:
     asked = [
         "--parameters",
@@ -133,8 +134,11 @@ def test_each_effect_has_a_rig_and_a_line_of_its_own() -> None:
         assert cells[1] == effect
         assert float(cells[2]) < float(cells[4]) / 3.0
         assert float(cells[6]) == pytest.approx(float(cells[4]) / float(cells[2]), rel=0.3)
-    for wrong in (["--each"], ["--each", "--effect", "tip_friction", "--strategy", "none"]):
-        assert isinstance(CliRunner().invoke(command, wrong).exception, BadInput)
+
+
+@pytest.mark.parametrize("wrong", [[], ["--effect", "tip_friction", "--strategy", "none"]])
+def test_a_rig_for_each_effect_wants_effects_and_both_strategies(wrong: list[str]) -> None:
+    assert isinstance(CliRunner().invoke(command, ["--each", *wrong]).exception, BadInput)
 
 
 def test_bad_use_is_a_sentence() -> None:

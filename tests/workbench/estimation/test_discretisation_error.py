@@ -1,4 +1,5 @@
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -113,6 +114,7 @@ def test_a_comparison_drives_an_adopted_model_as_finely() -> None:
     assert fit_baseline(data, model, few()).validation.error == pytest.approx(validation.error, abs=0.02)
 
 
+@functools.lru_cache
 def slipping(encoder_deg: float) -> tuple[Dataset, Problem, Fit]:
     """(data, problem, fit at the true values) of friction that weakens as soon as it slips."""
     hidden = effect("stribeck", static_excess=0.3)

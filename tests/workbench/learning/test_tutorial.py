@@ -46,6 +46,7 @@ def same(shown: str, printed: str) -> bool:
     return all(abs(float(a) - float(b)) <= max(0.03 * abs(float(a)), 1.01 * last_place(a)) for a, b in pairs)
 
 
+@pytest.mark.slow
 def test_every_command_prints_what_the_page_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
