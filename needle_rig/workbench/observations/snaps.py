@@ -61,9 +61,11 @@ def sentence(found: Sequence[Snap]) -> str:
 
 def _noise(dataset: Dataset) -> Array:
     """White noise of each sensor (sensors,), rad, from neighbouring samples, most of which are of rest."""
-    steps = np.concatenate([np.diff(trial.hall_rad, axis=0) for trial in dataset.trials])
-    spread = np.nanmedian(np.abs(steps), axis=0) / (NORMAL_MEDIAN * np.sqrt(2.0))
-    # what a sensor that repeats its last digit shows has no spread
+    steps = np.abs(np.concatenate([np.diff(trial.hall_rad, axis=0) for trial in dataset.trials]))
+    known = [column[np.isfinite(column)] for column in steps.T]
+    middle = np.array([np.median(column) if column.size else 0.0 for column in known])
+    spread = middle / (NORMAL_MEDIAN * np.sqrt(2.0))
+    # a sensor that is dead, or repeats its last digit, shows no spread
     return np.asarray(np.where(spread > 0.0, spread, np.inf))
 
 
