@@ -119,11 +119,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the sensors show: torque (samples,), Hall angles (samples, sensors), with their trial."""
+    """What the sensors show: torque (samples,), Hall angles (samples, sensors), with their trial.
+
+    `state` is what an effect with memory (a filter) takes along, a single number: given, at the first sample,
+    None at a relaxed start; returned, at the last sample. Every effect has its own.
+    """
 
     trial: Trial
     torque_nm: Array
     hall_rad: Array
+    state: float | None = None
 
 
 class Effect:
@@ -141,7 +146,8 @@ class Effect:
     resistive: ClassVar[bool] = False
     """Never adds energy to the needle."""
     stage: ClassVar[int] = 0
-    """Effects with the same hook act in the order of stage, then name: gains (-1) before what is added."""
+    """Effects with the same hook act in the order of stage, then name: what there is before the sensor (-2),
+    gains (-1), what is added."""
 
     def __post_init__(self) -> None:
         for name, info in self.parameters().items():

@@ -145,10 +145,7 @@ class NeedleModel:
 
     def observed(self, trial: Trial, solution: Solution) -> Reading:
         """What the sensors read of `solution`."""
-        reading = Reading(trial, solution.torque_nm, solution.sensor_rad)
-        for effect in self.acting("observe"):
-            reading = effect.observe(reading)
-        return reading
+        return shown(self.acting("observe"), Reading(trial, solution.torque_nm, solution.sensor_rad))[0]
 
     def predict(self, trial: Trial) -> Reading:
         """What the sensors read in a trial that starts relaxed. Raises SolverError, BadInput."""
@@ -213,6 +210,20 @@ class NeedleModel:
             torsional_rigidity_nm2=all_values[TORSIONAL_RIGIDITY] / NMM2_PER_NM2,
             effects=tuple(effects),
         )
+
+
+def shown(
+    effects: Sequence[Effect], truth: Reading, states: Sequence[float | None] = ()
+) -> tuple[Reading, tuple[float | None, ...]]:
+    """What the sensors read of `truth` through `effects`, and the state of each at the last sample.
+
+    A reading that continues an earlier piece takes the `states` at its first sample.
+    """
+    reading, ends = truth, []
+    for place, effect in enumerate(effects):
+        reading = effect.observe(replace(reading, state=states[place] if states else None))
+        ends.append(reading.state)
+    return replace(reading, state=None), tuple(ends)
 
 
 def predict_batch(

@@ -109,7 +109,8 @@ class Rod:
         dp/dt = dw/dt,
         limit = (1 + static_excess · m + ageing_per_decade · log10(1 + a/ageing_time)) · slip,
         r = limit · sign(dw/dt) + viscous · dw/dt while slipping, |r| ≤ limit while stuck,
-        dm/dt = (exp(−(ω/stribeck_rate)²) − m) · (|ω| + stribeck_rate) / weakening,    ω = dw/dt,
+        dm/dt = (exp(−(|ω|/stribeck_rate)^stribeck_exponent) − m) · (|ω| + stribeck_rate) / weakening,
+        ω = dw/dt,
         da/dt = 1 − a · |ω| / weakening    (Dieterich's ageing law).
 
     So the static excess follows the Stribeck curve over a slip of `weakening_rad` (no dependence on mesh or
@@ -138,6 +139,8 @@ class Rod:
     """Static slip limit over the kinetic one, minus 1."""
     stribeck_rate_rad_s: float
     """Slip rate at which the static excess has fallen to 1/e."""
+    stribeck_exponent: float
+    """1: the static excess falls exponentially with the slip rate; 2: as a Gaussian."""
     weakening_rad: float
     """Slip over which the static excess and the age follow their laws."""
     ageing_per_decade: Array
@@ -152,6 +155,8 @@ class Rod:
     tip: int
     sensors: Indices
     laws: tuple[TorqueLaw, ...] = ()
+    mount_compliance_rad_per_nm: float = 0.0
+    """Turn of everything that touches the needle, as one body, per torque of the base."""
 
     @cached_property
     def coefficients(self) -> Array:
@@ -194,6 +199,23 @@ class Rod:
         creeps = np.isfinite(packed[3]) & np.isfinite(packed[4])
         return bool(creeps.any()), bool(packed[5].any()), bool(packed[6].any() or packed[7].any())
 
+    @property
+    def snaps(self) -> bool:
+        """Whether the static excess breaks down faster than the needle unloads (stick-slip).
+
+        Its torque over the weakening slip is above the stiffness of the length in front of the tissue, and
+        somewhere it falls faster with the rate than viscous slip rises: where its curve is steepest by
+        static_excess · slip_plus / stribeck_rate · δ xˣ e⁻ˣ, with the exponent δ and x = 1 − 1/δ.
+        """
+        excess = self.static_excess * np.maximum(self.slip_plus_nm, self.slip_minus_nm)
+        free = self.stiffness_nm_per_rad[: max(self.entry, 1)]
+        if not excess.any() or excess.sum() * float((1.0 / free).sum()) <= self.weakening_rad:
+            return False
+        delta = self.stribeck_exponent
+        x = 1.0 - 1.0 / delta
+        steepest = delta * x**x * math.exp(-x) / self.stribeck_rate_rad_s
+        return bool(np.any(excess * steepest > self.viscous_nms_per_rad))
+
     def _check_scalars(self, packed: Array) -> None:
         nodes = packed.shape[1]
         stiffness = np.asarray(self.stiffness_nm_per_rad)
@@ -201,13 +223,14 @@ class Rod:
             raise BadInput(
                 f"rod.stiffness_nm_per_rad must be {nodes - 1} finite numbers above 0, one for each element"
             )
-        compliance = self.base_compliance_rad_per_nm
-        if not (math.isfinite(compliance) and compliance >= 0):
-            raise BadInput(f"rod.base_compliance_rad_per_nm is {compliance:g}; it must be 0 or more")
+        for name in ("base_compliance_rad_per_nm", "mount_compliance_rad_per_nm"):
+            compliance = getattr(self, name)
+            if not (math.isfinite(compliance) and compliance >= 0):
+                raise BadInput(f"rod.{name} is {compliance:g}; it must be 0 or more")
         if ((packed[3] == 0) & (packed[4] == 0)).any():
             raise BadInput("creep with neither stiffness nor viscosity holds nothing; give one of them")
         has_memory = bool(packed[6].any() or packed[7].any())
-        for name in ("stribeck_rate_rad_s", "weakening_rad", "ageing_time_s"):
+        for name in ("stribeck_rate_rad_s", "stribeck_exponent", "weakening_rad", "ageing_time_s"):
             value = getattr(self, name)
             if has_memory and not (math.isfinite(value) and value > 0):
                 raise BadInput(f"rod.{name} is {value:g}; with a static excess it must be above 0")
@@ -276,6 +299,7 @@ def build_rod(
         viscous_nms_per_rad=np.zeros(nodes),
         static_excess=np.zeros(nodes),
         stribeck_rate_rad_s=0.1,
+        stribeck_exponent=2.0,
         weakening_rad=0.02,
         ageing_per_decade=np.zeros(nodes),
         ageing_time_s=1.0,

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.physics.effect import Trial
-from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.effect import Reading, Trial
+from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import RodState, Solution, relaxed
 
@@ -32,6 +32,8 @@ class SettledNeedle:
     state: RodState
     path: Trial = _NO_PATH
     solution: Solution | None = None
+    sensor_states: tuple[float | None, ...] = ()
+    """What the sensors that remember took along to the start of `path`."""
 
     @classmethod
     def relaxed(cls, model: NeedleModel, base_rad: float = 0.0, place: Trial = _NO_PATH) -> SettledNeedle:
@@ -44,13 +46,14 @@ class SettledNeedle:
         Raises what `truth` raises: SolverError, BadInput.
         """
         solution = truth(self.model, path, self.state)
-        return replace(self, state=solution.state, path=path, solution=solution)
+        states = self._shown[1] if self.solution is not None else ()
+        return replace(self, state=solution.state, path=path, solution=solution, sensor_states=states)
 
     def reading(self, window: slice) -> tuple[float, float, Array]:
         """Base angle, torque and Hall angles (sensors,), means over the samples `window` of the last path."""
-        shown = self.model.observed(self.path, self._solved)
+        reading, _ = self._shown
         base_rad = float(self.path.base_angle_rad[window].mean())
-        return base_rad, float(shown.torque_nm[window].mean()), shown.hall_rad[window].mean(axis=0)
+        return base_rad, float(reading.torque_nm[window].mean()), reading.hall_rad[window].mean(axis=0)
 
     @cached_property
     def rod(self) -> Rod:
@@ -101,6 +104,12 @@ class SettledNeedle:
     def internal_torque_nm(self) -> Array:
         """Torque carried by each element between two nodes, (nodes - 1,)."""
         return self.rod.stiffness_nm_per_rad * -np.diff(self.angle_rad)
+
+    @cached_property
+    def _shown(self) -> tuple[Reading, tuple[float | None, ...]]:
+        """What the sensors read along the path, and what they remember at its end."""
+        truth = Reading(self.path, self._solved.torque_nm, self._solved.sensor_rad)
+        return shown(self.model.acting("observe"), truth, self.sensor_states)
 
     @property
     def _solved(self) -> Solution:

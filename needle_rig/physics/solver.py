@@ -22,6 +22,8 @@ DEFAULT_TOLERANCE_RAD = 6e-4
 LONGEST_STEP_S = 60.0
 SHORTEST_STEP_S = 1e-6
 SHORTEST_SNAP_S = 1e-4
+LEAST_RESOLVED_SLIP_RAD = math.radians(0.1)
+"""Over shorter slips a static excess breaks down at once: the error of the angles alone sets the steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,7 @@ def solve_batch(
     *,
     threads: int | None = None,
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
+    most_solves_per_sample: float = math.inf,
 ) -> list[Solution]:
     """Solve independent trials, one (time_s, base_angle_rad) a rod, on `threads` cores (default all).
 
@@ -121,7 +124,8 @@ def solve_batch(
 
     def one(job: tuple[Rod, tuple[Array, Array]]) -> Solution:
         rod, (time, base) = job
-        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S, math.inf)
+        most_solves = most_solves_per_sample * time.size
+        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S, most_solves)
 
     workers = min(threads or os.cpu_count() or 1, count)
     if workers == 1:
@@ -173,14 +177,19 @@ def _run(
         raise BadInput(f"tolerance {tolerance_rad} rad and longest step {longest_step_s} s must be above 0")
     packed = _relaxed_rows(rod, 0.0) if state is None else _packed_state(rod, state)
     packed[layout.STATUS, 0] = layout.STUCK
+    mount = rod.mount_compliance_rad_per_nm
+    if mount:
+        _turn(packed, -mount * _base_torque_nm(rod, packed))
     laws, keep = _packed_laws(rod)
     creeps, viscous, memory = rod.depends_on_rate
     by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
     dry = by_rate and _some_node_is_dry(coefficients)
     has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, dry)
     settings = layout.Settings(
-        base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm,
+        # seen from the mount, the base stays behind by the mount's turn as by that of a spring of its own
+        base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm + mount,
         stribeck_rate_rad_s=rod.stribeck_rate_rad_s,
+        stribeck_exponent=rod.stribeck_exponent,
         weakening_rad=rod.weakening_rad,
         ageing_time_s=rod.ageing_time_s,
         # angles show an error of the slip limits only later, when the limits are reached
@@ -189,7 +198,9 @@ def _run(
         # a snap to a lower limit takes no time: shorter steps do not resolve it better
         shortest_step_s=SHORTEST_SNAP_S if memory else SHORTEST_STEP_S,
         # over a slip of the weakening length the static excess breaks down, while an age only halves
-        longest_slip_rad=rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0),
+        longest_slip_rad=max(
+            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0), LEAST_RESOLVED_SLIP_RAD
+        ),
         most_solves=most_solves,
     )
     sensors = np.ascontiguousarray(rod.sensors, dtype=np.int64)
@@ -235,6 +246,12 @@ def _run(
             f"angles stopped being finite at {time[sample]:g} s near node {node}"
             f" ({rod.position_m[node] * 1e3:g} mm from the base); check the torque laws there"
         )
+    if mount:
+        turned_rad = mount * output.torque_nm
+        output.tip_rad[:] += turned_rad
+        for angles_rad in (output.sensor_rad, output.shaft_rad):
+            angles_rad += turned_rad[: len(angles_rad), np.newaxis]
+        _turn(packed, turned_rad[-1])
     return Solution(
         time_s=time,
         torque_nm=output.torque_nm,
@@ -245,6 +262,16 @@ def _run(
         steps=int(counts[layout.STEPS]),
         solves=int(counts[layout.SOLVES]),
     )
+
+
+def _base_torque_nm(rod: Rod, packed: Array) -> float:
+    return float(rod.stiffness_nm_per_rad[0] * (packed[0, 0] - packed[0, 1]))
+
+
+def _turn(packed: Array, by_rad: float) -> None:
+    """Turn the needle and what holds it, but not the base's drive, in place."""
+    packed[0] += by_rad
+    packed[1, 1:] += by_rad
 
 
 def _some_node_is_dry(coefficients: Array) -> bool:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from needle_rig.config.schema import SimulationSection
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
+from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import RodState
 from needle_rig.records import Command, DriveState, Measurement
@@ -21,9 +22,6 @@ from needle_rig.simulation.faults import Faults, Links, over_index
 from needle_rig.simulation.motor import Motor, MotorSettings
 from needle_rig.simulation.velocity_loop import VelocityLoop
 from needle_rig.units import nm, rad
-
-if TYPE_CHECKING:
-    from needle_rig.physics.needle_model import NeedleModel
 
 REMEMBERED = 64
 """Readings kept for effects on the sensors that look back (a stream that is late)."""
@@ -85,7 +83,7 @@ class Plant:
         self._encoder_rad = 0.0
         self._sampled_s = {"torque": 0.0, "hall": 0.0, "drive": 0.0}
         self._counter = 0
-        self._recent: deque[tuple[float, float, float, Array]] = deque(maxlen=REMEMBERED)
+        self._recent: deque[_Instant] = deque(maxlen=REMEMBERED)
         self._torque_nm = self._torque_read_nm = 0.0
         self._hall_rad: Array = np.zeros(len(model.layout.sensor_positions_m))
         self._solve()
@@ -262,16 +260,26 @@ class Plant:
         return replace(now, **kept) if kept else now  # type: ignore[arg-type]
 
     def _observed(self) -> tuple[float, Array]:
-        self._recent.append((self.time_s, self._path[-1][1], self._torque_nm, self._hall_rad))
-        trial = self._trial([(time, angle) for time, angle, _, _ in self._recent])
-        reading = Reading(
-            trial,
-            np.array([torque for _, _, torque, _ in self._recent]),
-            np.array([hall for _, _, _, hall in self._recent]),
+        now = _Instant(self.time_s, self._path[-1][1], self._torque_nm, self._hall_rad)
+        recent = [*self._recent, now]
+        truth = Reading(
+            self._trial([(instant.time_s, instant.base_rad) for instant in recent]),
+            np.array([instant.torque_nm for instant in recent]),
+            np.array([instant.hall_rad for instant in recent]),
         )
-        for effect in self._observers:
-            reading = effect.observe(reading)
+        reading, states = shown(self._observers, truth, recent[0].states)
+        self._recent.append(now._replace(states=states))
         return float(reading.torque_nm[-1]), reading.hall_rad[-1]
+
+
+class _Instant(NamedTuple):
+    """The truth at one reading, and the states there of the effects on the sensors."""
+
+    time_s: float
+    base_rad: float
+    torque_nm: float
+    hall_rad: Array
+    states: tuple[float | None, ...] = ()
 
 
 def _timeless(rod: Rod) -> bool:

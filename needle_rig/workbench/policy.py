@@ -23,6 +23,7 @@ def _threshold(value: Any, reason: str, source: str, guard: str) -> Any:
 
 _RULES = "selection/test_policy.py"
 _NOISE = "observations/test_policy.py"
+_SNAPS = "observations/test_snaps.py"
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,30 @@ class NoisePolicy:
         "discretisation error, in σ over all values, up to which one straight nuisance stands for it",
         CHOSEN,
         "estimation/test_policy.py",
+    )
+
+
+@dataclass(frozen=True)
+class SnapPolicy:
+    """When a sensor turned further than its base did for a moment: stick-slip, seen in the data alone."""
+
+    span_s: float = _threshold(
+        0.06,
+        "time over which turns are compared: a snap ends in it, while at 45°/s the base turns 2.7°",
+        "three samples at the 50 Hz of the practice datasets",
+        _SNAPS,
+    )
+    sensor_gain: float = _threshold(
+        1.25,
+        "a sensor may show this much more than what turned",
+        "`hall_gain` and `hall_eccentricity` at five times their typical size",
+        _SNAPS,
+    )
+    sigmas: float = _threshold(
+        6.0,
+        "noise of the turn beyond which it is one: by chance in one of 30,000 datasets of 30,000 comparisons",
+        "normal distribution",
+        _SNAPS,
     )
 
 
@@ -318,7 +343,7 @@ class VerdictPolicy:
     trend_significance: float = _threshold(
         1e-4,
         "p of a trend in the trials' friction: an effect that tells of it is to be named first",
-        "a hundredth of `evidence.significance`, for a library of about 20",
+        "a hundredth of `evidence.significance`, for a library of about 30",
         _RULES,
     )
     testable_share: float = _threshold(
@@ -337,8 +362,9 @@ class VerdictPolicy:
     )
     reached: float = _threshold(
         1.1,
-        "error on commands left out, in units of the noise, above which something is left: 20 % in variance",
-        TABLE,
+        "error on commands left out, in units of the noise, above which something is left: 20 % in variance;"
+        " nothing is said to be none, absent or negligible above it",
+        TABLE + ", where nothing hidden left 0.997 at most",
         _RULES,
     )
     at_any_value: int = _threshold(
@@ -360,6 +386,7 @@ class Policy:
     """All of them."""
 
     noise: NoisePolicy = NoisePolicy()
+    snaps: SnapPolicy = SnapPolicy()
     screening: ScreeningPolicy = ScreeningPolicy()
     search: SearchPolicy = SearchPolicy()
     evidence: EvidencePolicy = EvidencePolicy()

@@ -135,6 +135,25 @@ def test_effects_on_the_sensors_act_on_the_readings_and_not_on_the_needle(
     assert difference == pytest.approx(0.02, abs=2e-4)
 
 
+def test_effects_on_the_sensors_remember_for_longer_than_readings_are_kept(
+    config: RigConfig, elastic: NeedleModel
+) -> None:
+    from needle_rig.physics.effects.bearing_drag import BearingDrag
+    from needle_rig.physics.effects.torque_low_pass import TorqueLowPass
+
+    noiseless = {"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0}
+    quiet = simulation_of(config).model_copy(update=noiseless)
+    plain, draggy = awake(elastic, quiet), awake(elastic.with_effects(BearingDrag(0.02)), quiet)
+    slow = awake(elastic.with_effects(TorqueLowPass(1000.0)), quiet)
+    for plant in (plain, draggy, slow):
+        turned(turned(plant, 0.5, 1.0), 0.0, 0.5)  # 100 ticks of rest, 64 readings are kept
+    assert nmm(draggy.read().torque_nm - plain.read().torque_nm) == pytest.approx(0.02, abs=2e-4)
+    left = [nmm(plain.torque_nm - slow.read().torque_nm)]
+    turned(slow, 0.0, 1.0)
+    left.append(nmm(plain.torque_nm - slow.read().torque_nm))
+    assert left[1] / left[0] == pytest.approx(math.exp(-1.0), abs=0.02)
+
+
 def test_effects_at_the_base_remember_from_tick_to_tick(config: RigConfig, elastic: NeedleModel) -> None:
     from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 

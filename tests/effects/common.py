@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.library import find_effects
+from needle_rig.simulation.base_drive import Motion, base_path
 
 USERS = Path(__file__).parents[1] / "data" / "effects"
 LIBRARY = find_effects([USERS])
@@ -37,3 +39,17 @@ SEQUENCE = path(
     *[(9.2, 25.5), (12.2, 25.5), (12.8, 51.5), (15.8, 51.5), (16, 45), (19.1, 45)],
 )
 """The 45° sequence: five motions, 3 s rests."""
+
+
+def driven(trial: Trial, rate_rad_s: float = np.radians(45)) -> Trial:
+    """`trial` as a drive turns it that cannot start and stop at once: the corners take its lags."""
+    turns = np.flatnonzero(np.diff(trial.base_angle_rad))
+    starts = turns[np.r_[True, np.diff(turns) > 1]]
+    ends = turns[np.r_[np.diff(turns) > 1, True]] + 1
+    motions = tuple(
+        Motion("turn", float(trial.time_s[a]), from_rad, to_rad, rate_rad_s, 0.0)
+        for a, from_rad, to_rad in zip(
+            starts, trial.base_angle_rad[starts].tolist(), trial.base_angle_rad[ends].tolist(), strict=True
+        )
+    )
+    return replace(trial, base_angle_rad=base_path(motions, trial.time_s))

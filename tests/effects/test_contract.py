@@ -22,7 +22,7 @@ from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.physics.rod import Rod
 from needle_rig.units import nm
 from needle_rig.workbench.policy import POLICY
-from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, make_effect, path
+from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, driven, make_effect, path
 
 NAMES = [
     "tissue_elasticity",
@@ -34,17 +34,25 @@ NAMES = [
     "tip_friction",
     "platform_friction",
     "guide_friction",
+    "mount_compliance",
     "chuck_compliance",
     "chuck_backlash",
+    "chuck_inertia",
+    "bearing_drag",
     "bending_torque",
     "direction_asymmetry",
     "friction_wear",
     "torque_bias",
     "torque_gain",
     "torque_drift",
+    "torque_nonlinearity",
+    "torque_low_pass",
     "hall_offset",
     "hall_gain",
     "hall_eccentricity",
+    "hall_harmonics",
+    "hall_crosstalk",
+    "encoder_eccentricity",
     "insertion_depth",
     "clock_offset",
 ]
@@ -98,7 +106,7 @@ def test_hooks_themselves_do_nothing_at_off(effect: type[Effect], coarse: Needle
         for name in ("compliance_rad_per_nm", "viscous_nms_per_rad", "static_excess", "ageing_per_decade"):
             assert (getattr(shaped, name) == getattr(rod, name)).all()
         assert not np.isfinite(shaped.creep_stiffness_nm_per_rad).any()
-        assert shaped.base_compliance_rad_per_nm == 0
+        assert shaped.base_compliance_rad_per_nm == shaped.mount_compliance_rad_per_nm == 0
     if effect.has("torque"):
         angles = np.linspace(-7, 7, 29)
         assert all(nothing.torque(a, 0.3, 1.0, x) == 0 for a in angles for x in (0.18, 0.315))
@@ -124,10 +132,11 @@ def test_its_typical_size_shows(effect: type[Effect], coarse: NeedleModel) -> No
 def _size_that_matters(effect: type[Effect], field: str, model: NeedleModel) -> tuple[float, float]:
     values = {n: i.typical if i.shapes else i.off for n, i in effect.parameters().items()}
     smallest = effect(**values | {field: effect.parameters()[field].smallest})
-    seen, base = model.with_effects(smallest).predict(SEQUENCE), model.predict(SEQUENCE)
+    seen, base = (m.predict(SEQUENCE) for m in (model.with_effects(smallest), model))
     at = [int(np.searchsorted(SEQUENCE.time_s, s)) for s in SETTLED_S]
     settled = [Reading(SEQUENCE, r.torque_nm[at], r.hall_rad[at]) for r in (seen, base)]
-    return distance(*settled), distance(seen, base)
+    moving = driven(SEQUENCE)
+    return distance(*settled), distance(model.with_effects(smallest).predict(moving), model.predict(moving))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -152,6 +161,10 @@ def test_parameters_are_fully_described(effect: type[Effect]) -> None:
 
 UNITS = {
     "1": ("",),
+    "1/N·mm": ("_per_nmm",),
+    "1/(N·mm)²": ("_per_nmm2",),
+    "g·cm²": ("_gcm2",),
+    "N·mm·s/rad": ("_nmms_per_rad",),
     "1/turn": ("per_turn",),
     "1/decade": ("per_decade",),
     "°": ("deg",),

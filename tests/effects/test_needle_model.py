@@ -24,6 +24,7 @@ def test_values_lists_every_parameter_in_units_of_files(coarse: NeedleModel) -> 
         "stribeck.static_excess",
         "stribeck.rate_deg_s",
         "stribeck.weakening_deg",
+        "stribeck.exponent",
     ]
     assert values["friction_nmm_per_100mm"] == pytest.approx(0.1)
     assert values["torsional_rigidity_nmm2"] == pytest.approx(62.56)

@@ -10,7 +10,7 @@ from hypothesis.strategies import DrawFn
 
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout, build_rod
-from tests.physics.rods import EXPERIMENT, JG
+from tests.physics.rods import EXPERIMENT, JG, rod
 
 
 @pytest.mark.parametrize(
@@ -101,3 +101,22 @@ def test_a_rod_holds_its_layout_whatever_the_mesh(layout: Layout, element_length
         # friction sits where it acts: the centre of friction of a section is the middle of the section
         centre = (rod.slip_plus_nm[inside] * position[inside]).sum() / rod.slip_plus_nm[inside].sum()
         assert centre == pytest.approx(0.5 * (start + end), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("excess", "weakening_deg", "viscous", "snaps"),
+    [(0.0, 0.05, 0.0, False), (0.3, 8.0, 0.0, False), (0.3, 2.0, 0.0, True), (0.25, 0.05, 0.1, True),
+     (0.25, 0.05, 0.13, False)],
+)  # fmt: skip
+def test_a_needle_snaps_where_neither_slip_length_nor_damping_keeps_it(
+    excess: float, weakening_deg: float, viscous: float, snaps: bool
+) -> None:
+    """Exponential at 0.2 rad/s: 0.25 · 0.0996 N·mm per 100 mm falls by 0.1245 N·mm·s per 100 mm at most."""
+    made = rod(
+        static_excess=excess,
+        weakening_rad=np.radians(weakening_deg),
+        viscous=viscous,
+        stribeck_rate_rad_s=0.2,
+        stribeck_exponent=1.0,
+    )
+    assert made.snaps is snaps

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from needle_rig.model import load_parameters
-from needle_rig.physics.effect import Trial
+from needle_rig.physics.effect import Effect, Trial
+from needle_rig.physics.effects.bearing_drag import BearingDrag
 from needle_rig.physics.effects.chuck_backlash import ChuckBacklash
 from needle_rig.physics.effects.torque_bias import TorqueBias
+from needle_rig.physics.effects.torque_low_pass import TorqueLowPass
 from needle_rig.physics.effects.viscous_slip import ViscousSlip
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
@@ -76,3 +78,12 @@ def test_a_needle_starts_where_its_base_stands_without_twist() -> None:
     assert needle.angle_rad == pytest.approx(rad(-30.0))
     moved = needle.moved(Trial(np.array([0.0, 1.0]), rad(np.array([-30.0, -30.0]))))
     assert moved.torque_nm == 0.0
+
+
+@pytest.mark.parametrize("effect", [BearingDrag(0.02), TorqueLowPass(800.0)])
+def test_what_a_sensor_remembers_is_taken_along_to_the_next_piece(effect: Effect) -> None:
+    model = load_parameters("rig_elastic").with_effects(effect)
+    whole = model.predict(Trial(TIME_S, BASE_RAD))
+    for needle, stop in zip(in_pieces(model), CUTS[1:], strict=True):
+        _, torque_nm, _ = needle.reading(slice(-1, None))
+        assert torque_nm == pytest.approx(whole.torque_nm[stop - 1], abs=1e-12)

@@ -84,6 +84,7 @@ class Settings(NamedTuple):
 
     base_compliance_rad_per_nm: float
     stribeck_rate_rad_s: float
+    stribeck_exponent: float
     weakening_rad: float
     ageing_time_s: float
     tolerance_rad: float

@@ -89,6 +89,7 @@ def _run(
         scalars[6],
         scalars[7],
         scalars[8],
+        scalars[9],
     )
     has = Features(creep, viscous, memory, with_laws, dry)
     laws = Laws(addresses, parameters, weights_m)

@@ -48,6 +48,8 @@ def follow_memory(rod, settings, states, old, new, dt, work):
     Returns the largest error of a factor that was expected.
     """
     rate, weakening, rest = settings.stribeck_rate_rad_s, settings.weakening_rad, settings.ageing_time_s
+    exponent = settings.stribeck_exponent
+    gaussian = exponent == 2.0
     largest = 0.0
     for i in range(1, states.shape[2]):
         slip = abs(work[SLIP, i])
@@ -55,9 +57,12 @@ def follow_memory(rod, settings, states, old, new, dt, work):
         if rod[EXCESS, i] > 0.0:
             ratio = slip / (dt * rate)
             gain = (slip + dt * rate) / weakening
-            target = math.exp(-ratio * ratio)
+            # a power costs half as much again as all the rest
+            power = ratio * ratio if gaussian else ratio**exponent
+            steep = 2.0 * ratio if gaussian else exponent * ratio ** (exponent - 1.0)
+            target = math.exp(-power)
             excess = (states[old, EXCESS_STATE, i] + gain * target) / (1.0 + gain)
-            slope = (target - excess) / weakening - 2.0 * gain * ratio * target / (dt * rate)
+            slope = (target - excess) / weakening - steep * gain * target / (dt * rate)
             factor += rod[EXCESS, i] * excess
             fall += rod[EXCESS, i] * slope / (1.0 + gain)
             states[new, EXCESS_STATE, i] = excess

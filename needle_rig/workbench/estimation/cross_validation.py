@@ -14,7 +14,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit
-from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.estimation.posterior import MOST_SOLVES, excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 NEAR = 1.0
@@ -104,7 +104,7 @@ class _LeaveOut:
         left, information = [self._without(group) for group in groups], self.linear.information
         place = {t: x for group, (x, _) in zip(groups, left, strict=True) for t in group}
         order = sorted(place)
-        common = problem.readings([self._model(place[t]) for t in order], order)
+        common = problem.readings([self._model(place[t]) for t in order], order, MOST_SOLVES)
         random_effects = self._random_effects(place)
         chi2 = sum(o.chi2 for o in random_effects.values())
         loss = chi2 + sum(float(np.log(t.stiffness / t.random_effect_precision)) for t in self.terms)
@@ -182,7 +182,7 @@ class _LeaveOut:
         models = [
             self._model(place[t]).with_effects(FrictionOfTrial(float(np.exp(friction[t])))) for t in order
         ]
-        residuals = self.problem.residuals(self.problem.readings(models, order), order)
+        residuals = self.problem.residuals(self.problem.readings(models, order, MOST_SOLVES), order)
         nuisance = self.problem.nuisance
         return {t: r - nuisance[t] @ place[t][self.p :] for t, r in zip(order, residuals, strict=True)}
 

@@ -54,7 +54,9 @@ class Simulator:
             drive = trials[place].trial
             rods.append(models[place].rod(drive))
             inputs.append((drive.time_s, models[place].held_path(drive)[0]))
-        solved = solve_batch(rods, inputs, threads=1) if rods else []  # processes share the cores
+        solved = []
+        if rods:  # processes share the cores
+            solved = solve_batch(rods, inputs, threads=1, most_solves_per_sample=most_solves)
         for (key, place), solution in zip(new.items(), solved, strict=True):
             self._kept[key] = trials[place].trial, solution
         solutions = [self._kept[key][1] for key in keys]

@@ -52,7 +52,7 @@ class Decision:
     decision: str
     """present, negligible, absent or cannot_tell."""
     limit: float | None
-    """Upper end of the 95 % range of its size, in the unit of `parameter`."""
+    """Upper end of the 95 % range of its size, in the unit of `parameter`; None where nothing limits it."""
     parameter: str
     unit: str
     matters_from: float
@@ -155,6 +155,8 @@ class Answer:
         if self.verdict == "none":
             return "nothing is missing beyond the noise and the scatter of the trials."
         if self.verdict == "unknown":
+            if any(r.rule == "stick_slip" for r in self.reasons):
+                return "the needle sticks and slips, and no effect of the library foretells it."
             return "something is missing that no effect of the library explains."
         named = f"{' and '.join(self.effects)} missing"
         return named + (f"; cannot be told apart from {', '.join(self.ties)}." if self.ties else ".")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from needle_rig.workbench.estimation.map_fit import Fit
@@ -11,10 +13,15 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
 from needle_rig.workbench.selection.evidence import adjusted_p, is_negligible
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
+from needle_rig.workbench.selection.verdict import above_noise
 
 
-def decide(search: SearchTrace, named: list[str]) -> dict[str, Decision]:
-    """What the best set of a search says of every effect of the library."""
+def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict[str, Decision]:
+    """What the best set of a search says of every effect of the library.
+
+    While the answer's error on commands left out is above the noise, what stands for the rest of it may hide
+    any effect: none is absent or negligible then, and no limit holds.
+    """
     best = search.fits[search.best][0]
     by_name = {c.effect: c for c in search.children.get(search.best, ())}
     decisions = {}
@@ -26,7 +33,14 @@ def decide(search: SearchTrace, named: list[str]) -> dict[str, Decision]:
             decisions[name] = _decision(name, search.negligible[name], "negligible")
         else:
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
-    return decisions
+    if not above_noise(held_out_error):
+        return decisions
+    return {n: d if d.decision == "present" else _left_open(d) for n, d in decisions.items()}
+
+
+def _left_open(decision: Decision) -> Decision:
+    """The same effect, of which nothing can be said."""
+    return dataclasses.replace(decision, decision="cannot_tell", limit=None)
 
 
 def _sizes(found: Fit, name: str) -> list[tuple[FreeParameter, float, float]]:

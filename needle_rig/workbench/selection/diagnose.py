@@ -15,6 +15,7 @@ from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
@@ -27,7 +28,7 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.verdict import Findings, reasons
+from needle_rig.workbench.selection.verdict import Findings, above_noise, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
 
@@ -117,7 +118,8 @@ def _conclude(
     if not named:
         explained_fraction = 1.0 if not left.significant else 0.0
     lack = lack_of_fit(problem, best, sensors)
-    why = reasons(Findings(tuple(named), left, lack, explained_fraction, validation.error))
+    seen = snaps(baseline.dataset)
+    why = reasons(Findings(tuple(named), left, lack, explained_fraction, validation.error, seen))
     verdict = judge(named, why)
     ordered = order(search, named)
     ranking = rank(search, ordered, rivals, verdict, best, validation)
@@ -133,7 +135,7 @@ def _conclude(
         verdict=verdict,
         effects=tuple(ordered) if verdict == "effect" else (),
         ranking=tuple(ranking),
-        decisions=decide(search, named if verdict == "effect" else []),
+        decisions=decide(search, named if verdict == "effect" else [], validation.error),
         residual_patterns=left,
         explained=not why,
         reasons=why,
@@ -147,7 +149,7 @@ def _conclude(
         notes=(
             *baseline.dataset.notes,
             *baseline.notes,
-            *_negligible_notes(search),
+            *(() if above_noise(validation.error) else _negligible_notes(search)),
             *_mean_notes(best),
             *(_screening_notes(search, named) if verdict == "effect" else []),
             *(

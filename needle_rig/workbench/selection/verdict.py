@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from needle_rig.workbench.observations.snaps import Snap, sentence
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
@@ -24,6 +26,7 @@ class Findings:
     explained_share: float
     held_out_error: float
     """Root mean square error of cross-validation, in units of the noise."""
+    snaps: tuple[Snap, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,13 +60,34 @@ def little_explained(found: Findings) -> str | None:
     )
 
 
+def above_noise(held_out_error: float) -> bool:
+    """Whether something is left in commands left out; with one command alone (infinite) nobody knows."""
+    return POLICY.verdict.reached < held_out_error < math.inf
+
+
 def noise_not_reached(found: Findings) -> str | None:
-    """With the named effects commands left out are not foretold to within the noise."""
-    if not found.named or not found.left.significant or found.held_out_error <= POLICY.verdict.reached:
+    """Commands left out are not foretold to within the noise.
+
+    Effects that are named are held to it where what they leave shows a pattern: without one it is the few
+    commands that leave their sizes open.
+    """
+    if not above_noise(found.held_out_error) or (found.named and not found.left.significant):
+        return None
+    model = f"with {' and '.join(found.named)}" if found.named else "with no effect named"
+    return (
+        f"{model} the error on commands left out is {found.held_out_error:.2f} × the noise, more than"
+        f" {POLICY.verdict.reached:g}"
+    )
+
+
+def stick_slip(found: Findings) -> str | None:
+    """The needle snaps, and what is named does not foretell commands left out to within the noise."""
+    if not found.snaps or not above_noise(found.held_out_error):
         return None
     return (
-        f"with {' and '.join(found.named)} the error on commands left out is {found.held_out_error:.2f} × the"
-        f" noise, more than {POLICY.verdict.reached:g}"
+        f"{sentence(found.snaps)}; a model without inertia gives neither the instant of a snap nor where it"
+        " ends, so how friction falls once the needle slips, and what else is missing, cannot be told from"
+        " these data"
     )
 
 
@@ -80,6 +104,7 @@ RULES: tuple[Callable[[Findings], str | None], ...] = (
     little_explained,
     noise_not_reached,
     replicates_agree_on_more,
+    stick_slip,
 )
 """Each gives a sentence, or None where it finds nothing unexplained. Their names stand in the JSON answer."""
 

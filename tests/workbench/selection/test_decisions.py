@@ -1,9 +1,11 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.search import SearchTrace
 from tests.workbench.hidden import dataset, few
 
 
@@ -22,7 +24,30 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step() ->
         for c in search.children[search.best]
     )
     search = dataclasses.replace(search, children={search.best: on_top})
-    decision = decide(search, [])["tissue_elasticity"]
+    decision = decide(search, [], 1.0)["tissue_elasticity"]
     assert decision.decision == "absent"
     assert decision.limit is not None
     assert np.isfinite(decision.limit)
+
+
+@pytest.fixture(scope="module")
+def nothing_found() -> SearchTrace:
+    return diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
+
+
+@pytest.mark.parametrize(("error", "told"), [(1.07, True), (np.inf, True), (1.13, False)])
+def test_nothing_is_absent_or_has_a_limit_while_commands_left_out_are_missed(
+    nothing_found: SearchTrace, error: float, told: bool
+) -> None:
+    decisions = decide(nothing_found, [], error).values()
+    assert any(d.decision in ("absent", "negligible") for d in decisions) is told
+    assert all(d.limit is not None for d in decisions) is told
+
+
+def test_what_is_present_stays_so_while_commands_left_out_are_missed(nothing_found: SearchTrace) -> None:
+    key = frozenset(["torque_bias"])
+    search = dataclasses.replace(nothing_found, best=key)
+    decisions = decide(search, ["torque_bias"], 1.13)
+    assert decisions["torque_bias"].decision == "present"
+    assert decisions["torque_bias"].limit is not None
+    assert decisions["tissue_elasticity"].decision == "cannot_tell"

@@ -17,6 +17,7 @@ from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.observations.snaps import Snap
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
 from needle_rig.workbench.published.search import Candidate as SettledCandidate
 from needle_rig.workbench.selection import residual_patterns, screening, search
@@ -281,6 +282,9 @@ def left(size: float = 1.0, unit: str = "°") -> ResidualPatterns:
 NOTHING_LEFT = ResidualPatterns((), 0.0)
 
 
+SNAPS = (Snap("trials/01.csv", "hold", "hall_1", 3.0, 8.0, 2.7),)
+
+
 def lack(p: float = 1e-6, size: float = 1.0) -> LackOfFit:
     return LackOfFit(9.0, 10, 20, p, "torque once settled", size, "°")
 
@@ -300,6 +304,14 @@ def lack(p: float = 1e-6, size: float = 1.0) -> LackOfFit:
         (Findings(("a",), left(0.01), None, 0.75, 1.0), ["little_explained"]),
         (Findings(("a",), left(0.01), None, 0.99, 1.07), []),
         (Findings(("a",), left(0.01), None, 0.99, 1.13), ["noise_not_reached"]),
+        (Findings((), NOTHING_LEFT, None, 1.0, 1.07), []),
+        (Findings((), NOTHING_LEFT, None, 1.0, 1.13), ["noise_not_reached"]),
+        (Findings((), NOTHING_LEFT, None, 1.0, np.inf), []),
+        (Findings((), NOTHING_LEFT, None, 1.0, 1.07, SNAPS), []),
+        (Findings((), NOTHING_LEFT, None, 1.0, 1.13, SNAPS), ["noise_not_reached", "stick_slip"]),
+        (Findings((), NOTHING_LEFT, None, 1.0, np.inf, SNAPS), []),
+        (Findings(("a",), NOTHING_LEFT, None, 1.0, 1.13, SNAPS), ["stick_slip"]),
+        (Findings(("a",), NOTHING_LEFT, None, 1.0, 1.0, SNAPS), []),
         (Findings((), NOTHING_LEFT, lack(), 1.0, 1.0), ["replicates_agree_on_more"]),
         (Findings((), NOTHING_LEFT, lack(size=0.09), 1.0, 1.0), []),
         (Findings((), NOTHING_LEFT, lack(p=0.017), 1.0, 1.0), []),
@@ -316,6 +328,12 @@ def test_which_rules_find_something_unexplained(found: Any, fired: Any) -> None:
     assert [r.rule for r in why] == fired
     assert all(r.sentence for r in why)
     assert verdict(found.named, why) == ("unknown" if fired else "effect" if found.named else "none")
+
+
+def test_stick_slip_is_named_with_where_it_was_seen_and_what_it_keeps_from_being_told() -> None:
+    (reason,) = reasons(Findings(("a",), NOTHING_LEFT, None, 1.0, 3.0, SNAPS))
+    for said in ("stick-slip", "trials/01.csv", "hall_1", "cannot be told"):
+        assert said in reason.sentence
 
 
 def test_patterns_and_trends_must_be_far_beyond_chance() -> None:
