@@ -4,8 +4,8 @@ Law: m_i = θ_i + s₂ sin 2θ_i + c₂ cos 2θ_i + s₄ sin 4θ_i + c₄ cos 4�
 
 Source: angle from two channels by the arctangent: unequal amplitudes give sin 2θ (half the relative
 mismatch), channels that are not at right angles cos 2θ, third harmonics in the channels the fourth, e.g.
-Kuntz, Dauth, Gerlach, Ott, Fella, arXiv 2205.08472; Texas Instruments, SLYA085. Plausible is what 10 % of mismatch (2.9°), 6° from the right
-angle (3°) and 2.5 % of third harmonic (1.5°) give.
+Kuntz, Dauth, Gerlach, Ott, Fella, arXiv 2205.08472; Texas Instruments, SLYA085. Plausible is what 10 % of
+mismatch (2.9°), 6° from the right angle (3°) and 2.5 % of third harmonic (1.5°) give.
 
 Shows best: a full turn, slowly: the error of one sensor varies twice or four times a turn with that
 sensor's own angle, alike in both directions. Within a quarter turn it looks like a gain or an eccentric
