@@ -22,6 +22,8 @@ PORTS = Path("/run/bench")
 SOCKET = Path("/run/needle-rig/daemon.sock")
 RUNS = Path("/var/lib/needle-rig")
 RIG_FILE = Path("/etc/needle-rig/rig.yaml")
+MOVE = ("compensate", "--target", "30", "--settle", "1", "--no-picture")
+BOOT_MARK = Path("/root/power-was-cut")
 START_S = 120.0
 """The service's first start, on one emulated core."""
 
@@ -65,17 +67,40 @@ def active() -> bool:
     return shell("systemctl is-active needle-rig", check=False).stdout.strip() == "active"
 
 
+def main_pid() -> int:
+    return int(shell("systemctl show needle-rig -p MainPID --value").stdout)
+
+
+def begun(process: subprocess.Popen[str]) -> None:
+    """Wait until the base turns."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "overshoot" in line and "moving" in line:
+            return
+    raise AssertionError(f"it ended (exit {process.wait()})")
+
+
+def started_run() -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        as_user("tech", PROGRAM, *MOVE),
+        cwd="/home/tech",
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
 class Rig:
     """The bench, which is switched on and off like a rig."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 
-    def switch_on(self) -> None:
+    def switch_on(self, link: str = "") -> None:
+        """With a line more among its links, as for another drive."""
         PORTS.mkdir(exist_ok=True)
         config = PORTS / "bench.yaml"
-        text = BENCH.read_text()
-        config.write_text(text)
+        config.write_text(BENCH.read_text().replace("links:", f"links:\n{link.rstrip()}#", 1))
         command = [sys.executable, "-m", "needle_rig.simulation.bench", "--can", "vcan0"]
         self._process = subprocess.Popen(
             [*command, "--config", str(config), "--ports", str(PORTS)],
@@ -87,6 +112,11 @@ class Rig:
         assert "error" not in said, said
         # a serial adapter would belong to dialout, by the udev rule
         os.chmod((PORTS / "hall").resolve(), 0o666)
+
+    def cleared(self) -> bool:
+        """Clear what stands, and say that nothing does any longer."""
+        needle_rig("clear")
+        return status().get("fault") is None
 
     def switch_off(self) -> None:
         if self._process is not None:
@@ -110,6 +140,18 @@ def installed(users: None) -> None:
     )
     text = RIG_FILE.read_text().replace("tick_hz: 200", "tick_hz: 100")
     RIG_FILE.write_text(text.replace("_age_limit_ms: 50", "_age_limit_ms: 500"))
+
+
+@pytest.fixture
+def power_back(the_rig: Rig) -> Rig:
+    """The rig, which the computer finds switched on after the power came back."""
+    the_rig.switch_on()
+    until(lambda: active() and status().get("sensors") is not None, "the service runs", START_S)
+    until(at_rest, "every link is young", 60)
+    needle_rig("clear")
+    done = needle_rig("home", "--by", "hall")
+    assert done.returncode == 0, done.stderr
+    return the_rig
 
 
 @pytest.fixture(scope="session")

@@ -12,45 +12,23 @@ import pytest
 
 from tests.linux.conftest import (
     BENCH,
+    MOVE,
     PROGRAM,
     RIG_FILE,
     RUNS,
     Rig,
     active,
-    as_user,
+    begun,
     journal,
+    main_pid,
     needle_rig,
     shell,
+    started_run,
     status,
     until,
 )
 
 pytestmark = pytest.mark.linux
-
-MOVE = ("compensate", "--target", "30", "--settle", "1", "--no-picture")
-
-
-def main_pid() -> int:
-    return int(shell("systemctl show needle-rig -p MainPID --value").stdout)
-
-
-def begun(process: subprocess.Popen[str]) -> None:
-    """Wait until the base turns."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "overshoot" in line and "moving" in line:
-            return
-    raise AssertionError(f"it ended (exit {process.wait()})")
-
-
-def started_run() -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        as_user("tech", PROGRAM, *MOVE),
-        cwd="/home/tech",
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
 
 
 def test_it_is_set_up_by_one_command_and_twice_changes_nothing(installed: None) -> None:
@@ -207,13 +185,3 @@ def test_check_names_what_fails_when_the_rig_is_off(rig: Rig) -> None:
     assert done.returncode == 1
     assert "fail  torque node: " in done.stdout
     assert "fail  Hall port: there is no /run/bench/hall" in done.stdout
-
-
-def test_it_is_taken_away_and_leaves_the_runs(rig: Rig) -> None:
-    runs = sorted(path.name for path in RUNS.glob("*.h5"))
-    assert runs
-    shell(f"{PROGRAM} install-service --remove", timeout_s=120)
-    assert shell("systemctl cat needle-rig", check=False).returncode != 0
-    assert shell("getent passwd needle-rig", check=False).returncode == 2
-    assert not RIG_FILE.exists()
-    assert sorted(path.name for path in RUNS.glob("*.h5")) == runs

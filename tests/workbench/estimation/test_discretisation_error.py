@@ -159,8 +159,10 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
     far = dataclasses.replace(found, objective=3.0 * problem.size)
     assert with_discretisation_error(problem, far, data.trials, fine_m)[0].trials == problem.trials
     # the encoder's noise moves the minimum further than derivatives between two slips tell
-    assert np.all(again.scaled_errors > 1.5 * met[0].scaled_errors)
-    assert np.all(np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0]) < 3.0 * again.scaled_errors)
+    wider = again.scaled_errors / met[0].scaled_errors
+    assert np.all(wider[:2] > 1.5)
+    assert np.all(wider > 1.1)
+    assert np.all(np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0, 0.0]) < 3.0 * again.scaled_errors)
 
 
 def test_an_encoder_without_noise_adds_none() -> None:
