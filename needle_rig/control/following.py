@@ -24,8 +24,8 @@ CLEAR_TEXT = ", then: needle-rig clear"
 
 @dataclass(frozen=True)
 class FollowingLimits:
-    """`floor_rad` at standstill, and on top what the commanded speed covers in `response_s`, the time that
-    bus, drive and motor may take to answer."""
+    """`floor_rad` at standstill, and on top what `response_s` explains, the time that bus, drive and motor may
+    take to answer: behind the command what its speed covers in it, ahead what it has slowed down by."""
 
     floor_rad: float
     response_s: float
@@ -46,10 +46,12 @@ class FollowingError:
         self._asked_rad_s = 0.0
         self._turned_rad_s = 0.0
 
-    @property
-    def limit_rad(self) -> float:
-        """What the error may be now."""
-        return self._limits.floor_rad + self._limits.response_s * self._peak_rad_s
+    def _limit_rad(self, commanded_rad_s: float) -> float:
+        """What the error may be now, on the side on which it is."""
+        late_rad_s = self._peak_rad_s
+        if self.error_rad * commanded_rad_s < 0.0:
+            late_rad_s -= abs(commanded_rad_s)
+        return self._limits.floor_rad + self._limits.response_s * late_rad_s
 
     def step(self, commanded_rad_s: float, enabled: bool, angle_rad: float, dt_s: float) -> Fault | None:
         """One tick: `commanded_rad_s` was in force for `dt_s` > 0, at the end of which the base stands at
@@ -72,12 +74,13 @@ class FollowingError:
         self._peak_rad_s = max(abs(commanded_rad_s), self._peak_rad_s * kept)
         self._asked_rad_s += (1.0 - kept) * (commanded_rad_s - self._asked_rad_s)
         self._turned_rad_s += (1.0 - kept) * (turned_rad / dt_s - self._turned_rad_s)
-        if abs(self.error_rad) <= self.limit_rad:
+        limit_rad = self._limit_rad(commanded_rad_s)
+        if abs(self.error_rad) <= limit_rad:
             return None
-        return Fault(*self._told(enabled), latching=True)
+        return Fault(*self._told(enabled, limit_rad), latching=True)
 
-    def _told(self, enabled: bool) -> tuple[FaultName, str, str]:
-        error_deg, limit_deg = deg(abs(self.error_rad)), deg(self.limit_rad)
+    def _told(self, enabled: bool, limit_rad: float) -> tuple[FaultName, str, str]:
+        error_deg, limit_deg = deg(abs(self.error_rad)), deg(limit_rad)
         size = f"by {error_deg:.1f}°, limit {limit_deg:.1f}°"
         asked_rad_s = self._asked_rad_s
         if not enabled:

@@ -231,3 +231,18 @@ def test_a_sensor_without_its_magnet_is_named() -> None:
     rig.text.step = lambda now_us, pairs: whole(now_us, (*pairs[:-1], (0, 0)))  # type: ignore[method-assign]
     until_fault(rig, brain, 0.2)
     assert "hall_4 says nan: its sensor does not answer" in (brain.state.fault or "")
+
+
+@pytest.mark.parametrize("gain", [1.5, 2.0, 3.0])
+def test_a_motor_that_turns_further_than_asked_is_stopped_within_six_degrees(gain: float) -> None:
+    for start_deg in (3.0, 8.0, 35.0):
+        config = config_of()
+        rig, brain = VirtualRig(config), Brain(config)
+        brain.compensate(Request(target_rad=rad(60.0), speed_rad_s=rad(60.0)))
+        while rig.true_base_rad < rad(start_deg):
+            tick(rig, brain)
+        begun_rad, rig.plant.faults.motor_gain = rig.true_base_rad, gain
+        taken_s, further_deg = until_fault(rig, brain, 0.3)
+        assert brain.state.fault_name == FaultName.RUNAWAY
+        # what was asked meanwhile is no more than 60°/s
+        assert deg(rig.true_base_rad - begun_rad) - 60.0 * taken_s < 6.0, further_deg

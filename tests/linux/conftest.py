@@ -1,4 +1,7 @@
-"""A rig that is set up in the guest: the service on vcan0, and the bench as the rig at the other end."""
+"""A rig that is set up in the guest: the service on vcan0, and the bench as the rig at the other end.
+
+The files are numbered in the order in which they run: set up, broken, taken away, and without power.
+"""
 
 from __future__ import annotations
 
