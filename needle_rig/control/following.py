@@ -24,8 +24,8 @@ CLEAR_TEXT = ", then: needle-rig clear"
 
 @dataclass(frozen=True)
 class FollowingLimits:
-    """`floor_rad` at standstill, and on top what `response_s` explains, the time that bus, drive and motor may
-    take to answer: behind the command what its speed covers in it, ahead what it has slowed down by."""
+    """`floor_rad` at standstill, and on top what `response_s` explains, the time that bus, drive and motor
+    may take to answer: behind the command what its speed covers in it, ahead what it has slowed down by."""
 
     floor_rad: float
     response_s: float
