@@ -23,9 +23,13 @@ STATES_HZ = 30.0
 """As often as a page draws traces that move."""
 RESTART_S = 1.0
 """From one start of the process to the next at least, so that one which fails at once takes no core."""
+CHECK_S = 1.0
 SILENT = 5
-"""Checks, a second apart, without a word from the process: it hangs. A machine that stood still is one."""
+"""Checks without a word from the process: it hangs. A machine that stood still is one."""
 BACKLOG_LIMIT_BYTES = 8 * 2**20
+STARTING = 60
+"""The same before its first word: a computer that has just started, or is busy, takes long over the imports,
+and a process that is ended meanwhile would never get there."""
 _COMPLAIN_EVERY = 10
 _ANSWER_TIMEOUT_S = 12.0
 """A start on a slow disk is given up before."""
@@ -131,13 +135,13 @@ class ApiLink:
             lines.send("serve", {})
         ending = asyncio.create_task(process.wait(), name="api process")
         try:
-            silent = 0
-            while silent < SILENT and lines.waiting_bytes < BACKLOG_LIMIT_BYTES:
+            silent, patience = 0, STARTING
+            while silent < patience and lines.waiting_bytes < BACKLOG_LIMIT_BYTES:
                 self._heard = False
-                done, _ = await asyncio.wait({ending}, timeout=1.0)
+                done, _ = await asyncio.wait({ending}, timeout=CHECK_S)
                 if done:
                     return f"ended (exit {process.returncode})"
-                silent = 0 if self._heard else silent + 1
+                silent, patience = (0, SILENT) if self._heard else (silent + 1, patience)
             return "hangs"
         finally:
             ending.cancel()

@@ -1,7 +1,9 @@
-"""How often the daemon tells its state."""
+"""How often the daemon tells its state, and when it takes the API's process for one that hangs."""
 
 from __future__ import annotations
 
+import asyncio
+import socket
 from collections.abc import Iterable
 from functools import partial
 from types import SimpleNamespace
@@ -9,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from needle_rig.service.api_link import STATES_HZ, ApiLink
+from needle_rig.service import api_link
+from needle_rig.service.api_link import SILENT, STARTING, STATES_HZ, ApiLink
 
 
 async def refuse(*_: Any) -> Any:
@@ -36,3 +39,30 @@ def test_states_go_out_thirty_times_a_second_whatever_the_tick(tick_hz: float) -
 
 def test_a_pause_is_not_made_up_for() -> None:
     assert told_at((1.0, 9.0, 9.001, 9.002, 9.003)) == [1.0, 9.0, 9.001]
+
+
+async def checks_until_it_hangs(first_word_at: int | None) -> int:
+    """Of a process that speaks once, after some checks, or never."""
+    own, theirs = socket.socketpair()
+    process: Any = SimpleNamespace(wait=asyncio.Event().wait, returncode=None)
+    link, checks = ApiLink(refuse), 0
+    wait = asyncio.wait
+
+    async def counted(*given: Any, **known: Any) -> Any:
+        nonlocal checks
+        if checks == first_word_at:
+            theirs.send(b"alive {}\n")
+        checks += 1
+        return await wait(*given, **known)
+
+    with pytest.MonkeyPatch.context() as patch, theirs:
+        patch.setattr(api_link, "CHECK_S", 0.005)
+        patch.setattr(asyncio, "wait", counted)
+        assert await link._watch(process, own) == "hangs"
+    return checks
+
+
+def test_a_process_that_starts_slowly_is_waited_for_and_one_that_falls_silent_is_not() -> None:
+    assert asyncio.run(checks_until_it_hangs(None)) == STARTING
+    assert asyncio.run(checks_until_it_hangs(first_word_at=STARTING - 2)) <= STARTING - 1 + SILENT
+    assert asyncio.run(checks_until_it_hangs(first_word_at=0)) <= 1 + SILENT
