@@ -33,7 +33,8 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
             decisions[name] = _decision(name, search.negligible[name], "negligible")
         else:
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
-    if not above_noise(held_out_error):
+    policy = POLICY.verdict
+    if not above_noise(held_out_error, policy.reached if named else policy.reached_without_pattern):
         return decisions
     return {n: d if d.decision == "present" else _left_open(d) for n, d in decisions.items()}
 

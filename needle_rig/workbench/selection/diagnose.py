@@ -149,7 +149,7 @@ def _conclude(
         notes=(
             *baseline.dataset.notes,
             *baseline.notes,
-            *(() if above_noise(validation.error) else _negligible_notes(search)),
+            *(() if above_noise(validation.error, POLICY.verdict.reached) else _negligible_notes(search)),
             *_mean_notes(best),
             *(_screening_notes(search, named) if verdict == "effect" else []),
             *(

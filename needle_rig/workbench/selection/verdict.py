@@ -60,29 +60,29 @@ def little_explained(found: Findings) -> str | None:
     )
 
 
-def above_noise(held_out_error: float) -> bool:
+def above_noise(held_out_error: float, limit: float) -> bool:
     """Whether something is left in commands left out; with one command alone (infinite) nobody knows."""
-    return POLICY.verdict.reached < held_out_error < math.inf
+    return limit < held_out_error < math.inf
 
 
 def noise_not_reached(found: Findings) -> str | None:
     """Commands left out are not foretold to within the noise.
 
     Effects that are named are held to it where what they leave shows a pattern: without one it is the few
-    commands that leave their sizes open.
+    commands that leave their sizes open. Where nothing is named and no pattern is seen, the noise itself may
+    be known badly.
     """
-    if not above_noise(found.held_out_error) or (found.named and not found.left.significant):
+    limit = POLICY.verdict.reached if found.left.significant else POLICY.verdict.reached_without_pattern
+    if not above_noise(found.held_out_error, limit) or (found.named and not found.left.significant):
         return None
     model = f"with {' and '.join(found.named)}" if found.named else "with no effect named"
-    return (
-        f"{model} the error on commands left out is {found.held_out_error:.2f} × the noise, more than"
-        f" {POLICY.verdict.reached:g}"
-    )
+    error = f"{found.held_out_error:.2f} × the noise"
+    return f"{model} the error on commands left out is {error}, more than {limit:g}"
 
 
 def stick_slip(found: Findings) -> str | None:
     """The needle snaps, and what is named does not foretell commands left out to within the noise."""
-    if not found.snaps or not above_noise(found.held_out_error):
+    if not found.snaps or not above_noise(found.held_out_error, POLICY.verdict.reached):
         return None
     return (
         f"{sentence(found.snaps)}; a model without inertia gives neither the instant of a snap nor where it"
