@@ -26,10 +26,10 @@ RESTART_S = 1.0
 CHECK_S = 1.0
 SILENT = 5
 """Checks without a word from the process: it hangs. A machine that stood still is one."""
-BACKLOG_LIMIT_BYTES = 8 * 2**20
 STARTING = 60
 """The same before its first word: a computer that has just started, or is busy, takes long over the imports,
 and a process that is ended meanwhile would never get there."""
+BACKLOG_LIMIT_BYTES = 8 * 2**20
 _COMPLAIN_EVERY = 10
 _ANSWER_TIMEOUT_S = 12.0
 """A start on a slow disk is given up before."""

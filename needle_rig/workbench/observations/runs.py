@@ -29,7 +29,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start | None
     """
     if not runs:
         raise BadInput("no run was named; list them with: needle-rig runs")
-    first = min(started_s(run) for run in runs)
+    first = min(_started_s(run) for run in runs)
     config = runs[0].config
     for run in runs[1:]:
         if (run.config.layout, run.config.needle) != (config.layout, config.needle):
@@ -40,7 +40,7 @@ def runs_as_dataset(runs: Sequence[RunFile], name: str = "", start: Start | None
         shown = next(run.path for run in runs if run.simulated)
         raise BadInput(f"{shown}: was made on a simulated rig, others were not; keep them apart")
     diameter_m = m(config.needle.diameter_mm)
-    trials = in_series(tuple(run_as_trial(run, started_s(run) - first, start) for run in runs))
+    trials = in_series(tuple(run_as_trial(run, _started_s(run) - first, start) for run in runs))
     return Dataset(
         name=name or runs[0].name,
         layout=layout_of(config),
@@ -91,7 +91,7 @@ def run_as_trial(run: RunFile, start_s: float = 0.0, start: Start | None = None)
         raise BadInput(f"{left_out.place}: {left_out.reason}") from None
 
 
-def started_s(run: RunFile) -> float:
+def _started_s(run: RunFile) -> float:
     """When it began, in seconds since 1970; 0 where it does not say."""
     try:
         return datetime.datetime.fromisoformat(str(run.attributes["started_utc"])).timestamp()

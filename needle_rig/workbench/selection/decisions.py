@@ -13,7 +13,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
 from needle_rig.workbench.selection.evidence import adjusted_p, is_negligible
 from needle_rig.workbench.selection.search import Candidate, SearchTrace
-from needle_rig.workbench.selection.verdict import above_noise
+from needle_rig.workbench.selection.verdict import decisions_stand
 
 
 def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict[str, Decision]:
@@ -33,8 +33,7 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
             decisions[name] = _decision(name, search.negligible[name], "negligible")
         else:
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
-    policy = POLICY.verdict
-    if not above_noise(held_out_error, policy.reached if named else policy.reached_without_pattern):
+    if decisions_stand(named, held_out_error):
         return decisions
     return {n: d if d.decision == "present" else _left_open(d) for n, d in decisions.items()}
 

@@ -28,7 +28,7 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.verdict import Findings, above_noise, reasons
+from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
 
@@ -149,7 +149,7 @@ def _conclude(
         notes=(
             *baseline.dataset.notes,
             *baseline.notes,
-            *(() if above_noise(validation.error, POLICY.verdict.reached) else _negligible_notes(search)),
+            *(_negligible_notes(search) if decisions_stand(named, validation.error) else ()),
             *_mean_notes(best),
             *(_screening_notes(search, named) if verdict == "effect" else []),
             *(

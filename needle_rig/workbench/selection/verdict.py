@@ -65,6 +65,12 @@ def above_noise(held_out_error: float, limit: float) -> bool:
     return limit < held_out_error < math.inf
 
 
+def decisions_stand(named: Sequence[str], held_out_error: float) -> bool:
+    """Whether what was not named may be called absent or negligible: nothing is left that could hide it."""
+    policy = POLICY.verdict
+    return not above_noise(held_out_error, policy.reached if named else policy.reached_without_pattern)
+
+
 def noise_not_reached(found: Findings) -> str | None:
     """Commands left out are not foretold to within the noise.
 
