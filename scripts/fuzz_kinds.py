@@ -40,6 +40,7 @@ ORDER = {
     "speed_deg_s": 30.0,
     "lag_left_deg": 1.0,
 }
+DEVICE = Path(__file__).resolve().parent.parent / "tests/data/devices/amplifier.py"
 NO_FILE = 0.08
 """Share of the mutations that put a pipe, a link, a device … where the file was."""
 SLOW = 20
@@ -63,6 +64,7 @@ class Seeds:
         for name in ("rig.yaml", "parameters/rig_elastic.yaml", "datasets/reed2008/settled.yaml"):
             shutil.copy(find_config_file(name), self.folder)
         shutil.copy(self.effect, self.folder)
+        shutil.copy(DEVICE, self.folder)
         write_page(self.folder / "drive.hex", drive_page(360_000, 7, date(2026, 1, 1)))
         for line in (
             f"simulate --effect tissue_elasticity=0.35 --protocol {self.folder}/protocol.yaml --rate-hz 20"
@@ -112,6 +114,7 @@ def kinds() -> dict[str, tuple[int, Callable[[Seeds, Path, random.Random, int], 
         "rig file": (200, _rig),
         "parameters": (150, _parameters),
         "effect": (150, _effect),
+        "device": (250, _device),
         "calibration page": (150, _page),
         "request": (400, _request),
         "run: a bit": (1000, _run_bit),
@@ -191,6 +194,11 @@ def _effect(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[
     how = _damaged(seeds.effect, here / seeds.effect.name, damage.damaged_bytes, rng)
     used = _simulate(here, "--effects", here, "--effect", name, "--protocol", seeds.folder / "protocol.yaml")
     return how, [_cli("effects", name, "--effects", here), *([] if number % 2 else [used])]
+
+
+def _device(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[str, list[Action]]:
+    how = _damaged(seeds.folder / DEVICE.name, here / DEVICE.name, damage.damaged_bytes, rng)
+    return how, [_cli("check-device", here / DEVICE.name, "port=/dev/ttyUSB0")]
 
 
 def _page(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[str, list[Action]]:

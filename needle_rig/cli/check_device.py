@@ -51,7 +51,7 @@ def _found(name: str, given: tuple[str, ...]) -> tuple[type[Device], Section, Ca
     """The device, its options and what makes its twin. Raises BadInput."""
     from needle_rig.config.check import validate
     from needle_rig.config.places import Places, parse_yaml
-    from needle_rig.devices.library import SHIPPED, load_device, named_file, shipped_device
+    from needle_rig.devices.library import SHIPPED, errors_told, load_device, named_file, shipped_device
     from needle_rig.errors import BadInput
     from needle_rig.simulation.twins import TWINS
 
@@ -65,8 +65,10 @@ def _found(name: str, given: tuple[str, ...]) -> tuple[type[Device], Section, Ca
     if kind is None:
         path = Path(name) if name.endswith(".py") else named_file(name)
         made = load_device(path)
-        section = validate(made.Options, values, Places(name))
-        if made.simulated(section) is None:
+        with errors_told(str(path)):
+            section = validate(made.Options, values, Places(name))
+            twin = made.simulated(section)
+        if twin is None:
             raise BadInput(
                 f"{path}: {made.__name__} has no twin to be tried against; give it a classmethod `simulated`"
             )

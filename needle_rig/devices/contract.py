@@ -137,8 +137,8 @@ def check_device(device_class: type[Device], options: Any, make_twin: Callable[[
     elif issubclass(device_class, HallSensors):
         clauses += _OF_HALL
     for name, clause in clauses:
-        bench = Bench(device_class, options, make_twin())
         try:
+            bench = Bench(device_class, options, make_twin())
             asyncio.run(clause(bench))
         except Broken as broken:
             yield Clause(name, str(broken))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import inspect
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +21,7 @@ from needle_rig.config.places import Places
 from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
 from needle_rig.config.schema import DeviceFile, LinksSection, Section
 from needle_rig.devices.device import Device, Drive, HallSensors, Host, TorqueSensor
-from needle_rig.errors import BadInput
+from needle_rig.errors import BadInput, NeedleRigError
 
 KINDS: Mapping[str, type[Device]] = MappingProxyType(
     {"drive": Drive, "torque": TorqueSensor, "hall": HallSensors}
@@ -43,9 +45,21 @@ def make_device(links: LinksSection, kind: str, host: Host) -> Device:
     section = {"drive": links.drive, "torque": links.torque, "hall": links.hall}[kind]
     if isinstance(section, DeviceFile):
         made = find_device(kind, section.device)
-        options = validate(made.Options, section.options, Places(f"links.{kind}"))
-        return made(options, host)
+        with errors_told(f"links.{kind}.device: {section.device}"):
+            options = validate(made.Options, section.options, Places(f"links.{kind}"))
+            return made(options, host)
     return shipped_device(kind, section.device)(section, host)
+
+
+@contextmanager
+def errors_told(place: str) -> Iterator[None]:
+    """Raises BadInput in one sentence for what the Python of a device of one's own raises inside."""
+    try:
+        yield
+    except NeedleRigError:
+        raise
+    except Exception as error:  # noqa: BLE001 any error of a user's device becomes one sentence
+        raise BadInput(f"{place}: it raises {type(error).__name__}: {error}; correct the file") from None
 
 
 def shipped_device(kind: str, word: str) -> type[Device]:
@@ -83,7 +97,8 @@ def named_file(name: str) -> Path:
 
 def load_device(path: Path) -> type[Device]:
     """The device in the file `path`. Raises BadInput with file and line when it is missing or broken."""
-    return _load(path.resolve(), stamp_ns(path))
+    stamp = stamp_ns(path)
+    return _load(path.resolve(), stamp)
 
 
 def _kind_of(device: type[Device]) -> str:
@@ -100,7 +115,10 @@ def _load(path: Path, stamp: int) -> type[Device]:  # noqa: ARG001 the cache's k
 
 def _check(device: type[Device], path: Path) -> None:
     """Raises BadInput for what a device must have and this one lacks."""
-    place = f"{path}:{inspect.getsourcelines(device)[1]}: {device.__name__}"
+    line = 1
+    with contextlib.suppress(OSError):  # a class that was made without a line of its own
+        line = inspect.getsourcelines(device)[1]
+    place = f"{path}:{line}: {device.__name__}"
     if not _kind_of(device):
         raise BadInput(
             f"{place}: derive it from Drive, TorqueSensor or HallSensors of needle_rig.devices.device"

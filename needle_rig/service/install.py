@@ -11,7 +11,7 @@ from pathlib import Path
 from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput
 from needle_rig.service.installation import Installation
-from needle_rig.service.steps import MakeLink, Remove, Rename, Run, Step, WriteFile
+from needle_rig.service.steps import AwaitProcesses, MakeLink, Remove, Rename, Run, Step, WriteFile
 from needle_rig.service.systemd import UNIT
 
 ACCOUNT = "needle-rig"
@@ -101,6 +101,8 @@ def removal_steps(place: Installation) -> list[Step]:
         steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
     if place.link.is_symlink():  # a program that was installed there is not ours
         steps.append(Remove(place.link))
+    if live:
+        steps.append(AwaitProcesses(ACCOUNT))
     steps.append(Rename(place.rig_file, place.rig_file.with_suffix(".yaml.removed")))
     prefix = [] if live else [f"--prefix={place.root}"]
     for command, file in (("userdel", "etc/passwd"), ("groupdel", "etc/group")):

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import pwd
+import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -150,6 +154,56 @@ class Run:
         if ended.returncode:
             said = " ".join((ended.stderr or ended.stdout).split())[-400:]
             raise NeedleRigError(f"{shown}: failed (exit {ended.returncode}): {said}")
+
+
+@dataclass(frozen=True)
+class AwaitProcesses:
+    """The end of what still runs as `account`: a recorder outlives its daemon until the run is closed.
+
+    What goes on after `patience_s`, such as a watch over the runs, is told to end.
+    """
+
+    account: str
+    patience_s: float = 20.0
+
+    def describe(self) -> str:
+        """See Step."""
+        return f"wait  until no process of {self.account} runs"
+
+    def is_done(self) -> bool:
+        """See Step."""
+        return not self._processes()
+
+    def do(self) -> None:
+        """See Step."""
+        if self._ended_within(self.patience_s):
+            return
+        for process in self._processes():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGTERM)
+        if not self._ended_within(self.patience_s):
+            left = self._processes()[0]
+            raise NeedleRigError(
+                f"process {left} of {self.account} still runs; kill -KILL {left}, then run this again"
+            )
+
+    def _ended_within(self, seconds: float) -> bool:
+        end_s = time.monotonic() + seconds
+        while (running := bool(self._processes())) and time.monotonic() < end_s:
+            time.sleep(0.1)
+        return not running
+
+    def _processes(self) -> list[int]:
+        try:
+            owner = pwd.getpwnam(self.account).pw_uid
+        except KeyError:
+            return []
+        found = []
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if folder.stat().st_uid == owner:
+                    found.append(int(folder.name))
+        return sorted(found)
 
 
 @contextmanager

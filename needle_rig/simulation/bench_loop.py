@@ -46,7 +46,6 @@ MACHINE = {
 """What else can be made to break, and how; `drive reset` restarts the drive, `drive emergency` breaks one of
 another make from within."""
 _EMERGENCY_CODE = 0x2310
-_LEAST_LOOP_HZ = 1000
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
 _REGAIN_AT_MOST_S = 0.25
@@ -116,9 +115,7 @@ class BenchLoop:
             raise ValueError("a bench needs the simulation section")
         self._plant = plant
         self._say = say
-        self._loop_hz = max(_LEAST_LOOP_HZ, config.simulation.sensor_rate_hz)
-        self._samples_a_step = config.simulation.sensor_rate_hz / self._loop_hz
-        self._due = 0.0
+        self._loop_hz = config.simulation.sensor_rate_hz
         self._codec = CanCodec(find_config_file("needle_rig.dbc"))
         nodes = build_nodes(config, self._codec)
         self._torque, self._hall, self._drive = nodes.torque, nodes.hall, nodes.drive
@@ -238,10 +235,6 @@ class BenchLoop:
         else:
             self._plant.supply_on = self._drive.supply_on
             self._plant.turn(self._velocity_rad_s, dt_s, powered=self._drive.powered)
-        self._due += self._samples_a_step
-        if self._due < 1.0 - 1e-9:
-            return
-        self._due -= 1.0
         now_us, counts = self._now_us, self._inputs(self._plant.read())
         if self._netft is not None:
             record = self._netft.sensor.step(now_us, counts.torque)

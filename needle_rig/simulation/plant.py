@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,6 +31,8 @@ _LINKS = {
     "hall": ("hall_rad",),
     "drive": ("base_angle_rad", "drive_state", "drive_faults", "referenced", "supply_on", "emergency_stop"),
 }
+_NOISE_BLOCK = 256
+"""Samples whose noise is drawn at once: a draw of its own costs as much as the block."""
 UNNOTICED_RAD = rad(0.001)
 """A needle that depends on no rate is solved again when its base has moved this far: 1e-5 N·mm."""
 
@@ -77,6 +80,7 @@ class Plant:
         self._place = (start_s, index, travel_before_rad)
         self._observers = model.acting("observe")
         self._random = np.random.default_rng(settings.seed)
+        self._noise: Iterator[Array] = iter(())
         self._state: RodState | None = None
         self._timeless = _timeless(model.rod(self._trial([(0.0, 0.0)])))
         self._path: list[tuple[float, float]] = [(0.0, 0.0)]
@@ -208,13 +212,20 @@ class Plant:
         self._torque_nm = float(solution.torque_nm[-1])
         self._hall_rad = solution.sensor_rad[-1]
 
+    def _drawn(self) -> Array:
+        """Standard normal noise of one sample: of the torque, then of every Hall sensor."""
+        if (noise := next(self._noise, None)) is None:
+            self._noise = iter(self._random.standard_normal((_NOISE_BLOCK, 1 + len(self._hall_rad))))
+            noise = next(self._noise)
+        return noise
+
     def _sense(self) -> None:
-        settings, random = self.settings, self._random
+        settings, noise = self.settings, self._drawn()
         torque, hall = self._torque_nm, self._hall_rad
         if self._observers:
             torque, hall = self._observed()
-        torque += nm(settings.torque_noise_nmm) * random.standard_normal()
-        hall = hall + rad(settings.hall_noise_deg) * random.standard_normal(len(hall))
+        torque += nm(settings.torque_noise_nmm) * float(noise[0])
+        hall = hall + rad(settings.hall_noise_deg) * noise[1:]
         faults = self.faults
         torque = faults.torque.of(_quantised(torque, nm(settings.torque_step_nmm)))
         seen = (np.rint(hall / rad(settings.hall_step_deg)) * rad(settings.hall_step_deg)).tolist()

@@ -14,6 +14,7 @@ import hashlib
 import json
 import math
 import os
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -54,6 +55,8 @@ LEAST_RELATIVE = 0.02
 """Change of friction and of torsional rigidity that does not matter: what the latter is known to."""
 LEAST_MISFIT = 0.1
 """The same of the logarithm of what the model leaves, and the least of that."""
+TELL_EVERY_S = 5.0
+"""While it looks at many runs."""
 UNFINISHED = "its identification did not end: it took too long or too much memory"
 
 
@@ -127,16 +130,26 @@ def look(directory: Path, library: Mapping[str, type[Effect]], section: WatchSec
     with _alone(directory) as ours:
         if not ours:
             return False
+        told_s = -math.inf
         while new := _new(directory):
             for path in new:
+                # it may be ended before it is through: what the runs so far say stands then
+                if time.monotonic() - told_s > TELL_EVERY_S:
+                    _tell(directory, section)
+                    told_s = time.monotonic()
                 kept = directory / WATCH_FOLDER / f"{path.stem}.json"
                 # a run on which the process dies is not tried again
                 _write(kept, WatchedRun(run=path.stem, started_utc="", not_judged=UNFINISHED).model_dump())
                 _write(kept, _look_at_file(path, library, section).model_dump())
-        runs = kept_runs(directory)
-        summary = judge(runs, reference_of(directory, runs, section)).as_json()
-        _write(directory / WATCH_FOLDER / SUMMARY, summary)
+        _tell(directory, section)
     return True
+
+
+def _tell(directory: Path, section: WatchSection | None) -> None:
+    """Write what all runs that were looked at say together."""
+    runs = kept_runs(directory)
+    summary = judge(runs, reference_of(directory, runs, section)).as_json()
+    _write(directory / WATCH_FOLDER / SUMMARY, summary)
 
 
 def kept_runs(directory: Path) -> list[WatchedRun]:

@@ -319,3 +319,33 @@ def test_a_device_of_another_make_has_no_page_to_calibrate() -> None:
 
     with pytest.raises(BadInput, match=r"links\.drive\.device: cia402 keeps no calibration of ours"):
         RealStand(config_of(), lambda text: None)
+
+
+def amplifier(tmp_path: Path, good: str, broken: str) -> Any:
+    """What check-device says of the example with one line broken."""
+    text = (Path(__file__).parents[2] / "data/devices/amplifier.py").read_text(encoding="utf-8")
+    assert good in text
+    path = tmp_path / "amplifier.py"
+    path.write_text(text.replace(good, broken))
+    return CliRunner().invoke(command, [str(path), "port=/dev/ttyUSB0"], standalone_mode=False)
+
+
+def test_a_device_of_one_s_own_that_cannot_be_made_breaks_every_clause(tmp_path: Path) -> None:
+    made = "def __init__(self, options, host):\n"
+    done = amplifier(tmp_path, made, made + "        raise KeyError('port')\n")
+    assert done.return_value == 1
+    assert "it raised KeyError: 'port'" in done.output
+    assert "ok" not in done.output.split("\n", 1)[0]
+
+
+def test_a_twin_that_raises_is_told_with_its_file(tmp_path: Path) -> None:
+    done = amplifier(tmp_path, "        return Twin()\n", "        return options.nothing\n")
+    assert isinstance(done.exception, BadInput)
+    assert "amplifier.py: it raises AttributeError" in str(done.exception)
+
+
+def test_a_link_that_leads_to_itself_is_no_device(tmp_path: Path) -> None:
+    path = tmp_path / "round.py"
+    path.symlink_to(path)
+    with pytest.raises(BadInput, match="round"):
+        load_device(path)

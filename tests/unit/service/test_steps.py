@@ -1,0 +1,58 @@
+"""Waiting for what still runs as the service's user, before the user is taken away."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from needle_rig.errors import NeedleRigError
+from needle_rig.service.steps import AwaitProcesses
+
+ACCOUNT = "games"
+"""Of Debian's base system, and nobody's in tests."""
+
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root starts a process of another user")
+
+
+@contextmanager
+def running(script: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A shell of the account, reaped as soon as it ends, as init does with what a service leaves."""
+    process = subprocess.Popen(["sh", "-c", f"{script}"], user=ACCOUNT, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    reaper = threading.Thread(target=process.wait)
+    reaper.start()
+    try:
+        yield process
+    finally:
+        process.kill()
+        reaper.join()
+        process.stdout.close()
+
+
+def test_it_waits_for_a_process_that_ends_by_itself() -> None:
+    with running("echo ready; sleep 0.5") as process:
+        step = AwaitProcesses(ACCOUNT, patience_s=10.0)
+        assert not step.is_done()
+        step.do()
+        assert step.is_done()
+        assert process.returncode == 0
+
+
+def test_what_goes_on_is_told_to_end() -> None:
+    with running("echo ready; exec sleep 60") as process:
+        AwaitProcesses(ACCOUNT, patience_s=0.3).do()
+        assert process.returncode == -15
+
+
+def test_what_does_not_obey_is_named() -> None:
+    with (
+        running("trap '' TERM; echo ready; while :; do sleep 0.1; done"),
+        pytest.raises(NeedleRigError, match=r"process \d+ of games still runs; kill -KILL"),
+    ):
+        AwaitProcesses(ACCOUNT, patience_s=0.3).do()
