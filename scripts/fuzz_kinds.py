@@ -40,7 +40,9 @@ ORDER = {
     "speed_deg_s": 30.0,
     "lag_left_deg": 1.0,
 }
-DEVICE = Path(__file__).resolve().parent.parent / "tests/data/devices/amplifier.py"
+DEVICE = "amplifier.py"
+DEVICE_PAGE = Path(__file__).resolve().parent.parent / "docs/how-to/own-device.md"
+"""Its one Python block is a device."""
 NO_FILE = 0.08
 """Share of the mutations that put a pipe, a link, a device … where the file was."""
 SLOW = 20
@@ -64,7 +66,8 @@ class Seeds:
         for name in ("rig.yaml", "parameters/rig_elastic.yaml", "datasets/reed2008/settled.yaml"):
             shutil.copy(find_config_file(name), self.folder)
         shutil.copy(self.effect, self.folder)
-        shutil.copy(DEVICE, self.folder)
+        device = DEVICE_PAGE.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+        (self.folder / DEVICE).write_text(device, encoding="utf-8")
         write_page(self.folder / "drive.hex", drive_page(360_000, 7, date(2026, 1, 1)))
         for line in (
             f"simulate --effect tissue_elasticity=0.35 --protocol {self.folder}/protocol.yaml --rate-hz 20"
@@ -197,8 +200,8 @@ def _effect(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[
 
 
 def _device(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[str, list[Action]]:
-    how = _damaged(seeds.folder / DEVICE.name, here / DEVICE.name, damage.damaged_bytes, rng)
-    return how, [_cli("check-device", here / DEVICE.name, "port=/dev/ttyUSB0")]
+    how = _damaged(seeds.folder / DEVICE, here / DEVICE, damage.damaged_bytes, rng)
+    return how, [_cli("check-device", here / DEVICE, "port=/dev/ttyUSB0")]
 
 
 def _page(seeds: Seeds, here: Path, rng: random.Random, number: int) -> tuple[str, list[Action]]:

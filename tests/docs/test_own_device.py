@@ -35,10 +35,6 @@ def test_the_example_prints_what_the_page_shows(tmp_path: Path, monkeypatch: pyt
     assert done.output.splitlines() == block("console").splitlines()[1:]
 
 
-def test_the_example_is_the_device_that_is_damaged_and_simulated_elsewhere() -> None:
-    assert (ROOT / "tests/data/devices/amplifier.py").read_text(encoding="utf-8") == block("python")
-
-
 def test_its_rig_file_names_the_three_devices() -> None:
     shipped = (ROOT / "config" / "rig.hardware.yaml").read_text(encoding="utf-8")
     head, links, tail = re.split(r"(?m)^(links:\n(?:  .*\n)+)", shipped)

@@ -19,6 +19,7 @@ from tests.linux.conftest import (
     Rig,
     active,
     begun,
+    cut_run_told,
     journal,
     main_pid,
     needle_rig,
@@ -78,6 +79,50 @@ def test_who_is_not_in_the_group_may_not_talk_to_it(rig: Rig) -> None:
     assert "join the socket's group" in done.stderr
 
 
+def test_it_has_real_time_priority_its_children_have_not_and_all_are_caged(rig: Rig) -> None:
+    daemon = main_pid()
+    assert "SCHED_FIFO" in shell(f"chrt --pid {daemon}").stdout
+    members = Path("/sys/fs/cgroup/system.slice/needle-rig.service/cgroup.procs").read_text().split()
+    children = [pid for pid in members if int(pid) != daemon]
+    assert children
+    for child in children:
+        assert "SCHED_FIFO" not in shell(f"chrt --pid {child}").stdout
+    for pid in (daemon, *children):
+        told = dict(
+            line.split(":\t", 1)
+            for line in Path(f"/proc/{pid}/status").read_text().splitlines()
+            if ":\t" in line
+        )
+        assert told["NoNewPrivs"] == "1"
+        assert told["Seccomp"] == "2"
+        assert int(told["CapEff"], 16) == 0
+    exposure = shell("systemd-analyze security needle-rig.service --no-pager | tail -1").stdout
+    assert float(exposure.split(":")[1].split()[0]) <= 2.0, exposure
+
+
+def test_a_start_with_its_rig_leaves_nothing_alarming_in_the_log(rig: Rig) -> None:
+    shell("systemctl restart needle-rig", timeout_s=120)
+    until(lambda: status().get("fault") is None and status().get("sensors") is not None, "it runs")
+    time.sleep(5.0)
+    invocation = shell("systemctl show needle-rig -p InvocationID --value").stdout.strip()
+    said = shell(f"journalctl _SYSTEMD_INVOCATION_ID={invocation} --no-pager -o cat").stdout
+    assert said
+    alarming = [line for line in said.splitlines() if "error" in line.lower() or "is dead" in line]
+    assert alarming == []
+    assert len(said.splitlines()) < 12, said
+
+
+def test_an_interface_that_is_renamed_is_missed_and_used_again_under_its_name(rig: Rig) -> None:
+    pid = main_pid()
+    shell("ip link set vcan0 down && ip link set vcan0 name other0 && ip link set other0 up")
+    try:
+        until(lambda: "no interface vcan0" in (status().get("fault") or ""), "the interface is named")
+    finally:
+        shell("ip link set other0 down && ip link set other0 name vcan0 && ip link set vcan0 up")
+    until(lambda: status().get("fault") is None, "it works again")
+    assert main_pid() == pid
+
+
 def test_an_interface_that_goes_down_is_named_and_comes_back_without_a_restart(rig: Rig) -> None:
     pid = main_pid()
     shell("ip link set vcan0 down")
@@ -111,9 +156,7 @@ def test_a_killed_daemon_starts_again_tells_it_and_its_run_is_closed(rig: Rig) -
     process.communicate()
     until(active, "it starts again", 60)
     until(lambda: "killed (signal KILL)" in (status().get("before") or ""), "how it ended is told")
-    until(
-        lambda: bool(status().get("unfinished", [{}])[0].get("text")), "the run that was cut off is told", 60
-    )
+    until(cut_run_told, "the run that was cut off is told", 60)
     last = json.loads(needle_rig("runs", "--json").stdout)[-1]
     assert last["status"] == "cut off"
     assert not list(RUNS.glob("*.journal"))

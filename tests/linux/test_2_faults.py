@@ -10,24 +10,28 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 
 from tests.linux.conftest import (
     MOVE,
+    PORTS,
     RIG_FILE,
     RUNS,
     Rig,
     active,
+    at_rest,
     begun,
     journal,
     main_pid,
     needle_rig,
+    order,
+    outcome,
     shell,
     started_run,
     status,
+    turned,
     until,
 )
 
@@ -73,13 +77,6 @@ def test_a_restart_in_mid_run_closes_the_run_and_is_ready_again(rig: Rig) -> Non
     until(lambda: status().get("sensors") is not None, "it is ready again")
 
 
-def outcome() -> dict[str, Any]:
-    """How a move ended, and whether the drive moved afterwards."""
-    done = needle_rig(*MOVE, "--json")
-    told = dict(json.loads(done.stdout)) if done.stdout else {"status": "none", "message": done.stderr}
-    return {"code": done.returncode, **told}
-
-
 @contextlib.contextmanager
 def sending(interface: str, messages: list[can.Message], every_s: float) -> Iterator[None]:
     """`messages` on an interface, one after the other, by another process on the same machine."""
@@ -117,9 +114,9 @@ def test_frames_of_others_change_nothing_that_the_same_sending_elsewhere_does_no
     rig: Rig, elsewhere: str
 ) -> None:
     with sending(elsewhere, FOREIGN, 0.05):
-        control = outcome()
+        control = turned(rig)
     with sending("vcan0", FOREIGN, 0.05):
-        told = outcome()
+        told = turned(rig)
     assert (told["code"], told["status"]) == (control["code"], control["status"]), (told, control)
     assert told["code"] == 0
     lags = [result["final"]["tip_lag_deg"] for result in (told, control)]
@@ -161,8 +158,8 @@ def test_a_full_disk_ends_the_run_with_one_sentence_and_the_next_run_is_whole(ri
         assert "space" in full.stderr or "disk" in full.stderr
         assert abs(still_after(0.5)) < 1.0
         shell(f"mount -o remount,size=50M {RUNS}")
-        needle_rig("clear")
-        assert needle_rig(*MOVE).returncode == 0
+        until(rig.cleared, "no fault stands")
+        assert turned(rig)["code"] == 0
         listed = json.loads(needle_rig("runs", "--json").stdout)
         assert listed[-1]["complete"] is True
         table = needle_rig("export", "last", "--csv", "--out", "/tmp/after")
@@ -185,10 +182,9 @@ def test_a_cia_402_drive_turns_the_needle_and_stops_when_its_host_does(rig: Rig)
         rig.switch_on(drive)
         shell("systemctl start needle-rig", timeout_s=120)
         until(lambda: status().get("fault") is None and status().get("sensors") is not None, "it runs", 90)
-        needle_rig("clear")
-        home = needle_rig("home", "--by", "here")
-        assert home.returncode == 0, home.stderr
-        told = outcome()
+        until(rig.cleared, "no fault stands")
+        order("home", {"by": "here", "angle_deg": 0.0, "speed_deg_s": 10.0})
+        told = turned(rig)
         assert told["code"] == 0, (told, journal())
         assert told["motions"][0]["base_deg"] == pytest.approx(30.0, abs=0.5)
         process = started_run()
@@ -208,6 +204,41 @@ def test_a_cia_402_drive_turns_the_needle_and_stops_when_its_host_does(rig: Rig)
         until(lambda: status().get("fault") is None, "the rig works again", 90)
 
 
+def test_an_slcan_adapter_that_slcand_makes_an_interface_of_is_used_pulled_and_used_again(rig: Rig) -> None:
+    good = RIG_FILE.read_text()
+    shell("systemctl stop needle-rig")
+    rig.switch_off()
+    RIG_FILE.write_text(good.replace("vcan0", "slcan0"))
+    assert RIG_FILE.read_text() != good
+    try:
+        rig.switch_on(interface=None)
+        attach_adapter()
+        shell("systemctl start needle-rig", timeout_s=120)
+        until(lambda: status().get("fault") is None and at_rest(), "it runs", 90)
+        until(rig.cleared, "no fault stands")
+        rig.refer()
+        told = turned(rig)
+        assert told["code"] == 0, (told, journal())
+        shell("pkill slcand")
+        until(lambda: "no interface slcan0" in (status().get("fault") or ""), "the adapter is missed")
+        attach_adapter()
+        until(lambda: status().get("fault") is None or rig.cleared(), "it works again", 60)
+    finally:
+        shell("systemctl stop needle-rig; pkill slcand", check=False)
+        rig.switch_off()
+        RIG_FILE.write_text(good)
+        shell("systemctl start needle-rig", timeout_s=120)
+        rig.switch_on()
+        until(lambda: status().get("fault") is None, "the rig works again", 90)
+
+
+def attach_adapter() -> None:
+    """As a udev rule does it with an adapter that speaks slcan."""
+    shell(f"modprobe slcan && slcand -o -s8 {(PORTS / 'can').resolve()} slcan0")
+    until(lambda: Path("/sys/class/net/slcan0").exists(), "slcand makes the interface")
+    shell("ip link set slcan0 up")
+
+
 def test_runs_are_read_by_members_alone(rig: Rig) -> None:
     run = sorted(RUNS.glob("*.h5"))[-1]
     assert Path(run).stat().st_mode & 0o007 == 0
@@ -216,4 +247,4 @@ def test_runs_are_read_by_members_alone(rig: Rig) -> None:
 
 
 def test_the_watch_looks_at_runs_in_the_service_s_own_cage(rig: Rig) -> None:
-    until(lambda: "reference period" in needle_rig("status").stdout, "the watch has looked", 280)
+    until(lambda: "watch:" in needle_rig("status").stdout, "the watch has looked", 280)

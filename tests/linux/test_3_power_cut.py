@@ -15,10 +15,11 @@ from tests.linux.conftest import (
     Rig,
     active,
     begun,
+    cut_run_told,
     needle_rig,
     shell,
     started_run,
-    status,
+    turned,
     until,
 )
 
@@ -51,7 +52,7 @@ def started_run_then_cut() -> None:
 def test_after_the_power_cut_the_service_is_back_and_little_of_the_run_is_lost(power_back: Rig) -> None:
     mark = json.loads(BOOT_MARK.read_text())
     until(active, "the service starts with the machine", 120)
-    until(lambda: bool(status().get("unfinished", [{}])[0].get("text")), "the cut run is told", 120)
+    until(cut_run_told, "the cut run is told", 120)
     last = [run for run in json.loads(needle_rig("runs", "--json").stdout) if mark["run"] in run["path"]]
     assert [run["status"] for run in last] == ["cut off"]
     assert not list(RUNS.glob("*.journal"))
@@ -62,5 +63,4 @@ def test_after_the_power_cut_the_service_is_back_and_little_of_the_run_is_lost(p
     seen_s = float(rows[-1].split(",")[0]) - float(rows[1].split(",")[0])
     begun_utc_s = float(shell(f"date -d '{last[0]['started_utc']}' +%s.%N").stdout)
     assert mark["time_s"] - begun_utc_s - seen_s < LOST_S
-    done = needle_rig("compensate", "--target", "30", "--settle", "1", "--no-picture")
-    assert done.returncode == 0, done.stderr
+    assert turned(power_back)["code"] == 0

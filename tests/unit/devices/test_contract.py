@@ -323,7 +323,8 @@ def test_a_device_of_another_make_has_no_page_to_calibrate() -> None:
 
 def amplifier(tmp_path: Path, good: str, broken: str) -> Any:
     """What check-device says of the example with one line broken."""
-    text = (Path(__file__).parents[2] / "data/devices/amplifier.py").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs/how-to/own-device.md").read_text(encoding="utf-8")
+    text = page.split("```python\n")[1].split("```")[0]
     assert good in text
     path = tmp_path / "amplifier.py"
     path.write_text(text.replace(good, broken))
