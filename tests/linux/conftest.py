@@ -147,6 +147,13 @@ class Rig:
         # a serial adapter would belong to dialout, by the udev rule
         os.chmod((PORTS / "hall").resolve(), 0o666)
 
+    def tell(self, line: str) -> None:
+        """Break a link of it, or mend it, in the bench's words."""
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{line}\n".encode())
+        self._process.stdin.flush()
+
     def cleared(self) -> bool:
         """Whether no fault stands; a fault is cleared, and a drive that was off told its angle."""
         if status().get("fault", "") is None:
