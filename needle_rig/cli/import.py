@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,10 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from needle_rig.dataset import Dataset
     from needle_rig.importing import Mapping, Recordings
 
-MAPPING = "import.yaml"
 PICTURE = "import.png"
 
 
@@ -42,6 +39,7 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
     """
     from needle_rig.errors import BadInput
     from needle_rig.importing import Recordings, dataset_of
+    from needle_rig.importing.keep import kept
 
     if os.path.lexists(out):
         raise BadInput(f"{out}: exists already; name another folder with --out or remove it first")
@@ -66,10 +64,11 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
         raise BadInput(_to_confirm(mapping, folder, recordings, None if named else out, waiting))
     for doubt in waiting:
         click.echo(f"taken as it is: {doubt}", err=True)
-    mapping = _confirmed(mapping)
+    mapping = mapping.confirmed()
     try:
         dataset = dataset_of(mapping, folder, recordings=recordings)
-        left_out = _write(mapping, folder, recordings, dataset, out)
+        with kept(dataset, mapping, folder, out) as left_out:
+            _draw(mapping, folder, recordings, out / PICTURE)
     except BadInput as error:
         if named:
             raise
@@ -143,40 +142,6 @@ def _keep(mapping: Mapping, folder: Path, recordings: Recordings, out: Path) -> 
     write_mapping(mapping, place, folder)
     _draw(mapping, folder, recordings, out.with_name(out.name + ".png"))
     return place
-
-
-def _confirmed(mapping: Mapping) -> Mapping:
-    """The mapping as it is taken; its doubts become a part of the reasons."""
-
-    def taken(why: str, doubt: str) -> dict[str, str]:
-        return {"doubt": "", "why": "; ".join(filter(None, (why, doubt and f"confirmed: {doubt}")))}
-
-    return mapping.model_copy(
-        update={
-            "clocks": {n: c.model_copy(update=taken(c.why, c.doubt)) for n, c in mapping.clocks.items()},
-            "channels": tuple(c.model_copy(update=taken(c.why, c.doubt)) for c in mapping.channels),
-            "trials": mapping.trials.model_copy(update=taken(mapping.trials.why, mapping.trials.doubt)),
-        }
-    )
-
-
-def _write(mapping: Mapping, folder: Path, recordings: Recordings, dataset: Dataset, out: Path) -> list[str]:
-    """The dataset, its mapping and its picture; which trials its reader leaves out, a sentence each.
-
-    What cannot be read back is removed. Raises BadInput.
-    """
-    from needle_rig.dataset import read_dataset, write_dataset
-    from needle_rig.importing import write_mapping
-
-    try:
-        write_dataset(dataset, out)
-        left_out = [note for note in read_dataset(out).notes if "left out" in note]
-        write_mapping(mapping, out / MAPPING, folder)
-        _draw(mapping, folder, recordings, out / PICTURE)
-    except BaseException:
-        shutil.rmtree(out, ignore_errors=True)
-        raise
-    return left_out
 
 
 def _draw(mapping: Mapping, folder: Path, recordings: Recordings, path: Path) -> None:

@@ -107,7 +107,22 @@ def _dialect(lines: Sequence[str], shown: str) -> _Dialect:
         )
     if best[1].width > MAX_COLUMNS:
         raise BadInput(f"{shown}: {best[1].width} columns, more than {MAX_COLUMNS}; keep those of the rig")
+    _refuse_halves(lines, best[1], shown)
     return best[1]
+
+
+def _refuse_halves(lines: Sequence[str], dialect: _Dialect, shown: str) -> None:
+    """Raise BadInput for decimal commas between commas: each number would be two columns."""
+    above = [_cells(line, ",") for line in lines[: dialect.first_line] if line.strip()]
+    if dialect.delimiter != "," or not above:
+        return
+    names = above[-1]
+    plain = not any(_POINT.fullmatch(name) for name in names)
+    if len(names) > 1 and plain and dialect.width in (2 * len(names), 2 * len(names) - 1):
+        raise BadInput(
+            f"{shown}:{dialect.first_line + 1}: {dialect.width} fields below {len(names)} names: decimal"
+            " commas between commas; save it with decimal points, or with semicolons between columns"
+        )
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

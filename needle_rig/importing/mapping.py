@@ -108,6 +108,20 @@ class Mapping(_Part):
             found.append("rig: what the shaft looks like is not known; give --layout FILE or write `rig`")
         return found
 
+    def confirmed(self) -> Mapping:
+        """The mapping as it is taken; its doubts become a part of the reasons."""
+
+        def taken(why: str, doubt: str) -> dict[str, str]:
+            return {"doubt": "", "why": "; ".join(filter(None, (why, doubt and f"confirmed: {doubt}")))}
+
+        return self.model_copy(
+            update={
+                "clocks": {n: c.model_copy(update=taken(c.why, c.doubt)) for n, c in self.clocks.items()},
+                "channels": tuple(c.model_copy(update=taken(c.why, c.doubt)) for c in self.channels),
+                "trials": self.trials.model_copy(update=taken(self.trials.why, self.trials.doubt)),
+            }
+        )
+
 
 def read_mapping(path: Path) -> tuple[Mapping, Places]:
     """The mapping at `path`, its files relative to its folder, and its places. Raises BadInput."""

@@ -26,15 +26,20 @@ class Lessons:
         self._process: asyncio.subprocess.Process | None = None
         self._alone = asyncio.Lock()
 
-    async def ask(self, effect: str | None, values: Mapping[str, float]) -> Any:
-        """A lesson, or the list of effects where none is named. Raises BadInput, RigFault."""
+    async def ask(self, effect: str | None, values: Mapping[str, float], data: str | None = None) -> Any:
+        """A lesson on the shaft of `data`, or the list of effects where none is named.
+
+        Raises BadInput, RigFault.
+        """
         async with self._alone:
             process = await self._running()
             assert process.stdin is not None
             assert process.stdout is not None
             line = b""
             with contextlib.suppress(ConnectionError, TimeoutError):
-                process.stdin.write(json.dumps({"effect": effect, "values": values}).encode() + b"\n")
+                process.stdin.write(
+                    json.dumps({"effect": effect, "values": values, "data": data}).encode() + b"\n"
+                )
                 await process.stdin.drain()
                 line = await asyncio.wait_for(process.stdout.readline(), PATIENCE_S)
         if not line:
@@ -83,7 +88,7 @@ def main() -> None:
             if asked["effect"] is None:
                 voice.tell(result=effects_document(directories))
             else:
-                voice.tell(result=lesson(asked["effect"], asked["values"], directories))
+                voice.tell(result=lesson(asked["effect"], asked["values"], directories, asked["data"]))
         except NeedleRigError as error:
             voice.tell(error=str(error))
 

@@ -30,18 +30,20 @@ from needle_rig.web.glossary import glossary_html
 from needle_rig.web.guard import LOOPBACK, WEBSOCKET_TOKEN, Guard
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.lessons_process import Lessons
+from needle_rig.web.places import DATASET, DIAGNOSIS, MODEL
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.sources import NOTES_BYTES, Sources
-from needle_rig.web.uploads import TooMuch, Uploads
+from needle_rig.web.uploads import TooMuch, Uploads, data_in
 from needle_rig.workbench.contest.strategies_table import NEEDS_OTHERS
 
 STATIC = Path(__file__).parent / "static"
 BODY_BYTES = 64 << 10
+JOB_BYTES = 512 << 10
+"""A mapping of some hundred channels, each with its reason."""
 BODY_S = 10.0
 CONNECTIONS = 128
 WATCHER_BYTES = 1024
 """A watcher has nothing to say."""
-_DIAGNOSIS, _MODEL = "diagnosis.yaml", "model.yaml"
 
 Document = dict[str, Any]
 
@@ -70,6 +72,8 @@ class Page:
         self.uploads = Uploads(folder / "uploads")
         self.sources = Sources(settings.data, settings.runs, self.uploads)
         self._made: dict[str, Path] = {}
+        self._drafts: dict[str, list[str]] = {}
+        self._laws = 0
 
     # the rig
 
@@ -133,32 +137,68 @@ class Page:
 
     async def begin_job(self, request: Request) -> Response:
         """Start a computation: its key."""
-        asked = as_mapping(await body(request))
+        asked = as_mapping(await body(request, JOB_BYTES))
         kind, out = asked.get("kind"), self._folder / "jobs" / secrets.token_hex(8)
         given: Document = {}
-        if kind in ("compare", "diagnose", "adopt", "show", "export"):
+        if kind in ("compare", "diagnose", "adopt", "show", "export", "learn", "adopt_law"):
             given["data"] = await asyncio.to_thread(self.sources.paths, texts(asked.get("data")))
-        if kind in ("compare", "diagnose", "undo", "strategies"):
-            given["model"] = self._file(asked.get("model"), _MODEL)
-        if kind in ("compare", "diagnose", "adopt", "undo", "strategies"):
-            given["effects"] = list(self._settings.effects)
-        if kind in ("diagnose", "strategies"):
+        if kind in ("compare", "diagnose", "undo", "strategies", "learn", "adopt_law"):
+            given["model"] = self._file(asked.get("model"), MODEL)
+        drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
+        if kind in ("compare", "diagnose", "adopt", "undo", "strategies", "learn", "adopt_law"):
+            given["effects"] = [*self._settings.effects, *drafts]
+        if kind in ("diagnose", "strategies", "learn"):
             given["jobs"] = self._settings.jobs
         if kind == "adopt":
-            given["diagnosis"] = self._file(asked.get("diagnosis"), _DIAGNOSIS)
+            given["diagnosis"] = self._file(asked.get("diagnosis"), DIAGNOSIS)
             given["chosen"] = texts(asked.get("chosen", []))
+        elif kind == "learn":
+            self._laws += 1
+            given["draft"] = f"learnt_law_{self._laws}.py"
+        elif kind == "adopt_law":
+            folder = self._made.get(str(asked.get("learnt")))
+            if folder is None:
+                raise BadInput("what was learnt is not there any more; learn it again")
+            given |= {"drafts": str(folder), "law": str(asked.get("law"))}
+            drafts = [*drafts, str(folder)]
         elif kind == "undo" and given["model"] is None:
             raise BadInput("there is no step to take back")
         elif kind == "export":
             given["form"] = str(asked.get("form"))
         elif kind == "strategies":
             given |= self._contest(asked)
+        elif kind in ("guess", "import"):
+            given |= await self._recordings(str(kind), asked, out)
         elif "data" not in given and kind != "undo":
             raise BadInput("this is no computation that the page knows")
-        out.mkdir(parents=True)
+        out.mkdir(parents=True, exist_ok=True)
         key = self.jobs.start(str(kind), {**given, "out": str(out)})
         self._made[key] = out
+        self._drafts[key] = drafts
+        if kind == "import":
+            self.sources.imported[f"imported:{key}"] = out / DATASET
         return JSONResponse({"job": key}, 202)
+
+    def _drafts_of(self, *keys: object) -> list[str]:
+        """Folders of the learnt laws in what these jobs made."""
+        return list(dict.fromkeys(folder for key in keys for folder in self._drafts.get(str(key), [])))
+
+    async def _recordings(self, kind: str, asked: Document, out: Path) -> Document:
+        """An upload of recordings, with its mapping or with the shaft of its guess."""
+        upload = self.uploads.get(str(asked.get("upload")))
+        given: Document = {"folder": str(upload.folder), "files": sorted(upload.files)}
+        given["files"] = [file for file in given["files"] if (upload.folder / file).is_file()]
+        if kind == "import":
+            return given | {"mapping": asked.get("mapping")}
+        layout, source = asked.get("layout"), asked.get("layout_of")
+        place: str | None = None
+        if isinstance(layout, str) and layout.strip():
+            out.mkdir(parents=True)
+            (out / "layout.yaml").write_text(layout, encoding="utf-8")
+            place = str(out / "layout.yaml")
+        elif source is not None:
+            place = (await asyncio.to_thread(self.sources.paths, texts([source])))[0]
+        return given | {"layout": place, "name": upload.name}
 
     def _contest(self, asked: Document) -> Document:
         targets, seeds, parameters = asked.get("targets_deg"), asked.get("seeds"), asked.get("parameters")
@@ -203,7 +243,9 @@ class Page:
             await self.uploads.take(key, path, request.stream())
         except ClientDisconnect:
             raise BadInput(f"{path[:80]}: the upload broke off; drop it again") from None
-        return JSONResponse({"files": len(self.uploads.get(key).files)}, 201)
+        found = self.uploads.get(key)
+        data = await asyncio.to_thread(data_in, found.folder)
+        return JSONResponse({"files": len(found.files), "data": len(data)}, 201)
 
     # runs
 
@@ -233,7 +275,9 @@ class Page:
         values = asked.get("values")
         if not isinstance(values, dict) or not all(isinstance(v, int | float) for v in values.values()):
             raise BadInput("values: give a number for each parameter")
-        return JSONResponse(await self.lessons.ask(str(asked.get("effect")), values))
+        data = asked.get("data")
+        path = None if data is None else (await asyncio.to_thread(self.sources.paths, texts([data])))[0]
+        return JSONResponse(await self.lessons.ask(str(asked.get("effect")), values, path))
 
     @contextlib.asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:

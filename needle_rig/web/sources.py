@@ -53,6 +53,8 @@ class Sources:
 
     def __init__(self, data: Sequence[Path], runs: Path, uploads: Uploads) -> None:
         self._data, self._runs, self._uploads = tuple(data), runs, uploads
+        self.imported: dict[str, Path] = {}
+        """Datasets that were made of dropped recordings, by key."""
 
     def datasets(self) -> list[Source]:
         """The datasets below the folders of the command line, then those that are shipped."""
@@ -90,6 +92,10 @@ class Sources:
             kind, _, rest = key.partition(":")
             if key in listed:
                 found += [str(path) for path in listed[key].paths]
+            elif key in self.imported:
+                if not self.imported[key].is_dir():
+                    raise BadInput("this import did not end; import the recordings again")
+                found.append(str(self.imported[key]))
             elif kind == "run":
                 found.append(str(self.run(rest).path))
             elif kind == "upload":

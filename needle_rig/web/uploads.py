@@ -12,7 +12,8 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from needle_rig.errors import BadInput
+from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.recording import RunFile
 
 FILE_BYTES = 64 << 20
 """A trial of ten minutes with six columns at 1000 samples a second has 40 MB as text."""
@@ -46,6 +47,11 @@ SUFFIXES = frozenset(
         ".md",
         ".png",
         ".json",
+        ".gz",
+        ".bag",
+        ".lvm",
+        ".log",
+        ".asc",
         ".zip",
     ]
 )
@@ -206,5 +212,16 @@ def data_in(folder: Path) -> list[Path]:
     """The datasets (their folders) and run files below `folder`; empty where there is none."""
     named = {"dataset.yaml", "settled.yaml"}
     found = sorted({path.parent for path in folder.rglob("*.yaml") if path.name in named})
-    runs = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".h5", ".hdf5"))
-    return found or runs
+    if found:
+        return found
+    named_so = (path for path in folder.rglob("*") if path.suffix.lower() in (".h5", ".hdf5"))
+    return sorted(path for path in named_so if _is_run(path))
+
+
+def _is_run(path: Path) -> bool:
+    """Whether a file is a recorded run, and not some other HDF5."""
+    try:
+        RunFile(path)
+    except NeedleRigError:
+        return False
+    return True

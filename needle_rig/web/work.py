@@ -6,7 +6,6 @@ request, and the server gives them keys.
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,20 +13,21 @@ from typing import Any
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.model import SavedModel, effect_directories, load_model, load_parameters, save_model
+from needle_rig.model import SavedModel, effect_directories, load_model, load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
-from needle_rig.web import traces
+from needle_rig.web import laws, recordings, traces
+from needle_rig.web.models import finite, kept_document
+from needle_rig.web.places import DIAGNOSIS
 from needle_rig.web.worker import Voice
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.learning.adopt import adopt_diagnosis
 from needle_rig.workbench.learning.adopt import undo as take_back
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.diagnosis_file import keep, load_diagnosis, save_diagnosis
-from needle_rig.workbench.learning.history import ladder
 from needle_rig.workbench.learning.observations import read_observations
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.parallel import workers
@@ -35,8 +35,6 @@ from needle_rig.workbench.selection.answer import fitted_sentences
 from needle_rig.workbench.selection.diagnose import Diagnosis
 
 Document = dict[str, Any]
-DIAGNOSIS = "diagnosis.yaml"
-MODEL = "model.yaml"
 CANDIDATES = 8
 """Of the ranking, whose fitted traces can be laid over the measured ones."""
 
@@ -56,7 +54,7 @@ def compare(voice: Voice, *, data: list[str], model: str | None, effects: list[s
         "rows": rows,
         "sentences": found.sentences(),
         "places": found.places(),
-        "held_out_error": _finite(found.held_out_error),
+        "held_out_error": finite(found.held_out_error),
         "traces": None,
     }
     if isinstance(found, TraceComparison):
@@ -146,7 +144,7 @@ def adopt(
     kept = load_diagnosis(diagnosis, effects=effects)
     observed = read_observations(data)
     saved = adopt_diagnosis(kept, observed, effects=chosen, name=None if kept.learnt else "learnt")
-    return _kept(saved, out)
+    return kept_document(saved, out)
 
 
 def undo(voice: Voice, *, model: str, effects: list[str], out: str) -> Document:
@@ -157,25 +155,7 @@ def undo(voice: Voice, *, model: str, effects: list[str], out: str) -> Document:
         if saved.starts_from == "null":
             return {"model": None, "steps": [], "values": [], "added": []}
         raise BadInput(f"{saved.model.name}: has no step before this one; start again from the model file")
-    return _kept(take_back(saved), out)
-
-
-def _kept(saved: SavedModel, out: str) -> Document:
-    save_model(Path(out) / MODEL, saved)
-    return {
-        "model": saved.model.name,
-        "steps": [step.as_json() for step in ladder(saved)],
-        "values": [
-            {
-                "name": name,
-                "value": _finite(value),
-                "uncertainty": _finite(saved.uncertainties.get(name, math.nan)),
-                "unit": saved.model.info(name).unit,
-            }
-            for name, value in saved.model.values().items()
-        ],
-        "added": [effect.name() for effect in saved.model.effects],
-    }
+    return kept_document(take_back(saved), out)
 
 
 def strategies(
@@ -243,6 +223,10 @@ def packed(folder: Path) -> Path:
 
 
 KINDS: Mapping[str, Callable[..., Document]] = {
+    "guess": recordings.guess,
+    "import": recordings.imported,
+    "learn": laws.learn,
+    "adopt_law": laws.adopt_law,
     "compare": compare,
     "diagnose": diagnose,
     "adopt": adopt,
@@ -259,7 +243,3 @@ def _library(effects: list[str]) -> Mapping[str, type[Effect]]:
 
 def _needle(model: str | None, effects: list[str]) -> Any:
     return load_model(model, effects=effects).model if model else None
-
-
-def _finite(value: float) -> float | None:
-    return float(f"{value:.6g}") if math.isfinite(value) else None

@@ -302,6 +302,31 @@ def test_a_row_that_lost_a_field_does_not_shift_the_others(tmp_path: Path, table
         read_recording(path)
 
 
+def test_decimal_commas_between_commas_are_refused_and_not_read_as_twice_the_columns(
+    tmp_path: Path, table: np.ndarray
+) -> None:
+    path = tmp_path / "log.csv"
+    rows = [",".join(f"{value:.6f}".replace(".", ",") for value in row) for row in table]
+    path.write_text("\n".join([",".join(NAMES), *rows]) + "\n")
+    with pytest.raises(BadInput, match=r"log\.csv:2: 14 fields below 7 names: decimal commas between commas"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("rows", [slice(None), slice(100, 120), slice(0, 1), slice(-1, None)])
+def test_times_that_are_missing_are_a_sentence_or_rows_left_out(
+    tmp_path: Path, rig: RigPart, table: np.ndarray, rows: slice
+) -> None:
+    holes = table.copy()
+    holes[rows, 0] = np.nan
+    path = written(tmp_path / "log.csv", holes)
+    try:
+        mapping = guess([read_recording(path)], "mine", rig, Path())
+        dataset_of(mapping, Path())
+    except BadInput:
+        return
+    assert rows != slice(None)
+
+
 def test_a_guess_taken_with_its_doubts_says_so_and_keeps_them(
     tmp_path: Path, table: np.ndarray, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,101 +6,20 @@ import os
 import re
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from needle_rig.notebook import simulate
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
+from tests.web.looking import IN_BROWSER, Open, look_at, pictured
 from tests.web.served import Served
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium"),
-    pytest.mark.timeout(900),
-]
+pytestmark = IN_BROWSER
 
-PICTURES = Path(__file__).parents[2] / "build" / "page"
-WIDE, NARROW = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
-PATIENCE_MS = 600_000
-"""A diagnosis beside other tests."""
-EVIL = "<img src=x onerror=window.evil=1>"
 PAGES = ("live", "workbench", "runs", "learn", "strategies")
-
-Open = Callable[..., Any]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started_:
-        found = started_.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield found
-        found.close()
-
-
-@pytest.fixture(scope="module")
-def data(shell: Shell) -> Path:
-    """A practice set with a hidden effect, and one whose every name is an attack."""
-    simulate({"tissue_elasticity": 0.35}, seed=1, name="mine", out=shell.folder / "data" / "mine")
-    simulate({}, seed=2, name=EVIL, out=shell.folder / "data" / "names")
-    description = shell.folder / "data" / "names" / "dataset.yaml"
-    text = description.read_text().replace("hall_1", "'<i onclick=evil()>hall'", 1)
-    description.write_text(text)
-    for trial in (shell.folder / "data" / "names" / "trials").glob("*.csv"):
-        rows = trial.read_text().replace("hall_1_deg", "<i onclick=evil()>hall_deg").replace("rotate", EVIL)
-        trial.write_text(rows)
-    return Path(shell.folder) / "data"
-
-
-@pytest.fixture(scope="module")
-def page_server(shell: Shell, data: Path) -> Iterator[Served]:
-    """With the data and a simulated rig in virtual time."""
-    runs = str(shell.folder / "runs")
-    yield from started(shell, str(data), "--rig", "simulated", "--fast", "--dir", runs, "--jobs", "2")
-
-
-@pytest.fixture
-def visit(browser: Any, page_server: Served) -> Iterator[Open]:
-    """Open the page; at the end it has made no request to another host and met no error of its own."""
-    contexts = []
-    wrong: list[str] = []
-
-    def opened(
-        where: str = "live", size: Any = WIDE, scheme: str = "light", served: Served = page_server
-    ) -> Any:
-        context = browser.new_context(viewport=size, color_scheme=scheme, reduced_motion="reduce")
-        contexts.append(context)
-        context.set_default_timeout(PATIENCE_MS)
-        page = context.new_page()
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on(
-            "request",
-            lambda r: None if r.url.startswith((served.base, "blob:", "data:")) else wrong.append(r.url),
-        )
-        page.on(
-            "console",
-            lambda m: wrong.append(m.text) if "Content Security Policy" in m.text else None,
-        )
-        page.goto(served.address)
-        page.goto(f"{served.base}/#/{where}")
-        page.wait_for_selector("h1")
-        return page
-
-    yield opened
-    for context in contexts:
-        context.close()
-    assert not wrong
-
-
-def pictured(page: Any, name: str) -> None:
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    page.evaluate("scrollTo(0, 0)")
-    page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
 
 
 def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error(visit: Open) -> None:
@@ -112,12 +31,14 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
     assert cell.get_attribute("aria-pressed") == "true"
     assert page.get_by_role("button", name="Whole trial").is_visible()
     pictured(page, "where-it-fails")
+    look_at(page, "workbench-where-it-fails")
     page.get_by_role("button", name="Diagnose").click()
     page.wait_for_selector(".verdict")
     assert page.locator(".verdict").inner_text().lower().startswith("tissue elasticity missing")
     page.locator("tbody button", has_text="tissue elasticity").hover()
     page.get_by_text("foretells, fitted").wait_for()
     pictured(page, "what-is-missing")
+    look_at(page, "workbench-what-is-missing")
     page.get_by_role("button", name="Add tissue elasticity").click()
     page.get_by_role("heading", name="4 · The error falls").wait_for()
     before, after = (float(text) for text in page.locator(".bars strong").all_inner_texts())
@@ -125,6 +46,7 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
     assert after < 1.5
     page.wait_for_selector(".map")
     pictured(page, "the-error-falls")
+    look_at(page, "workbench-the-error-falls")
     with page.expect_download() as download:
         page.get_by_role("button", name="Model file").click()
     assert "tissue_elasticity" in Path(download.value.path()).read_text()
@@ -152,6 +74,7 @@ def test_a_compensation_is_followed_to_its_end_and_stands_among_the_runs(visit: 
     assert page.locator(".ended").inner_text().startswith("Simulated:")
     page.get_by_role("heading", name="Motions: foretold and measured").wait_for()
     pictured(page, "live")
+    look_at(page, "live-ended")
     page.goto(page.url.split("#")[0] + "#/runs")
     row = page.locator("tbody tr").first
     row.wait_for()
@@ -231,22 +154,78 @@ def test_a_slider_redraws_the_standard_trial_within_a_tenth_of_a_second(visit: O
     assert took < 100.0
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", PAGES)
-def test_no_page_has_a_serious_finding_of_accessibility(visit: Open, name: str, scheme: str) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-    for size, suffix in ((WIDE, "1440"), (NARROW, "390")):
-        page = visit(name, size, scheme)
-        ready = {"live": ".shaft", "workbench": ".sources label", "runs": ".orders", "learn": ".sliders"}
-        page.wait_for_selector(ready.get(name, "form select"))
-        if name == "learn":
-            page.wait_for_selector(".plot canvas")
-        pictured(page, f"{name}-{suffix}-{scheme}")
-        found = axe.Axe().run(page).response["violations"]
-        serious = [v for v in found if v["impact"] in ("serious", "critical")]
-        assert not serious, [(v["id"], [n["html"][:120] for n in v["nodes"][:3]]) for v in serious]
-        wider = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-        assert wider <= 0, "the page scrolls sideways"
+def test_no_page_has_a_serious_finding_of_accessibility(visit: Open, name: str) -> None:
+    page = visit(name)
+    ready = {"live": ".shaft", "workbench": ".sources label", "runs": ".orders", "learn": ".sliders"}
+    page.wait_for_selector(ready.get(name, "form select"))
+    if name == "learn":
+        page.wait_for_selector(".plot canvas")
+    look_at(page, name)
+
+
+def test_two_runs_side_by_side_and_a_table_of_strategies_are_accessible_too(visit: Open) -> None:
+    page = visit("live")
+    page.wait_for_selector(".shaft .curve")
+    for _ in range(2):
+        page.get_by_role("button", name="Compensate", exact=True).click()
+        page.locator(".steps .now").wait_for()
+        page.locator(".steps .now").wait_for(state="detached")
+    page.goto(page.url.split("#")[0] + "#/runs")
+    for box in page.locator("tbody input[type=checkbox]").all()[:2]:
+        box.check()
+    page.get_by_role("button", name="Side by side").click()
+    page.wait_for_selector(".grid2 canvas")
+    look_at(page, "runs-side-by-side")
+    page.goto(page.url.split("#")[0] + "#/strategies")
+    page.get_by_label("Runs of each kind").fill("1")
+    page.get_by_role("button", name="Run every strategy").click()
+    page.get_by_role("heading", name="Side by side").wait_for()
+    look_at(page, "strategies-side-by-side")
+
+
+def reach(page: Any, selector: str) -> None:
+    """Tab until this has the focus."""
+    for _ in range(400):
+        if page.evaluate("s => document.activeElement.matches(s)", selector):
+            return
+        page.keyboard.press("Tab")
+    raise AssertionError(f"Tab does not reach {selector}")
+
+
+def test_the_whole_circle_by_keyboard_alone(visit: Open) -> None:
+    page = visit("live")
+    page.wait_for_selector(".shaft")
+    reach(page, "nav a[href='#/workbench']")
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".sources label")
+    reach(page, ".sources input")
+    named = "document.activeElement.closest('label')?.innerText.includes('data/mine')"
+    for _ in range(20):
+        if page.evaluate(named):
+            break
+        page.keyboard.press("ArrowDown")
+    page.keyboard.press(" ")
+    page.wait_for_selector(".map")
+    assert page.evaluate(named)
+    reach(page, ".map td button")
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Whole trial").wait_for()
+    reach(page, "button.go")
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".verdict")
+    reach(page, "button.go:not(:disabled)")
+    assert "tissue elasticity" in page.evaluate("document.activeElement.innerText").lower()
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="4 · The error falls").wait_for()
+    page.wait_for_selector(".map")
+    undo = "document.activeElement.innerText === 'Undo'"
+    for _ in range(400):
+        if page.evaluate(undo):
+            break
+        page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="4 · The error falls").wait_for(state="detached")
 
 
 def test_everything_is_reached_by_keyboard_alone(visit: Open) -> None:

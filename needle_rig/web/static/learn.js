@@ -1,6 +1,7 @@
 // Each effect: its law and source, and what its parameters change in a standard trial.
 import { ask } from "./net.js";
 import { Plot, line } from "./plot.js";
+import { about, chosen } from "./workbench.js";
 import { batch, html, signal, significant, number, useEffect, words } from "./ui.js";
 
 /** @type {{value: any[] | null}} */
@@ -11,6 +12,8 @@ const values = signal({});
 /** @type {{value: any}} */
 const lesson = signal(null);
 const refused = signal("");
+/** Key of the data whose shaft is used; empty for the paper's. */
+const shaft = signal("");
 let asking = false;
 let again = false;
 
@@ -22,7 +25,7 @@ async function redraw() {
   }
   asking = true;
   try {
-    lesson.value = await ask("POST", "lesson", { effect: name.value, values: values.value });
+    lesson.value = await ask("POST", "lesson", { effect: name.value, values: values.value, data: shaft.value || null });
     refused.value = "";
   } catch (error) {
     refused.value = /** @type {Error} */ (error).message;
@@ -60,8 +63,16 @@ export function scale(p) {
   };
 }
 
+/** Data with traces: what was chosen in the workbench, and what is listed. @returns {{key: string, name: string}[]} */
+function sources() {
+  const listed = (about.value?.data ?? []).filter((/** @type {any} */ s) => s.kind !== "published");
+  const more = chosen.value.filter((key) => !listed.some((/** @type {any} */ s) => s.key === key)).slice(0, 1);
+  return [...more.map((key) => ({ key, name: "the workbench's data" })), ...listed];
+}
+
 export function Learn() {
   useEffect(() => {
+    if (!about.value) ask("GET", "about").then((found) => (about.value = found), () => null);
     if (effects.value) return;
     ask("GET", "effects").then((found) => { effects.value = found.effects; choose(found.effects[0]); }, (error) => (refused.value = error.message));
   }, []);
@@ -73,6 +84,8 @@ export function Learn() {
     ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2><pre class="law">${effect.text}</pre>
       ${effect.relatives.length ? html`<p class="quiet">Looks like: ${effect.relatives.map(words).join(", ")}.</p>` : null}
       ${effect.redundant_with.length ? html`<p class="quiet">Cannot be told apart from: ${effect.redundant_with.map(words).join(", ")}.</p>` : null}
+      <label>On the shaft of <select value=${shaft.value} onChange=${(/** @type {any} */ e) => { shaft.value = e.target.value; redraw(); }}>
+        <option value="" selected=${!shaft.value}>the experiment of the paper</option>${sources().map((s) => html`<option value=${s.key} selected=${s.key === shaft.value}>${s.name}</option>`)}</select></label>
       <div class="sliders">${effect.parameters.map((/** @type {any} */ p) => {
         const on = scale(p);
         const value = values.value[p.name];
@@ -88,7 +101,7 @@ export function Learn() {
 function Trial({ found }) {
   const starts = found.phases.map((/** @type {any} */ p, /** @type {number} */ k) => ({ ...p, end_s: found.phases[k + 1]?.start_s ?? found.time_s.at(-1) }));
   return html`<section class="card"><h2>Change against the null model, in units of the noise</h2>
-    <p class="quiet">A compensation to 45° on the experiment's layout; noise ${significant(found.channels[0].noise)} N·mm and ${significant(found.channels[1].noise)}°.</p>
+    <p class="quiet">A compensation to 45° on ${found.shaft}; noise ${significant(found.channels[0].noise)} N·mm and ${significant(found.channels[1].noise)}°.</p>
     <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th>channel</th>${found.channels.map((/** @type {any} */ c) => html`<th>${words(c.name)}</th>`)}</tr></thead>
       <tbody><tr><th scope="row">root mean square / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.rms_sigmas, 1)}</td>`)}</tr>
       <tr><th scope="row">most / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>

@@ -1,5 +1,7 @@
 // The circle by clicks: data, where the model fails, what is missing, add it, the error falls.
 import { ask, compute, save } from "./net.js";
+import { LearntLaws } from "./law.js";
+import { WhatIsWhat, asConfirmed, proposal, propose, shaft } from "./mapping.js";
 import { Plot, dots, line } from "./plot.js";
 import { html, number, parameter, signal, significant, useEffect, words } from "./ui.js";
 
@@ -16,6 +18,8 @@ const job = signal(null);
 const compared = signal(null);
 /** @type {{value: any}} */
 const diagnosed = signal(null);
+/** The law that was learnt. @type {{value: any}} */
+const learnt = signal(null);
 /** Models in the order in which they were learnt: the last is the present one. @type {{value: any[]}} */
 export const models = signal([]);
 /** Shown trial, its shown stretch and the cell that was clicked. */
@@ -45,7 +49,7 @@ async function run(request) {
 }
 
 export async function compareChosen() {
-  diagnosed.value = compared.value = null;
+  diagnosed.value = compared.value = learnt.value = null;
   over.value = cell.value = "";
   stretch.value = null;
   trial.value = 0;
@@ -67,6 +71,37 @@ async function adopt(effects) {
   await compareChosen();
 }
 
+async function learn() {
+  const found = await run({ kind: "learn", data: chosen.value, model: model()?.key ?? null });
+  if (found) learnt.value = found;
+}
+
+/** @param {string} law */
+async function adoptLaw(law) {
+  const found = await run({ kind: "adopt_law", data: chosen.value, model: model()?.key ?? null, learnt: learnt.value.key, law });
+  if (!found) return;
+  models.value = [...models.value, found];
+  await compareChosen();
+}
+
+/** Ask what is what in dropped recordings. @param {string} upload */
+async function guess(upload) {
+  const found = await run({ kind: "guess", upload, ...shaft() });
+  if (found) propose(upload, found);
+}
+
+async function importProposed() {
+  const { upload } = proposal.value;
+  const found = await run({ kind: "import", upload, mapping: asConfirmed() });
+  if (!found) return;
+  const key = `imported:${found.key}`;
+  proposal.value = null;
+  dropped.value = [...dropped.value, { key, name: `${found.name}, ${found.trials} ${found.trials === 1 ? "trial" : "trials"}`, kind: "imported" }];
+  chosen.value = [key];
+  models.value = [];
+  await compareChosen();
+}
+
 async function undo() {
   models.value = models.value.slice(0, -1);
   await compareChosen();
@@ -85,9 +120,15 @@ async function take(items) {
   const name = files[0].path.split("/")[0];
   try {
     const { upload } = await ask("POST", "uploads", { name });
+    proposal.value = null;
+    let data = 0;
     for (const { path, file } of files) {
       job.value = { step: `taking ${path}`, done: 0, total: 0, state: "running" };
-      await ask("PUT", `uploads/${upload}/${path.split("/").map(encodeURIComponent).join("/")}`, file);
+      ({ data } = await ask("PUT", `uploads/${upload}/${path.split("/").map(encodeURIComponent).join("/")}`, file));
+    }
+    if (!data) {
+      await guess(upload);
+      return;
     }
     const key = `upload:${upload}`;
     dropped.value = [...dropped.value, { key, name, kind: "upload" }];
@@ -136,6 +177,7 @@ export function Workbench() {
     <div class="grid2">
       <${Choose} />
       <${Running} />
+      <${WhatIsWhat} busy=${Boolean(job.value)} sources=${about.value?.data ?? []} again=${() => guess(proposal.value.upload)} take=${importProposed} />
       <${Compared} />
       <${Missing} />
       <${Falls} />
@@ -152,7 +194,7 @@ function Choose() {
       <ul class="sources">${all.map((source) => html`<li><label class="row"><input type="radio" name="source" checked=${chosen.value[0] === source.key}
         onChange=${() => { chosen.value = [source.key]; models.value = []; compareChosen(); }} /> ${source.name} <span class="quiet">${source.kind}</span></label></li>`)}
         ${runs.length ? html`<li><strong>${runs.length} recorded ${runs.length === 1 ? "run" : "runs"}</strong></li>` : null}</ul>
-      <p>Drop a dataset here, as a folder or a ZIP, or run files; or${" "}
+      <p>Drop a dataset here, as a folder or a ZIP, run files, or recordings of any kind (CSV, XLSX, MATLAB, HDF5, MCAP, ROS bags, NumPy); or${" "}
         <label class="row">choose files <input type="file" multiple onChange=${(/** @type {any} */ e) => take(e.target.files)} /></label></p>
     </div></section>`;
 }
@@ -270,6 +312,9 @@ function Verdict({ found }) {
         <td class="text">${row.in_favour}${row.against ? html`; against: ${row.against}` : null}
           ${Object.entries(row.parameters).map(([name, v]) => html`<br /><span class="quiet">${parameter(name)} = ${significant(/** @type {any} */ (v).value)} (95 %: ${significant(/** @type {any} */ (v).low)} to ${significant(/** @type {any} */ (v).high)}) ${/** @type {any} */ (v).unit === "1" ? "" : /** @type {any} */ (v).unit}</span>`)}</td></tr>`)}</tbody></table></div>
     ${found.ranking.length > SHOWN_ROWS ? html`<p><button aria-expanded=${everyRow.value} onClick=${() => (everyRow.value = !everyRow.value)}>${everyRow.value ? "Fewer" : `The other ${found.ranking.length - SHOWN_ROWS}`}</button></p>` : null}
+    ${learnt.value ? html`<${LearntLaws} found=${learnt.value} busy=${Boolean(job.value)} add=${adoptLaw} />`
+      : found.verdict === "unknown" || found.verdict === "cannot_tell" ? html`<p><button class="go" disabled=${Boolean(job.value)} onClick=${learn}>Learn the law</button>
+        <span class="quiet"> searches where it acts, on what it depends, its curve and a formula; minutes</span></p>` : null}
     ${found.left_over.length ? html`<h3>Left over</h3><ul>${found.left_over.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
     ${found.notes.length ? html`<details><summary>Notes</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}`;
 }

@@ -1,0 +1,108 @@
+// What is what in dropped recordings: the proposed mapping, line by line, to confirm or correct.
+import { Plot, line } from "./plot.js";
+import { html, signal, significant, words } from "./ui.js";
+
+/** The dropped recordings and their mapping. @type {{value: any}} */
+export const proposal = signal(null);
+/** Doubts that a person has looked at, by line. @type {{value: string[]}} */
+const confirmed = signal([]);
+const layoutOf = signal("");
+const layoutText = signal("");
+
+const LAYOUT = `needle: {diameter_mm: 0.39, shear_modulus_gpa: 27.2, density_g_cm3: 6.45}
+needle_length_mm: 397
+tissue_sections_mm: [[175, 200], [240, 265]]
+hall_sensors:
+  - {name: hall_1, position_mm: 220}
+`;
+const NOT_USED = "not used";
+const WRITTEN = "written here";
+
+/** Take in what is proposed for an upload. @param {string} upload @param {any} found */
+export function propose(upload, found) {
+  proposal.value = { ...found, upload };
+  confirmed.value = [];
+}
+
+/** Where the shaft of a guess is taken from, as the server wants it. */
+export const shaft = () =>
+  layoutOf.value === WRITTEN ? { layout: layoutText.value } : layoutOf.value ? { layout_of: layoutOf.value } : {};
+
+/** The mapping as the page shows it: confirmed doubts are part of the reasons, unused lines are left out. */
+export function asConfirmed() {
+  const { mapping } = proposal.value;
+  /** @param {any} part @param {string} key */
+  const taken = (part, key) =>
+    part.doubt && confirmed.value.includes(key)
+      ? { ...part, doubt: "", why: [part.why, `confirmed: ${part.doubt}`].filter(Boolean).join("; ") }
+      : part;
+  const used = mapping.channels.filter((/** @type {any} */ c) => c.role !== NOT_USED);
+  return {
+    ...mapping,
+    clocks: Object.fromEntries(Object.entries(mapping.clocks).map(([name, c]) => [name, taken(c, `clock ${name}`)])),
+    channels: used.map((/** @type {any} */ c) => taken(c, `channel ${c.clock} ${c.source}`)),
+    trials: taken(mapping.trials, "trials"),
+    not_used: [...mapping.not_used, ...mapping.channels.filter((/** @type {any} */ c) => c.role === NOT_USED).map((/** @type {any} */ c) => c.source)],
+  };
+}
+
+/** @param {(mapping: any) => any} change */
+function edit(change) {
+  proposal.value = { ...proposal.value, mapping: change(proposal.value.mapping) };
+}
+
+/** @param {number} k @param {object} more */
+const channel = (k, more) => edit((mapping) => ({ ...mapping, channels: mapping.channels.map((/** @type {any} */ c, /** @type {number} */ i) => (i === k ? { ...c, ...more } : c)) }));
+/** @param {string} name @param {object} more */
+const clock = (name, more) => edit((mapping) => ({ ...mapping, clocks: { ...mapping.clocks, [name]: { ...mapping.clocks[name], ...more } } }));
+
+/** A doubt with its tick. @param {{part: any, of: string}} props */
+function Doubt({ part, of }) {
+  if (!part.doubt) return null;
+  const is = confirmed.value.includes(of);
+  return html`<label class="row doubt"><input type="checkbox" checked=${is}
+    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> right, although: ${part.doubt}</label>`;
+}
+
+/** The mapping of dropped recordings; `again` asks for another guess, `take` imports.
+ * @param {{busy: boolean, sources: any[], again: () => void, take: () => void}} props */
+export function WhatIsWhat({ busy, sources, again, take }) {
+  const found = proposal.value;
+  if (!found) return null;
+  const { mapping } = found;
+  /** @param {any} e */
+  const value = (e) => e.target.value;
+  return html`<section class="card wide" aria-label="What is what"><h2>1 · Data: what is what in ${mapping.name}</h2>
+    <p>Proposed from names, units and what the channels do. Correct what is wrong; confirm what is in doubt.</p>
+    <div class="scroll" tabindex="0" role="group" aria-label="Channels"><table><thead><tr><th class="text">column</th><th class="text">is</th><th class="text">unit</th><th class="text">sign</th><th class="text">zero</th><th class="text">why</th></tr></thead>
+      <tbody>${mapping.channels.map((/** @type {any} */ c, /** @type {number} */ k) => html`<tr><th scope="row" class="text">${c.source}</th>
+        <td><select aria-label=${`${c.source} is`} value=${c.role} onChange=${(/** @type {any} */ e) => channel(k, { role: value(e) })}>
+          ${[...new Set([...found.roles, c.role, NOT_USED])].map((role) => html`<option value=${role} selected=${role === c.role}>${words(role)}</option>`)}</select></td>
+        <td><input class="short" aria-label=${`Unit of ${c.source}`} value=${c.unit ?? ""} onChange=${(/** @type {any} */ e) => channel(k, { unit: value(e) || null })} /></td>
+        <td><select aria-label=${`Sign of ${c.source}`} onChange=${(/** @type {any} */ e) => channel(k, { sign: Number(value(e)) })}>
+          <option value="1" selected=${c.sign > 0}>+</option><option value="-1" selected=${c.sign < 0}>−</option></select></td>
+        <td><select aria-label=${`Zero of ${c.source}`} onChange=${(/** @type {any} */ e) => channel(k, { zero: value(e) === "start" ? "start" : Number(value(e)) })}>
+          <option value="start" selected=${c.zero === "start"}>at the start</option><option value=${c.zero === "start" ? 0 : c.zero} selected=${c.zero !== "start"}>${c.zero === "start" ? 0 : significant(c.zero)}</option></select></td>
+        <td class="text">${c.why}<${Doubt} part=${c} of=${`channel ${c.clock} ${c.source}`} /></td></tr>`)}</tbody></table></div>
+    <h3>Clocks and trials</h3>
+    <ul class="plain">${Object.entries(mapping.clocks).map(([name, c]) => html`<li>${name}: ${c.source === null ? "a rate" : `column ${c.source}`}${" "}
+      ${c.source === null ? html`<label class="row">samples a second <input class="short" value=${c.rate_hz ?? ""} onChange=${(/** @type {any} */ e) => clock(name, { rate_hz: Number(value(e)) || null })} /></label>`
+        : html`<label class="row">unit <input class="short" value=${c.unit ?? ""} onChange=${(/** @type {any} */ e) => clock(name, { unit: value(e) || null })} /></label>`}
+      <span class="quiet">${c.why}</span><${Doubt} part=${c} of=${`clock ${name}`} /></li>`)}
+      <li>trials: ${{ whole: "each recording is one", rests: "cut where the base rests", column: `cut where ${mapping.trials.source} changes`, times: "cut at times" }[/** @type {"whole"} */ (mapping.trials.at)]},
+        ${" "}<label class="row">the shaft begins <select value=${mapping.trials.start} onChange=${(/** @type {any} */ e) => edit((m) => ({ ...m, trials: { ...m.trials, start: value(e) } }))}>
+          ${["relaxed", "wound"].map((start) => html`<option value=${start} selected=${start === mapping.trials.start}>${start}</option>`)}</select></label>
+        <span class="quiet">${mapping.trials.why}</span><${Doubt} part=${mapping.trials} of="trials" /></li>
+      ${mapping.not_used.length ? html`<li class="quiet">not used: ${mapping.not_used.join(", ")}</li>` : null}</ul>
+    <h3>The shaft</h3>
+    <div class="orders"><label>looks like that of <select value=${layoutOf.value} onChange=${(/** @type {any} */ e) => { layoutOf.value = value(e); if (value(e) === WRITTEN && !layoutText.value) layoutText.value = LAYOUT; }}>
+        <option value="" selected=${!layoutOf.value}>${mapping.rig ? "what was dropped" : "choose"}</option><option value=${WRITTEN} selected=${layoutOf.value === WRITTEN}>${WRITTEN}</option>
+        ${sources.map((s) => html`<option value=${s.key} selected=${s.key === layoutOf.value}>${s.name}</option>`)}</select></label>
+      <button disabled=${busy || !layoutOf.value} onClick=${again}>Propose again with this shaft</button></div>
+    ${layoutOf.value === WRITTEN ? html`<label class="all">The shaft in lines of YAML<textarea rows="8" value=${layoutText.value} onInput=${(/** @type {any} */ e) => (layoutText.value = value(e))}></textarea></label>` : null}
+    ${found.lacks.length ? html`<ul class="lacks">${found.lacks.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
+    <p><button class="go" disabled=${busy} onClick=${take}>Import</button>${" "}
+      <button disabled=${busy} onClick=${() => (proposal.value = null)}>Leave it</button></p>
+    <div class="grid2">${found.shown.map((/** @type {any} */ s) => html`<div><h3>${words(s.role)} <span class="quiet">${s.source}</span></h3>
+      <${Plot} label=${`${s.role} from ${s.source} over time`} unit=${`${words(s.role)} / ${s.unit}`} height=${160} cursor="mapping" series=${[line(words(s.role), "--c1")]} data=${[s.time_s, s.values]} /></div>`)}</div></section>`;
+}

@@ -1,0 +1,51 @@
+"""What tests in a browser share: where it is, what they look at, and pictures for people."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+IN_BROWSER = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium"),
+    pytest.mark.timeout(900),
+]
+PICTURES = Path(__file__).parents[2] / "build" / "page"
+WIDE, NARROW = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+PATIENCE_MS = 600_000
+"""A diagnosis beside other tests."""
+EVIL = "<img src=x onerror=window.evil=1>"
+
+Open = Callable[..., Any]
+
+
+def pictured(page: Any, name: str) -> None:
+    """Keep a picture of the whole page."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.evaluate("scrollTo(0, 0)")
+    page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
+
+
+def look_at(page: Any, name: str) -> None:
+    """Pictures of this view, wide and narrow, light and dark; no serious finding of axe in any of them."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    before = page.viewport_size
+    for size, width in ((WIDE, "1440"), (NARROW, "390")):
+        page.set_viewport_size(size)
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            page.wait_for_timeout(200)  # plots are drawn anew
+            pictured(page, f"{name}-{width}-{scheme}")
+            found = axe.Axe().run(page).response["violations"]
+            serious = [v for v in found if v["impact"] in ("serious", "critical")]
+            told = [(v["id"], [n["html"][:120] for n in v["nodes"][:3]]) for v in serious]
+            assert not told, f"{name} at {width} px, {scheme}: {told}"
+            wider = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+            assert wider <= 0, f"{name} at {width} px scrolls sideways"
+    page.emulate_media(color_scheme="light")
+    page.set_viewport_size(before)
