@@ -146,7 +146,9 @@ class Daemon:
 
     async def _serve(self, rig: Rig, listener: socket.socket, on_ready: Callable[[], None]) -> None:
         clock = self._parts.make_clock(rig)
-        self._loop = ControlLoop(rig, self._brain, clock, self._on_sample, self._notify.alive)
+        self._loop = ControlLoop(
+            rig, self._brain, clock, self._on_sample, self._notify.alive, self._tell_state
+        )
         self._notify.send(READY=1, STATUS="idle")
         log.info("ready", rig=self._parts.config.name, socket=str(listener.getsockname()))
         on_ready()
@@ -332,10 +334,14 @@ class Daemon:
                 self._api.event(moved)
         now_s = time.monotonic()
         self._rates.step(sample.time_s)
-        self._api.state(now_s, lambda: self._state("state"))
+        self._tell_state()
         if now_s >= self._next_status_s:
             self._next_status_s = now_s + _STATUS_EVERY_S
             self._notify.send(STATUS=f"{sample.phase} {sample.motion}".strip())
+
+    def _tell_state(self) -> None:
+        """Tell those who listen where it stands, when it is time; also while virtual time stands still."""
+        self._api.state(time.monotonic(), lambda: self._state("state"))
 
     def _on_phase(self, sample: Sample) -> None:
         state = self._brain.state

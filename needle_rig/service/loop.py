@@ -31,7 +31,7 @@ class ControlLoop:
     """Runs ticks until told to end, and always leaves the drive told to stop.
 
     `on_sample` receives each tick's sample; `on_met` is called with the time after every tick that met its
-    deadline: it feeds the watchdog.
+    deadline: it feeds the watchdog; `on_standstill` when time stood still in place of a tick.
     """
 
     def __init__(
@@ -41,9 +41,10 @@ class ControlLoop:
         clock: Clock,
         on_sample: Callable[[Sample], None],
         on_met: Callable[[float], None],
+        on_standstill: Callable[[], None] = lambda: None,
     ) -> None:
         self._rig, self._brain, self._clock = rig, brain, clock
-        self._on_sample, self._on_met = on_sample, on_met
+        self._on_sample, self._on_met, self._on_standstill = on_sample, on_met, on_standstill
         self._ticks = 0
         self._missed = 0
         self._late_s = np.zeros(_REMEMBERED_TICKS)
@@ -62,6 +63,7 @@ class ControlLoop:
                 skipped = await clock.tick(self.busy)
                 now_s = clock.now_s()
                 if now_s == before_s:
+                    self._on_standstill()
                     self._wake()
                     continue
                 dt_s = clock.period_s if before_s is None else now_s - before_s

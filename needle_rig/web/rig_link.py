@@ -134,7 +134,7 @@ class RigLink:
             self._stream.event(text)
 
     def _lost(self) -> None:
-        self.reached, self._lease = False, None
+        self.reached = False
         where = " or ".join(str(place) for place in self._places())
         said = {"type": "lost", "text": f"no daemon answers at {where}; start one: needle-rig daemon"}
         self._newest = json.dumps(said | {"at": round(time.monotonic(), 1)})

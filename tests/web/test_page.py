@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from needle_rig.cli.main import run as command
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
 from tests.web.looking import IN_BROWSER, Open, look_at, pictured
@@ -164,14 +165,20 @@ def test_no_page_has_a_serious_finding_of_accessibility(visit: Open, name: str) 
     look_at(page, name)
 
 
-def test_two_runs_side_by_side_and_a_table_of_strategies_are_accessible_too(visit: Open) -> None:
+def test_two_runs_side_by_side_and_a_table_of_strategies_are_accessible_too(
+    visit: Open, page_server: Served
+) -> None:
     page = visit("live")
     page.wait_for_selector(".shaft .curve")
     for _ in range(2):
+        before = ended(page_server)
         page.get_by_role("button", name="Compensate", exact=True).click()
-        page.locator(".steps .now").wait_for()
-        page.locator(".steps .now").wait_for(state="detached")
+        for _ in range(600):
+            if ended(page_server) > before:
+                break
+            page.wait_for_timeout(100)
     page.goto(page.url.split("#")[0] + "#/runs")
+    page.locator("tbody tr").nth(1).wait_for()
     for box in page.locator("tbody input[type=checkbox]").all()[:2]:
         box.check()
     page.get_by_role("button", name="Side by side").click()
@@ -182,6 +189,12 @@ def test_two_runs_side_by_side_and_a_table_of_strategies_are_accessible_too(visi
     page.get_by_role("button", name="Run every strategy").click()
     page.get_by_role("heading", name="Side by side").wait_for()
     look_at(page, "strategies-side-by-side")
+
+
+def ended(served: Served) -> int:
+    """How many recorded runs have ended."""
+    runs = served.ask("GET", "/api/runs").json()["runs"]
+    return sum(run["status"] in ("aligned", "not_aligned") for run in runs)
 
 
 def reach(page: Any, selector: str) -> None:
@@ -284,3 +297,30 @@ def test_a_lost_daemon_greys_everything_and_says_what_to_do(
                 os.kill(pid, 9)
         page.wait_for_selector(".live.grey", timeout=2500)
         assert "start one: needle-rig daemon" in page.get_by_role("alert").first.inner_text()
+
+
+@pytest.mark.slow
+def test_a_law_that_nobody_told_it_is_learnt_added_and_taken_back(
+    visit: Open, shell: Shell, tmp_path: Path
+) -> None:
+    folder, law = tmp_path / "data" / "hidden", Path(__file__).parents[1] / "data" / "effects"
+    words = ["simulate", "--effects", str(law), "--effect", "slit_membrane=0.03", "--seed", "3"]
+    assert command([*words, "--parameters", "rig_rigid", "--out", str(folder)]) == 0
+    for served in started(shell, str(tmp_path / "data"), "--dir", str(tmp_path / "runs")):
+        page = visit("workbench", served=served)
+        page.get_by_label("data/hidden").check()
+        page.get_by_role("button", name="Diagnose").click()
+        page.wait_for_selector(".verdict")
+        assert "no effect of the library explains" in page.locator(".verdict").inner_text()
+        page.get_by_role("button", name="Learn the law").click()
+        page.locator("section.law h4", has_text="a torque in tissue section 3").wait_for()
+        assert "sin(2" in page.locator("section.law strong").first.inner_text()
+        look_at(page, "workbench-law")
+        page.get_by_role("button", name="Add this law").click()
+        page.get_by_role("heading", name="4 · The error falls").wait_for()
+        before, after = (float(text) for text in page.locator(".bars strong").all_inner_texts())
+        assert before > 10.0
+        assert after < 1.1
+        page.wait_for_selector(".map")
+        page.get_by_role("button", name="Undo").click()
+        page.get_by_role("heading", name="4 · The error falls").wait_for(state="detached")

@@ -180,3 +180,19 @@ async def test_a_broken_brain_keeps_nobody_waiting() -> None:
     with pytest.raises(ZeroDivisionError):
         await loop.run()
     await asyncio.wait_for(waiting, 1.0)
+
+
+async def test_while_virtual_time_stands_still_it_says_so_and_no_tick_is_counted() -> None:
+    rig, brain = Rig(), Brain()
+    stood: list[int] = []
+    loop = ControlLoop(
+        rig,  # type: ignore[arg-type]
+        brain,
+        VirtualClock(0.001, lambda dt_s: None),
+        lambda sample: None,
+        lambda now_s: None,
+        lambda: stood.append(len(stood)) if len(stood) < 5 else loop.end(),
+    )
+    await asyncio.wait_for(loop.run(), 5.0)
+    assert len(stood) == 5
+    assert loop.timing().ticks == 1
