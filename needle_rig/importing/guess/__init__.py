@@ -41,16 +41,17 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
             clocks[label] = part
             if time_s is None:
                 time_s = np.arange(len(columns[0].values), dtype=np.float64)
-            every = max(1, len(time_s) // signals.LOOKED_AT)
+            known = np.flatnonzero(np.isfinite(time_s))
+            looked_at = known[:: max(1, len(known) // signals.LOOKED_AT)]
             for column in columns:
                 if column.name == source:
                     continue
                 if column.labels or names.says(column.name, names.TIME):
                     not_used.append(column.name)
                     continue
-                seen = column.values[::every]
+                seen = column.values[looked_at]
                 seen = np.where(np.abs(seen) < LARGEST_NUMBER, seen, math.nan)
-                series.append(Series(column, label, time_s[::every], seen))
+                series.append(Series(column, label, time_s[looked_at], seen))
     if len({len(c.files) for c in clocks.values()}) > 1:
         told = "; ".join(f"{k}: {len(c.files)}" for k, c in clocks.items())
         raise BadInput(

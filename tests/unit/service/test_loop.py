@@ -186,8 +186,8 @@ async def test_while_virtual_time_stands_still_it_says_so_and_no_tick_is_counted
     rig, brain = Rig(), Brain()
     stood: list[int] = []
     loop = ControlLoop(
-        rig,  # type: ignore[arg-type]
-        brain,
+        rig,
+        brain,  # type: ignore[arg-type]
         VirtualClock(0.001, lambda dt_s: None),
         lambda sample: None,
         lambda now_s: None,
