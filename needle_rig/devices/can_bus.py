@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import can
 from can.interfaces.slcan import slcanBus
@@ -14,6 +14,7 @@ from can.interfaces.slcan import slcanBus
 from needle_rig.config.schema import CanSection
 from needle_rig.devices.device import FrameHandler
 from needle_rig.devices.ports import claim, claim_interface, interface_reason, port_reason
+from needle_rig.devices.terminal_reader import TerminalReader
 from needle_rig.errors import RigFault
 
 _FRAMES_A_WAKE = 512
@@ -29,6 +30,7 @@ class CanLink:
         self._now = now
         self._bus: can.BusABC | None = None
         self._reader: _Reader | None = None
+        self._terminal: TerminalReader | None = None
         self._lock_fd: int | None = None
         self.place = f"{config.interface} {config.channel}"
         self.lost = False
@@ -50,12 +52,17 @@ class CanLink:
             self._release()
             self.trouble = f"{place}: {_reason(error, self._config)}; see links.can in the rig file"
             raise RigFault(self.trouble) from error
-        self._reader = _Reader(self._bus, self._receive, self._on_lost)
+        if isinstance(self._bus, _Slcan):
+            self._terminal = TerminalReader(self._bus.fileno(), self._feed, self._on_end, self._now)
+        else:
+            self._reader = _Reader(self._bus, self._receive, self._on_lost)
         self.lost, self.trouble = False, ""
 
     def poll(self) -> None:
         """Take what has arrived and the loop has not brought yet."""
-        if self._bus is not None and self._reader is not None and not self.lost:
+        if self._terminal is not None:
+            self._terminal.drain()
+        elif self._bus is not None and self._reader is not None and not self.lost:
             self._reader.drain(self._bus)
 
     def send(self, frame_id: int, data: bytes) -> bool:
@@ -76,6 +83,9 @@ class CanLink:
         if self._reader is not None:
             self._reader.stop()
             self._reader = None
+        if self._terminal is not None:
+            self._terminal.close()
+            self._terminal = None
         if self._bus is not None:
             with contextlib.suppress(can.CanError, OSError):  # a port that is gone cannot be told
                 self._bus.shutdown()
@@ -87,9 +97,21 @@ class CanLink:
     def _on_lost(self, error: Exception) -> None:
         self.lost, self.trouble = True, f"CAN bus ({self.place}): {_reason(error, self._config)}"
 
+    def _on_end(self, error: OSError) -> None:
+        self._on_lost(can.CanOperationError(f"the adapter is gone: {error.strerror}"))
+
+    def _feed(self, data: bytes, now_s: float) -> None:
+        """What an slcan adapter sent."""
+        assert isinstance(self._bus, _Slcan)
+        for message in self._bus.messages(data):
+            self._pass_on(message, now_s)
+
     def _receive(self, message: can.Message) -> None:
+        self._pass_on(message, self._now())
+
+    def _pass_on(self, message: can.Message, now_s: float) -> None:
         if not (message.is_extended_id or message.is_error_frame or message.is_remote_frame):
-            self._on_frame(message.arbitration_id, bytes(message.data), self._now())
+            self._on_frame(message.arbitration_id, bytes(message.data), now_s)
 
 
 class _Reader(can.Notifier):
@@ -131,7 +153,7 @@ class _Reader(can.Notifier):
 
 
 class _Slcan(slcanBus):
-    """python-can's slcan that reads all there is at once and never waits for the adapter to drain.
+    """python-can's slcan that is given what was read and never waits for the adapter to drain.
 
     The original reads byte by byte (two system calls each: a fifth of a core at 2000 frames/s) and calls
     tcdrain after each frame, which an adapter that hangs can hold for seconds.
@@ -153,23 +175,19 @@ class _Slcan(slcanBus):
         if sent != len(line):
             raise can.CanOperationError("the adapter's buffer is full")
 
-    def _read(self, timeout: float | None) -> str | None:  # noqa: ARG002 as python-can calls it
-        try:
-            chunk = os.read(self.serialPortOrig.fileno(), 65536)
-            if not chunk:
-                # Nothing there, or nobody there any more: only the second makes this raise.
-                _ = self.serialPortOrig.in_waiting
-                return None
-        except BlockingIOError:
-            return None
-        except OSError as error:
-            raise can.CanOperationError(f"the adapter is gone: {error.strerror}") from error
-        *lines, rest = (bytes(self._buffer) + chunk).replace(self._ERROR, self._OK).split(self._OK)
+    def messages(self, data: bytes) -> Iterator[can.Message]:
+        """The frames that end in `data`; lines that are no frame are left out."""
+        *lines, rest = (bytes(self._buffer) + data).replace(self._ERROR, self._OK).split(self._OK)
         # No slcan line of a classic frame is longer than 32 bytes: more without an end is noise.
         self._buffer = bytearray(rest[-64:])
         for line in lines:
             if line[:1] in _FRAME_LETTERS:
                 self._queue.put_nowait(line.decode("ascii", "replace"))
+                with contextlib.suppress(ValueError, IndexError):
+                    if (message := self._recv_internal(0)[0]) is not None:
+                        yield message
+
+    def _read(self, timeout: float | None) -> str | None:  # noqa: ARG002 as python-can calls it
         return self._queue.get_nowait() if self._queue.qsize() else None
 
 

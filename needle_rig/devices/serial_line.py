@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import time
 from collections.abc import Callable
 
 import serial
-import serial_asyncio_fast
 
 from needle_rig.devices.device import BytesHandler
 from needle_rig.devices.ports import port_reason
+from needle_rig.devices.terminal_reader import TerminalReader
 from needle_rig.errors import RigFault
 
-_READ_BYTES = 65536
 
-
-class SerialLine(asyncio.Protocol):
+class SerialLine:
     """Owns the port. One that dies stays silent: its death shows in the ages of what came over it."""
 
     def __init__(
@@ -33,17 +30,18 @@ class SerialLine(asyncio.Protocol):
         self._name, self._baud = name, baud
         self._received, self._now = received, now
         self._port: serial.Serial | None = None
-        self._transport: asyncio.Transport | None = None
-        self._closed: asyncio.Future[None] | None = None
+        self._reader: TerminalReader | None = None
         self.place = port
         self.lost = False
         self.trouble = ""
 
     def open(self) -> None:
-        """Claim the port and listen. Raises RigFault in one sentence."""
-        loop = asyncio.get_running_loop()
+        """Claim the port and listen, anew after it was lost. Raises RigFault in one sentence."""
+        self._release()
         try:
-            port = self._port = serial.Serial(self.place, self._baud, exclusive=True)
+            port = self._port = serial.Serial(
+                self.place, self._baud, timeout=0, write_timeout=0, exclusive=True
+            )
         except (OSError, ValueError) as error:
             reason = port_reason(error, self.place) if isinstance(error, OSError) else str(error)
             title = self._name.capitalize()
@@ -53,23 +51,26 @@ class SerialLine(asyncio.Protocol):
         with contextlib.suppress(ValueError, OSError, NotImplementedError):
             # USB adapters else hold bytes back for 16 ms; a pty has no such mode
             port.set_low_latency_mode(True)
-        self._closed = loop.create_future()
-        self._transport = serial_asyncio_fast.SerialTransport(loop, self, port)
+        self._reader = TerminalReader(port.fileno(), self._received, self._on_end, self._now)
         self.lost = False
 
     async def close(self) -> None:
         """Release the port; safe to call twice."""
-        if self._transport is not None and self._closed is not None:
-            self._transport.close()
-            await self._closed
-            self._transport = self._port = None
+        self._release()
+
+    def _release(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+        if self._port is not None:
+            with contextlib.suppress(OSError):  # a port that is gone cannot be told
+                self._port.close()
+            self._port = None
 
     def poll(self) -> None:
         """Take what has arrived and the loop has not brought yet."""
-        if self._port is not None and self._transport is not None and not self._transport.is_closing():
-            with contextlib.suppress(OSError):  # a port that is gone shows in the ages
-                if data := self._port.read(_READ_BYTES):
-                    self.data_received(data)
+        if self._reader is not None:
+            self._reader.drain()
 
     def send(self, data: bytes) -> bool:
         """Write `data` whole, at once or not at all."""
@@ -80,12 +81,5 @@ class SerialLine(asyncio.Protocol):
         except OSError:
             return False
 
-    def data_received(self, data: bytes) -> None:
-        """Bytes from the port."""
-        self._received(data, self._now())
-
-    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 see asyncio.Protocol
-        """The port is closed, or gone."""
+    def _on_end(self, error: OSError) -> None:  # noqa: ARG002 what is gone shows in the ages
         self.lost = True
-        if self._closed is not None and not self._closed.done():
-            self._closed.set_result(None)

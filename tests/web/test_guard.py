@@ -174,5 +174,7 @@ def test_what_cannot_be_done_is_refused_in_a_sentence(
 
 
 def test_a_long_command_is_refused_before_it_is_read_whole(served: Served) -> None:
-    answer = served.ask("POST", "/api/jobs", content=b"x" * (65 << 10))
+    answer = served.ask("POST", "/api/rig/jog", content=b"x" * (65 << 10))
+    assert answer.status_code == 413
+    answer = served.ask("POST", "/api/jobs", content=b"x" * (513 << 10))
     assert answer.status_code == 413

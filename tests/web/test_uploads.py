@@ -2,6 +2,7 @@
 
 import asyncio
 import io
+import shutil
 import stat
 import zipfile
 from collections.abc import AsyncIterator
@@ -136,9 +137,13 @@ def test_too_many_files_too_large_ones_and_slow_ones_are_refused(
     assert files_of(tmp_path) == {"a.csv", "b.csv"}
 
 
-def test_datasets_are_found_in_what_was_dropped_and_runs_where_there_is_none(tmp_path: Path) -> None:
+def test_datasets_are_found_in_what_was_dropped_and_runs_where_there_is_none(
+    tmp_path: Path, run_path: Path
+) -> None:
     (tmp_path / "one").mkdir()
-    (tmp_path / "run.h5").write_bytes(b"")
+    (tmp_path / "other.h5").write_bytes(b"HDF5 of another program")
+    assert data_in(tmp_path) == []
+    shutil.copy(run_path, tmp_path / "run.h5")
     assert data_in(tmp_path) == [tmp_path / "run.h5"]
     (tmp_path / "one" / "dataset.yaml").write_text("")
     assert data_in(tmp_path) == [tmp_path / "one"]
