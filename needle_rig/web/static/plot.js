@@ -1,6 +1,6 @@
 // Traces over time: uPlot with the page's colours, units on every axis, and bands of noise.
 import uPlot from "./vendor/uplot.js";
-import { html, useEffect, useRef } from "./ui.js";
+import { html, signal, useEffect, useRef } from "./ui.js";
 
 /** A colour of the style sheet. @param {string} name */
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -38,6 +38,9 @@ export const dots = (label, name) => ({
 });
 
 const scheme = matchMedia("(prefers-color-scheme: dark)");
+/** A legend keeps the colours that it was made with: every plot is made anew when the scheme changes. */
+const dark = signal(scheme.matches);
+scheme.addEventListener("change", () => (dark.value = scheme.matches));
 
 /** A plot that keeps its instance while only data and marked times change.
  * @param {{label: string, series: any[], unit: string, data: any[], height: number, band?: boolean,
@@ -48,7 +51,7 @@ export function Plot({ label, series, unit, data, height, marks, range, band, cu
   const plot = useRef(/** @type {any} */ (null));
   const latest = useRef({ marks, range });
   latest.current = { marks, range };
-  const shape = JSON.stringify([series.map((s) => s.label), unit, height, band]);
+  const shape = JSON.stringify([series.map((s) => s.label), unit, height, band, dark.value]);
   useEffect(() => {
     const holder = /** @type {HTMLElement} */ (place.current);
     const made = new uPlot(
@@ -91,10 +94,7 @@ export function Plot({ label, series, unit, data, height, marks, range, band, cu
     plot.current = made;
     const sized = new ResizeObserver(() => made.setSize({ width: Math.max(holder.clientWidth, 200), height }));
     sized.observe(holder);
-    const redraw = () => made.redraw();
-    scheme.addEventListener("change", redraw);
     return () => {
-      scheme.removeEventListener("change", redraw);
       sized.disconnect();
       made.destroy();
     };
