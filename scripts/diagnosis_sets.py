@@ -196,8 +196,10 @@ def key(task: Task) -> str:
     return json.dumps({f: value for f, value in task.items() if f in fields}, sort_keys=True)
 
 
-def simulated(setup: int, effects: Sequence[Effect], seed: int, finer: float = 1.0) -> Dataset:
-    """A dataset of a setup with these effects hidden."""
+def simulated(
+    setup: int, effects: Sequence[Effect], seed: int, finer: float = 1.0, noise: Noise | None = None
+) -> Dataset:
+    """A dataset of a setup with these effects hidden, with the setup's noise or another."""
     given = SETUPS[setup]
     model = load_parameters("rig_rigid").with_effects(*effects)
     if given.layout is not None:
@@ -207,7 +209,9 @@ def simulated(setup: int, effects: Sequence[Effect], seed: int, finer: float = 1
         element_length_m=model.element_length_m / finer,
         tolerance_rad=model.tolerance_rad / finer,
     )
-    return simulate_dataset(model, given.protocol, seed, given.noise, name="x", rate_hz=given.rate_hz)
+    return simulate_dataset(
+        model, given.protocol, seed, noise or given.noise, name="x", rate_hz=given.rate_hz
+    )
 
 
 _BASELINES: dict[int, Baseline] = {}

@@ -22,6 +22,8 @@ MOST_SIDE = 64
 RATE_NAME = re.compile(
     r"(fs|rate|freq|sampl\w*_?(rate|freq\w*)|f_?sampl\w*|rate_hz|fs_hz|sampl\w*rate)", re.IGNORECASE
 )
+NUMBERS_OF = re.compile(r"/(values?|data)$", re.IGNORECASE)
+"""A field that holds the numbers of what is named before it, as Simulink and timeseries write it."""
 STEP_NAME = re.compile(r"(dt|ts|delta_?t|sampl\w*_?(time|period|interval)|dt_s)", re.IGNORECASE)
 
 Leaf = tuple[np.ndarray, str]
@@ -70,7 +72,7 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
         values = np.asarray(array, dtype=np.float64)
         if np.isinf(values).any():
             values = np.where(np.isinf(values), np.nan, values)
-        columns.append(Column(name, unit or split_name(name)[1], values, table))
+        columns.append(Column(name, unit or split_name(NUMBERS_OF.sub("", name))[1], values, table))
         rate_hz = _rate_hz(constants, parent)
         if rate_hz is not None:
             rates.setdefault(table, rate_hz)

@@ -63,6 +63,12 @@ class NoisePolicy:
         "white noise that is taken for correlated hides effects: only high odds count",
         _NOISE,
     )
+    replicate_gain: float = _threshold(
+        13.8,
+        "twice the gain of log-likelihood by which replicates show noise correlated over seconds",
+        "p = 0.001 with two parameters, size and time",
+        _NOISE,
+    )
     clock_jitter_s: float = _threshold(
         1e-3, "time between base and sensors varies from trial to trial by a tick of 1 kHz", CHOSEN, _NOISE
     )

@@ -2,7 +2,7 @@
 
 Every law is screened; the leading ones are fitted inside the solver, those that stay close get formulas,
 which are fitted in the spline's place. A law is kept when it does better than every library effect and than
-chance, improves_cross_validation commands left out, and cannot be our own error.
+chance, also on commands left out, and cannot be our own error.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ does not pass for noise. A floor stands for the accuracy that the solver promise
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -182,18 +181,23 @@ def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> 
     return np.maximum(least, np.where(significant, np.sqrt(np.maximum(excess, 0)), 0.0))
 
 
+def correlation(binned: BinnedTrial, use: Places, tau_s: float) -> Array:
+    """Correlation (k, k) of means over the bins `use` of noise that is correlated as e^(-|t| / tau)."""
+    time, width = binned.time_s[use], binned.duration_s[use]
+    ratio = np.maximum(width / tau_s, 1e-6)
+    gap = np.maximum(np.abs(np.subtract.outer(time, time)) - 0.5 * np.add.outer(width, width), 0.0)
+    edge = (1 - np.exp(-ratio)) / ratio
+    matrix = np.exp(-gap / tau_s) * np.outer(edge, edge)
+    matrix[np.diag_indices(use.size)] = 2 * (ratio - 1 + np.exp(-ratio)) / ratio**2
+    return matrix
+
+
 def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places, Array]:
     """(bins in use (k,), covariance (k, k)) of one channel's bin means."""
     use = np.flatnonzero(np.isfinite(binned.mean[channel]))
-    time, width = binned.time_s[use], binned.duration_s[use]
-    tau = noise.correlation_s[channel]
-    slow = noise.correlated[channel] ** 2
-    ratio = np.maximum(width / tau, 1e-6)
-    within = 2 * (ratio - 1 + np.exp(-ratio)) / ratio**2
-    gap = np.maximum(np.abs(np.subtract.outer(time, time)) - 0.5 * np.add.outer(width, width), 0.0)
-    edge = (1 - np.exp(-ratio)) / ratio
-    matrix = slow * np.exp(-gap / tau) * np.outer(edge, edge)
-    matrix[np.diag_indices(use.size)] = slow * within + noise.white[channel] ** 2 / binned.count[channel, use]
+    time = binned.time_s[use]
+    matrix = noise.correlated[channel] ** 2 * correlation(binned, use, noise.correlation_s[channel])
+    matrix[np.diag_indices(use.size)] += noise.white[channel] ** 2 / binned.count[channel, use]
     matrix += noise.offset[channel] ** 2
     motion = binned.motion[use]
     matrix += noise.motion[channel] ** 2 * (motion[:, None] == motion[None, :])
@@ -254,39 +258,3 @@ def whitener(noise: Noise, binned: BinnedTrial) -> Whitener:
         inverse.append(np.asarray(inverted, dtype=np.float64))
         log_det += 2 * float(np.log(np.diag(lower)).sum())
     return Whitener(tuple(use), tuple(inverse), log_det)
-
-
-def with_replicate_scatter(
-    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
-) -> Noise:
-    """Noise with the scatter from motion to motion that replicates show beyond friction and offset.
-
-    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. Their
-    differences between replicates hold no model error that the replicates share.
-    """
-    channel_count = residuals[0].shape[0]
-    total, dof = np.zeros(channel_count), np.zeros(channel_count)
-    for group in groups:
-        if len(group) <= 1:
-            continue
-        names = min((binned[i].motions for i in group), key=len)
-        for m in range(1, len(names)):
-            means, variances = [], []
-            for i in group:
-                b = binned[i]
-                settled = (b.motion == m) & ~b.moving
-                weight = np.where(np.isfinite(b.mean), b.count, 0.0) * settled
-                total_weight = np.maximum(weight.sum(1), 1e-9)
-                means.append((np.nan_to_num(residuals[i]) * weight).sum(1) / total_weight)
-                span = b.duration_s[settled].sum()
-                slow = noise.correlated**2 / np.maximum(1.0, span / (2 * noise.correlation_s))
-                variances.append(noise.white**2 / total_weight + slow + noise.offset**2)
-            spread = np.var(np.asarray(means), axis=0, ddof=1)
-            total += (len(group) - 1) * (spread - np.mean(variances, 0))
-            dof += len(group) - 1
-    if not dof.any():
-        return noise
-    floor = floors(channel_count)
-    prior_dof = POLICY.noise.motion_dof
-    variance = (prior_dof * floor**2 + np.maximum(total, 0.0)) / (prior_dof + dof)
-    return dataclasses.replace(noise, motion=np.maximum(floor, np.sqrt(variance)))

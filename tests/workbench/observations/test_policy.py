@@ -26,8 +26,8 @@ from needle_rig.workbench.observations.noise import (
     floors,
     measure_noise,
     replicate_groups,
-    with_replicate_scatter,
 )
+from needle_rig.workbench.observations.replicate_noise import _with_motion_scatter
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset
 
@@ -115,7 +115,7 @@ def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial
     noise = dataclasses.replace(noise, correlated=np.zeros(5))
     groups = replicate_groups([b.command for b in binned])
     residuals = [np.full(b.mean.shape, float(k)) for k, b in enumerate(binned)]
-    found = with_replicate_scatter(noise, binned, residuals, groups)
+    found = _with_motion_scatter(noise, binned, residuals, [g for g in groups if len(g) > 1])
     group = next(g for g in groups if len(g) > 1)
     motions = min(len(binned[i].motions) for i in group) - 1
     total = motions * (len(group) - 1) * np.var(group, ddof=1)

@@ -1,0 +1,106 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from needle_rig.numerics import Array
+from needle_rig.units import rad
+from needle_rig.workbench.observations import replicate_noise
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
+from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise
+from needle_rig.workbench.observations.replicate_noise import with_replicates
+from tests.workbench.hidden import dataset
+
+GROUP = [0, 1, 4]
+"""Trials of one command in the dataset."""
+
+
+@pytest.fixture(scope="module")
+def binned() -> tuple[BinnedTrial, ...]:
+    return tuple(bin_trial(t) for t in dataset().trials)
+
+
+@pytest.fixture(scope="module")
+def white(binned: tuple[BinnedTrial, ...]) -> Noise:
+    return measure_noise(dataset().trials, binned)
+
+
+def drawn(noise: Noise, binned: tuple[BinnedTrial, ...], seed: int) -> list[Array]:
+    """Bin means of noise alone."""
+    random = np.random.default_rng(seed)
+    found = []
+    for b in binned:
+        values = np.full(b.mean.shape, np.nan)
+        for c in range(len(values)):
+            use, matrix = covariance(noise, b, c)
+            values[c, use] = np.linalg.cholesky(matrix) @ random.standard_normal(use.size)
+        found.append(values)
+    return found
+
+
+def wandering(noise: Noise, size_deg: float, tau_s: float) -> Noise:
+    """`noise` with a wandering part in the first Hall sensor."""
+    correlated, correlation_s = noise.correlated.copy(), noise.correlation_s.copy()
+    correlated[1], correlation_s[1] = rad(size_deg), tau_s
+    return dataclasses.replace(noise, correlated=correlated, correlation_s=correlation_s)
+
+
+@pytest.mark.parametrize("tau_s", [0.5, 2.0, 10.0])
+def test_noise_that_wanders_over_seconds_has_its_size_and_its_time(
+    binned: tuple[BinnedTrial, ...], white: Noise, tau_s: float
+) -> None:
+    sizes, times = [], []
+    for seed in range(5):
+        residuals = drawn(wandering(white, 0.15, tau_s), binned, seed)
+        found = with_replicates(white, binned, residuals, [GROUP, [2], [3]])
+        sizes.append(found.correlated[1])
+        times.append(found.correlation_s[1])
+    assert np.median(sizes) == pytest.approx(rad(0.15), rel=0.25)
+    assert tau_s / 2.5 < np.median(times) < 2.5 * tau_s
+
+
+def test_white_noise_stays_white(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
+    for seed in range(20):
+        found = with_replicates(white, binned, drawn(white, binned, 100 + seed), [GROUP, [2], [3]])
+        assert not found.correlated.any(), seed
+
+
+def test_what_replicates_share_is_no_noise_although_its_size_differs_with_their_friction(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    residuals = drawn(white, binned, 7)
+    for i, friction in zip(GROUP, (0.95, 1.0, 1.06), strict=True):
+        residuals[i] = residuals[i] + friction * rad(3.0) * np.sin(binned[i].time_s)
+    found = with_replicates(white, binned, residuals, [GROUP, [2], [3]])
+    assert not found.correlated[1:].any()
+
+
+def test_without_replicates_nothing_is_learnt(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
+    residuals = drawn(wandering(white, 0.5, 2.0), binned, 1)
+    assert with_replicates(white, binned, residuals, [[i] for i in range(5)]) is white
+
+
+def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    quiet = [np.full(b.mean.shape, np.nan) for b in binned]
+    for i, way in zip(GROUP, (1.0, -1.0, 0.0), strict=True):
+        quiet[i][1] = way * np.sin(0.7 * binned[i].time_s)
+    for i in GROUP:
+        quiet[i][1] += 5.0
+
+    def found(size: float) -> Noise:
+        return with_replicates(white, binned, [size * q for q in quiet], [GROUP])
+
+    low, high = rad(0.001), rad(1.0)
+    assert found(high).correlated[1] > 0.0 == found(low).correlated[1]
+    while high / low > 1.001:
+        size = np.sqrt(low * high)
+        low, high = (low, size) if found(size).correlated[1] > 0.0 else (size, high)
+    at = found(high)
+    residuals = [high * q for q in quiet]
+    gain = []
+    for variance, tau_s in ((0.0, 1.0), (at.correlated[1] ** 2, float(at.correlation_s[1]))):
+        spectra = replicate_noise._spectra(white, binned, residuals, [GROUP], 1, tau_s)
+        gain.append(sum(spectrum.log_likelihood(variance) for spectrum in spectra))
+    assert 2.0 * (gain[1] - gain[0]) == pytest.approx(13.8, rel=0.02)
