@@ -34,7 +34,8 @@ def _wanders(tau_s: float) -> Callable[[Random, Array], Array]:
         keep = np.exp(-float(np.median(np.diff(time_s))) / tau_s)
         driven = np.sqrt(1.0 - keep**2) * random.standard_normal(time_s.size)
         driven[0] = random.standard_normal()
-        return _white(random, time_s) + WANDER_SHARE * np.asarray(lfilter([1.0], [1.0, -keep], driven))
+        noise: Array = _white(random, time_s) + WANDER_SHARE * lfilter([1.0], [1.0, -keep], driven)
+        return noise
 
     return made
 
@@ -63,7 +64,8 @@ def _gaps(random: Random, time_s: Array) -> Array:
 
 def _heavy_tails(random: Random, time_s: Array) -> Array:
     scale = np.sqrt(STUDENT_DOF / (STUDENT_DOF - 2.0))
-    return random.standard_t(STUDENT_DOF, time_s.size) / scale
+    noise: Array = random.standard_t(STUDENT_DOF, time_s.size) / scale
+    return noise
 
 
 KINDS: Mapping[str, Callable[[Random, Array], Array]] = {
