@@ -7,20 +7,29 @@ too, but they are short: what wanders over longer than a hold looks like an offs
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, eigh, helmert, solve_triangular
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Noise, Places, correlation, covariance, floors
+from needle_rig.workbench.observations.noise import (
+    Noise,
+    Places,
+    correlation,
+    covariance,
+    floors,
+)
 from needle_rig.workbench.policy import POLICY
 
 CORRELATION_TIMES_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
 """Tried for what replicates show."""
+UPPER = 1.35
+"""Fall of the log-likelihood to the upper bound that is taken for the size (95 %, one-sided): few replicates
+know slow noise badly, and noise that is taken too small passes for an effect."""
 SIZES = (1e-3, 10.0)
 """Bounds of the correlated part in units of the white one."""
 MISFIT_SHARE, MISFIT_TIME_S = 0.05, 1.0
@@ -59,6 +68,8 @@ class _Spectrum:
     """(R - 1, K)."""
     shared: Array
     """(2, K) what the replicates share, whose size may differ with their friction, and its rate of change."""
+    log_det: float
+    """Of the covariance without what is correlated."""
 
     def log_likelihood(self, variance: float) -> float:
         """Restricted log-likelihood (Patterson & Thompson 1971), up to a constant, with `shared` free in each
@@ -68,35 +79,94 @@ class _Spectrum:
         basis, triangle = np.linalg.qr((self.shared * root).T)
         left = self.contrasts * root
         left = left - (left @ basis) @ basis.T
-        log_det = np.log(weight).sum() - 2.0 * np.log(np.abs(np.diag(triangle)) + _LEAST).sum()
+        log_det = np.log(weight).sum() - self.log_det - 2.0 * np.log(np.abs(np.diag(triangle)) + _LEAST).sum()
         return 0.5 * float(log_det * len(left) - (left**2).sum())
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """What replicates say of one channel's correlated noise."""
+
+    white: float
+    spectra: Mapping[float, Sequence[_Spectrum]]
+    """By correlation time."""
+    present: float
+    """Log-likelihood of the noise as it is known."""
+
+    def log_likelihood(self, size: float, tau_s: float) -> float:
+        """Of a correlated part of `size` times the white one."""
+        variance = (size * self.white) ** 2
+        return sum(spectrum.log_likelihood(variance) for spectrum in self.spectra[tau_s])
+
+
+@dataclass(frozen=True)
+class _Likeliest:
+    """The likeliest correlated part of some channels together."""
+
+    log_likelihood: float
+    size: float
+    """Upper bound, in units of the white part."""
+    tau_s: float
 
 
 def _with_correlation(
     noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
 ) -> Noise:
-    """Noise with the correlated part by restricted maximum likelihood, in channels where it is likelier."""
+    """Noise with the correlated part by restricted maximum likelihood, where it is likelier.
+
+    Hall sensors are alike: what all of them show together is taken for each, unless one shows otherwise.
+    """
     correlated, correlation_s = noise.correlated.copy(), noise.correlation_s.copy()
-    for c, white in enumerate(noise.white):
-        now = _spectra(noise, binned, residuals, groups, c, float(noise.correlation_s[c]))
-        if not now:
-            continue
-        present = _log_likelihood(now, float(noise.correlated[c]) ** 2)
-        best = (present, float(correlated[c]), float(correlation_s[c]))
-        for tau_s in CORRELATION_TIMES_S:
-            spectra = _spectra(noise, binned, residuals, groups, c, tau_s)
-            bounds = tuple(np.log(np.square(np.multiply(SIZES, white))))
-            found = minimize_scalar(
-                lambda log, at=spectra: -_log_likelihood(at, np.exp(log)), bounds=bounds, method="bounded"
-            )
-            best = max(best, (float(-found.fun), float(np.exp(found.x / 2)), tau_s))
-        if 2.0 * (best[0] - present) > POLICY.noise.replicate_gain:
-            _, correlated[c], correlation_s[c] = best
+    asked = POLICY.noise.replicate_gain / 2.0
+    for together in ([0], list(range(1, noise.white.size))):
+        channels = {c: _channel(noise, binned, residuals, groups, c) for c in together}
+        pooled = _likeliest(list(channels.values()))
+        is_shown = pooled.log_likelihood - sum(each.present for each in channels.values()) > asked
+        for c, channel in channels.items():
+            own = _likeliest([channel])
+            chosen, value = None, channel.present
+            if is_shown:
+                chosen, value = pooled, channel.log_likelihood(pooled.size, pooled.tau_s)
+            if channel.present - value > asked:
+                chosen, value = None, channel.present
+            if own.log_likelihood - value > asked:
+                chosen = own
+            if chosen is not None:
+                correlated[c], correlation_s[c] = chosen.size * channel.white, chosen.tau_s
     return dataclasses.replace(noise, correlated=correlated, correlation_s=correlation_s)
 
 
-def _log_likelihood(spectra: Sequence[_Spectrum], variance: float) -> float:
-    return sum(spectrum.log_likelihood(variance) for spectrum in spectra)
+def _channel(
+    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]], c: int
+) -> _Channel:
+    white, present_s = float(noise.white[c]), float(noise.correlation_s[c])
+    alone = dataclasses.replace(noise, correlated=np.zeros_like(noise.correlated))
+    spectra = {
+        tau_s: _spectra(alone, binned, residuals, groups, c, tau_s)
+        for tau_s in {*CORRELATION_TIMES_S, present_s}
+    }
+    known = _Channel(white, spectra, 0.0).log_likelihood(float(noise.correlated[c]) / white, present_s)
+    return _Channel(white, spectra, known)
+
+
+def _likeliest(channels: Sequence[_Channel]) -> _Likeliest:
+    """By size and correlation time; the size at the upper end of its interval."""
+    low, high = np.log(SIZES)
+
+    def at(tau_s: float) -> _Likeliest:
+        def lost(log: float) -> float:
+            return -sum(channel.log_likelihood(float(np.exp(log)), tau_s) for channel in channels)
+
+        found = minimize_scalar(lost, bounds=(low, high), method="bounded")
+        limit = float(found.fun) + UPPER
+        bound = brentq(lambda log: lost(log) - limit, found.x, high) if lost(high) > limit else high
+        return _Likeliest(-float(found.fun), float(np.exp(bound)), tau_s)
+
+    every = [at(tau_s) for tau_s in CORRELATION_TIMES_S]
+    best = max(every, key=lambda each: each.log_likelihood)
+    likely = [each for each in every if each.log_likelihood > best.log_likelihood - UPPER]
+    rate = max(each.size**2 / each.tau_s for each in likely)
+    return dataclasses.replace(best, size=float(np.sqrt(rate * best.tau_s)))
 
 
 def _spectra(
@@ -107,8 +177,7 @@ def _spectra(
     channel: int,
     tau_s: float,
 ) -> list[_Spectrum]:
-    """Of every group of replicates in this channel, for noise that is correlated over `tau_s`."""
-    uncorrelated = dataclasses.replace(noise, correlated=np.zeros_like(noise.correlated))
+    """Of every group of replicates in this channel, for what is correlated over `tau_s` beside `noise`."""
     found = []
     for group in groups:
         alike = _alike([binned[i] for i in group])
@@ -118,7 +187,7 @@ def _spectra(
             continue
         covariances, correlations = [], []
         for i, places in zip(group, alike[:, common], strict=True):
-            use, matrix = covariance(uncorrelated, binned[i], channel)
+            use, matrix = covariance(noise, binned[i], channel)
             at = np.searchsorted(use, places)
             covariances.append(matrix[np.ix_(at, at)])
             correlations.append(correlation(binned[i], places, tau_s))
@@ -128,13 +197,19 @@ def _spectra(
         lower = cholesky(np.mean(covariances, 0) + unlike, lower=True)
         half = solve_triangular(lower, np.mean(correlations, 0), lower=True)
         values, vectors = eigh(solve_triangular(lower, half.T, lower=True))
-        mean = seen[:, common].mean(0)
         rows = np.vstack(
             [seen[:, common], mean, np.gradient(mean, binned[group[0]].time_s[alike[0, common]])]
         )
         rotated = solve_triangular(lower, rows.T, lower=True).T @ vectors
         independent, shared = rotated[:-2], rotated[-2:]
-        found.append(_Spectrum(np.maximum(values, 0.0), helmert(len(group)) @ independent, shared))
+        found.append(
+            _Spectrum(
+                np.maximum(values, 0.0),
+                helmert(len(group)) @ independent,
+                shared,
+                2.0 * float(np.log(np.diag(lower)).sum()),
+            )
+        )
     return found
 
 

@@ -97,10 +97,6 @@ def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
     while high / low > 1.001:
         size = np.sqrt(low * high)
         low, high = (low, size) if found(size).correlated[1] > 0.0 else (size, high)
-    at = found(high)
-    residuals = [high * q for q in quiet]
-    gain = []
-    for variance, tau_s in ((0.0, 1.0), (at.correlated[1] ** 2, float(at.correlation_s[1]))):
-        spectra = replicate_noise._spectra(white, binned, residuals, [GROUP], 1, tau_s)
-        gain.append(sum(spectrum.log_likelihood(variance) for spectrum in spectra))
-    assert 2.0 * (gain[1] - gain[0]) == pytest.approx(13.8, rel=0.02)
+    channel = replicate_noise._channel(white, binned, [high * q for q in quiet], [GROUP], 1)
+    likeliest = replicate_noise._likeliest([channel])
+    assert 2.0 * (likeliest.log_likelihood - channel.present) == pytest.approx(13.8, rel=0.02)
