@@ -23,7 +23,8 @@ from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.noise import measure_noise
-from needle_rig.workbench.observations.replicate_noise import with_replicates
+from needle_rig.workbench.observations.replicate_noise import with_correlation, with_motion_scatter
+from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.policy import POLICY
 
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
@@ -128,7 +129,9 @@ def fit_baseline(
     notes = list(_notes(problem))
     if noise.replicates:
         left = _left(problem, first)
-        noise = with_replicates(noise, binned, left, problem.groups)
+        if not snaps(dataset):  # they come at another instant in each replicate, which is no noise
+            noise = with_correlation(noise, binned, left, problem.groups)
+        noise = with_motion_scatter(noise, binned, left, problem.groups)
         problem = problem.with_noise(noise)
         first = refitted(problem, first)
     fine_m = current.element_length_m

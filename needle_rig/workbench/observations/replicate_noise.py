@@ -40,21 +40,6 @@ FEWEST_BINS = 8
 """That replicates have in common: fewer show no correlation."""
 
 
-def with_replicates(
-    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
-) -> Noise:
-    """Noise with what `groups` of replicates show of it.
-
-    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect.
-    """
-    replicates = [group for group in groups if len(group) > 1]
-    if not replicates:
-        return noise
-    return _with_motion_scatter(
-        _with_correlation(noise, binned, residuals, replicates), binned, residuals, replicates
-    )
-
-
 @dataclass(frozen=True)
 class _Spectrum:
     """Contrasts of one group of replicates in the basis in which white and correlated noise are independent.
@@ -109,13 +94,18 @@ class _Likeliest:
     tau_s: float
 
 
-def _with_correlation(
+def with_correlation(
     noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
 ) -> Noise:
-    """Noise with the correlated part by restricted maximum likelihood, where it is likelier.
+    """Noise with the correlated part that `groups` of replicates show, where they show one.
 
-    Hall sensors are alike: what all of them show together is taken for each, unless one shows otherwise.
+    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. By restricted
+    maximum likelihood; Hall sensors are alike: what all of them show together is taken for each, unless one
+    shows otherwise.
     """
+    groups = [group for group in groups if len(group) > 1]
+    if not groups:
+        return noise
     correlated, correlation_s = noise.correlated.copy(), noise.correlation_s.copy()
     asked = POLICY.noise.replicate_gain / 2.0
     for together in ([0], list(range(1, noise.white.size))):
@@ -224,13 +214,16 @@ def _alike(trials: Sequence[BinnedTrial]) -> Places:
     return np.concatenate(found, axis=1)
 
 
-def _with_motion_scatter(
+def with_motion_scatter(
     noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
 ) -> Noise:
-    """Noise with the scatter from motion to motion beyond friction, offset and what is correlated."""
+    """Noise with the scatter from motion to motion that `groups` of replicates show beyond friction, offset
+    and what is correlated; `residuals` as above."""
     channel_count = residuals[0].shape[0]
     total, dof = np.zeros(channel_count), np.zeros(channel_count)
     for group in groups:
+        if len(group) <= 1:
+            continue
         names = min((binned[i].motions for i in group), key=len)
         for m in range(1, len(names)):
             means, variances = [], []

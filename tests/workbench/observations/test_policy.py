@@ -27,7 +27,7 @@ from needle_rig.workbench.observations.noise import (
     measure_noise,
     replicate_groups,
 )
-from needle_rig.workbench.observations.replicate_noise import _with_motion_scatter
+from needle_rig.workbench.observations.replicate_noise import with_motion_scatter
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset
 
@@ -115,7 +115,7 @@ def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial
     noise = dataclasses.replace(noise, correlated=np.zeros(5))
     groups = replicate_groups([b.command for b in binned])
     residuals = [np.full(b.mean.shape, float(k)) for k, b in enumerate(binned)]
-    found = _with_motion_scatter(noise, binned, residuals, [g for g in groups if len(g) > 1])
+    found = with_motion_scatter(noise, binned, residuals, groups)
     group = next(g for g in groups if len(g) > 1)
     motions = min(len(binned[i].motions) for i in group) - 1
     total = motions * (len(group) - 1) * np.var(group, ddof=1)

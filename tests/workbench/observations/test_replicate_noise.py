@@ -8,9 +8,11 @@ from needle_rig.units import rad
 from needle_rig.workbench.observations import replicate_noise
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise
-from needle_rig.workbench.observations.replicate_noise import with_replicates
+from needle_rig.workbench.observations.replicate_noise import with_correlation
 from tests.workbench.hidden import dataset
 
+ALL = slice(1, None)
+"""Hall sensors."""
 GROUP = [0, 1, 4]
 """Trials of one command in the dataset."""
 
@@ -38,10 +40,10 @@ def drawn(noise: Noise, binned: tuple[BinnedTrial, ...], seed: int) -> list[Arra
     return found
 
 
-def wandering(noise: Noise, size_deg: float, tau_s: float) -> Noise:
-    """`noise` with a wandering part in the first Hall sensor."""
+def wandering(noise: Noise, size_deg: float, tau_s: float, sensors: slice) -> Noise:
+    """`noise` with a wandering part in these channels."""
     correlated, correlation_s = noise.correlated.copy(), noise.correlation_s.copy()
-    correlated[1], correlation_s[1] = rad(size_deg), tau_s
+    correlated[sensors], correlation_s[sensors] = rad(size_deg), tau_s
     return dataclasses.replace(noise, correlated=correlated, correlation_s=correlation_s)
 
 
@@ -51,17 +53,27 @@ def test_noise_that_wanders_over_seconds_has_its_size_and_its_time(
 ) -> None:
     sizes, times = [], []
     for seed in range(5):
-        residuals = drawn(wandering(white, 0.15, tau_s), binned, seed)
-        found = with_replicates(white, binned, residuals, [GROUP, [2], [3]])
-        sizes.append(found.correlated[1])
-        times.append(found.correlation_s[1])
+        residuals = drawn(wandering(white, 0.15, tau_s, ALL), binned, seed)
+        found = with_correlation(white, binned, residuals, [GROUP, [2], [3]])
+        sizes.append(found.correlated[ALL])
+        times.append(found.correlation_s[ALL])
     assert np.median(sizes) == pytest.approx(rad(0.15), rel=0.25)
     assert tau_s / 2.5 < np.median(times) < 2.5 * tau_s
 
 
+def test_a_sensor_that_wanders_alone_is_told_from_the_others(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    for seed in range(5):
+        residuals = drawn(wandering(white, 0.4, 2.0, slice(2, 3)), binned, 50 + seed)
+        found = with_correlation(white, binned, residuals, [GROUP, [2], [3]])
+        assert rad(0.3) < found.correlated[2] < rad(0.8)
+        assert not np.delete(found.correlated, 2).any()
+
+
 def test_white_noise_stays_white(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
     for seed in range(20):
-        found = with_replicates(white, binned, drawn(white, binned, 100 + seed), [GROUP, [2], [3]])
+        found = with_correlation(white, binned, drawn(white, binned, 100 + seed), [GROUP, [2], [3]])
         assert not found.correlated.any(), seed
 
 
@@ -71,13 +83,13 @@ def test_what_replicates_share_is_no_noise_although_its_size_differs_with_their_
     residuals = drawn(white, binned, 7)
     for i, friction in zip(GROUP, (0.95, 1.0, 1.06), strict=True):
         residuals[i] = residuals[i] + friction * rad(3.0) * np.sin(binned[i].time_s)
-    found = with_replicates(white, binned, residuals, [GROUP, [2], [3]])
+    found = with_correlation(white, binned, residuals, [GROUP, [2], [3]])
     assert not found.correlated[1:].any()
 
 
 def test_without_replicates_nothing_is_learnt(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
-    residuals = drawn(wandering(white, 0.5, 2.0), binned, 1)
-    assert with_replicates(white, binned, residuals, [[i] for i in range(5)]) is white
+    residuals = drawn(wandering(white, 0.5, 2.0, ALL), binned, 1)
+    assert with_correlation(white, binned, residuals, [[i] for i in range(5)]) is white
 
 
 def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
@@ -90,7 +102,7 @@ def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
         quiet[i][1] += 5.0
 
     def found(size: float) -> Noise:
-        return with_replicates(white, binned, [size * q for q in quiet], [GROUP])
+        return with_correlation(white, binned, [size * q for q in quiet], [GROUP])
 
     low, high = rad(0.001), rad(1.0)
     assert found(high).correlated[1] > 0.0 == found(low).correlated[1]
