@@ -24,11 +24,15 @@ EVIL = "<img src=x onerror=window.evil=1>"
 Open = Callable[..., Any]
 
 
-def pictured(page: Any, name: str) -> None:
-    """Keep a picture of the whole page."""
+def pictured(page: Any, name: str, part: str = "") -> None:
+    """Keep a picture of the whole page, or of the `part` that a selector names."""
     PICTURES.mkdir(parents=True, exist_ok=True)
+    path = PICTURES / f"{name}.png"
+    if part:
+        page.locator(part).first.screenshot(path=path)
+        return
     page.evaluate("scrollTo(0, 0)")
-    page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
+    page.screenshot(path=path, full_page=True)
 
 
 def look_at(page: Any, name: str) -> None:

@@ -23,6 +23,14 @@ pytestmark = IN_BROWSER
 PAGES = ("live", "workbench", "runs", "learn", "strategies")
 
 
+def fallen(page: Any) -> tuple[float, float]:
+    """The error before and after what was added, once the page shows it and has compared again."""
+    page.get_by_role("heading", name="4 · The error falls").wait_for()
+    before, after = (float(text) for text in page.locator(".bars strong").all_inner_texts())
+    page.wait_for_selector(".map")
+    return before, after
+
+
 def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error(visit: Open) -> None:
     page = visit("workbench")
     page.get_by_label("data/mine").check()
@@ -41,11 +49,9 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
     pictured(page, "what-is-missing")
     look_at(page, "workbench-what-is-missing")
     page.get_by_role("button", name="Add tissue elasticity").click()
-    page.get_by_role("heading", name="4 · The error falls").wait_for()
-    before, after = (float(text) for text in page.locator(".bars strong").all_inner_texts())
+    before, after = fallen(page)
     assert before > 10.0
     assert after < 1.5
-    page.wait_for_selector(".map")
     pictured(page, "the-error-falls")
     look_at(page, "workbench-the-error-falls")
     with page.expect_download() as download:
@@ -316,11 +322,10 @@ def test_a_law_that_nobody_told_it_is_learnt_added_and_taken_back(
         page.locator("section.law h4", has_text="a torque in tissue section 3").wait_for()
         assert "sin(2" in page.locator("section.law strong").first.inner_text()
         look_at(page, "workbench-law")
+        pictured(page, "law", "section.law")
         page.get_by_role("button", name="Add this law").click()
-        page.get_by_role("heading", name="4 · The error falls").wait_for()
-        before, after = (float(text) for text in page.locator(".bars strong").all_inner_texts())
+        before, after = fallen(page)
         assert before > 10.0
         assert after < 1.1
-        page.wait_for_selector(".map")
         page.get_by_role("button", name="Undo").click()
         page.get_by_role("heading", name="4 · The error falls").wait_for(state="detached")

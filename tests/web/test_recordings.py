@@ -9,7 +9,7 @@ import pytest
 
 from needle_rig.dataset import read_dataset
 from needle_rig.units import deg, nmm
-from tests.web.looking import EVIL, IN_BROWSER, Open, look_at
+from tests.web.looking import EVIL, IN_BROWSER, Open, look_at, pictured
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
 pytestmark = IN_BROWSER
@@ -58,6 +58,7 @@ def test_a_recording_is_dropped_its_columns_confirmed_and_the_model_held_against
     page.get_by_text("what the shaft looks like is not known").wait_for(state="detached")
     page.wait_for_selector("[aria-label='What is what'] canvas")
     assert page.evaluate("window.evil") is None
+    pictured(page, "what-is-what", "[aria-label='What is what']")
     look_at(page, "what-is-what")
     for doubt in page.locator(".doubt input").all():
         doubt.check()

@@ -1,6 +1,6 @@
 // A law that no library holds: what was learnt, its curve where data are and where not, and a way into the model.
 import { Plot, line } from "./plot.js";
-import { html, number, parameter, significant, words } from "./ui.js";
+import { html, measured, number, parameter, words } from "./ui.js";
 
 /** What `learn` says; `add` takes a law into the model.
  * @param {{found: any, busy: boolean, add: (law: string) => void}} props */
@@ -18,7 +18,7 @@ function LearntLaw({ law, busy, add }) {
   const seen = law.value.map((/** @type {number | null} */ v, /** @type {number} */ i) => (law.data[i] > 0 ? v : null));
   return html`<section class="law" aria-label=${law.words}><h4>${law.words}</h4>
     <p>${law.formula ? html`As a formula: <strong>${law.formula}</strong>. ` : null}Error on commands left out ${number(law.held_out_before, 2)} → <strong>${number(law.held_out_after, 2)}</strong> times the noise.</p>
-    <ul>${law.parameters.map((/** @type {any} */ p) => html`<li>${parameter(p.name)} = ${significant(p.value)} ± ${significant(p.uncertainty)} ${p.unit === "1" ? "" : p.unit}</li>`)}
+    <ul>${law.parameters.map((/** @type {any} */ p) => html`<li>${parameter(p.name)} = ${measured(p.value, p.uncertainty)} ${p.unit === "1" ? "" : p.unit}</li>`)}
       ${law.tied_with.map((/** @type {string} */ other) => html`<li>cannot be told from: ${other}</li>`)}
       ${law.experiment ? html`<li><strong>Would tell them apart:</strong> ${law.experiment}</li>` : null}</ul>
     <${Plot} label=${`${law.words}: the curve with its 95 % band`} unit=${`curve${unit}`} time=${along} height=${240} band=${true}

@@ -88,11 +88,11 @@ export function WhatIsWhat({ busy, sources, again, take }) {
     <ul class="plain">${Object.entries(mapping.clocks).map(([name, c]) => html`<li>${name}: ${c.source === null ? "a rate" : `column ${c.source}`}${" "}
       ${c.source === null ? html`<label class="row">samples a second <input class="short" value=${c.rate_hz ?? ""} onChange=${(/** @type {any} */ e) => clock(name, { rate_hz: Number(value(e)) || null })} /></label>`
         : html`<label class="row">unit <input class="short" value=${c.unit ?? ""} onChange=${(/** @type {any} */ e) => clock(name, { unit: value(e) || null })} /></label>`}
-      <span class="quiet">${c.why}</span><${Doubt} part=${c} of=${`clock ${name}`} /></li>`)}
+      ${" "}<span class="quiet">${c.why}</span><${Doubt} part=${c} of=${`clock ${name}`} /></li>`)}
       <li>trials: ${{ whole: "each recording is one", rests: "cut where the base rests", column: `cut where ${mapping.trials.source} changes`, times: "cut at times" }[/** @type {"whole"} */ (mapping.trials.at)]},
         ${" "}<label class="row">the shaft begins <select value=${mapping.trials.start} onChange=${(/** @type {any} */ e) => edit((m) => ({ ...m, trials: { ...m.trials, start: value(e) } }))}>
           ${["relaxed", "wound"].map((start) => html`<option value=${start} selected=${start === mapping.trials.start}>${start}</option>`)}</select></label>
-        <span class="quiet">${mapping.trials.why}</span><${Doubt} part=${mapping.trials} of="trials" /></li>
+        ${" "}<span class="quiet">${mapping.trials.why}</span><${Doubt} part=${mapping.trials} of="trials" /></li>
       ${mapping.not_used.length ? html`<li class="quiet">not used: ${mapping.not_used.join(", ")}</li>` : null}</ul>
     <h3>The shaft</h3>
     <div class="orders"><label>looks like that of <select value=${layoutOf.value} onChange=${(/** @type {any} */ e) => { layoutOf.value = value(e); if (value(e) === WRITTEN && !layoutText.value) layoutText.value = LAYOUT; }}>

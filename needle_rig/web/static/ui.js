@@ -22,6 +22,14 @@ export const significant = (value) => {
   return String(Number(value.toPrecision(3))).replace("-", "−");
 };
 
+/** A value with its standard deviation, of which two digits are told, and as many decimals of the value.
+ * @param {number} value @param {number | null | undefined} uncertainty */
+export const measured = (value, uncertainty) => {
+  if (!uncertainty || !Number.isFinite(uncertainty)) return significant(value);
+  const decimals = Math.min(Math.max(1 - Math.floor(Math.log10(uncertainty)), 0), 12);
+  return `${number(value, decimals)} ± ${number(uncertainty, decimals)}`;
+};
+
 /** A name of the program as people read it.
  * @param {string} name */
 export const words = (name) => name.replaceAll("_", " ");

@@ -3,7 +3,7 @@ import { ask, compute, save } from "./net.js";
 import { LearntLaws } from "./law.js";
 import { WhatIsWhat, asConfirmed, proposal, propose, shaft } from "./mapping.js";
 import { Plot, dots, line } from "./plot.js";
-import { html, number, parameter, signal, significant, useEffect, words } from "./ui.js";
+import { html, measured, number, parameter, signal, significant, useEffect, words } from "./ui.js";
 
 /** What can be chosen. @type {{value: any}} */
 export const about = signal(null);
@@ -338,7 +338,7 @@ function Falls() {
         ${steps.map((/** @type {any} */ s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
         <td>${significant(steps.at(-1).channels[name]?.floor)}</td></tr>`)}</tbody></table></div>
     <h3>Model ${now.model}</h3>
-    <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${significant(v.value)}${v.uncertainty !== null ? ` ± ${significant(v.uncertainty)}` : ""} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>
+    <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${measured(v.value, v.uncertainty)} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>
     <p><button onClick=${undo} disabled=${Boolean(job.value)}>Undo</button>
       <button onClick=${() => save(`jobs/${now.key}/model.yaml`, `${now.model}.yaml`).catch((error) => (refused.value = error.message))}>Model file</button></p></section>`;
 }
