@@ -22,6 +22,9 @@ Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 class Work:
     """Runs `function(shared, *task)` for every task: in this process."""
 
+    processes = 1
+    """That run at once."""
+
     def __init__(self, progress: Progress | None = None) -> None:
         self._progress = progress or (lambda results, _: results)
         self._shared: Any = None
@@ -52,6 +55,7 @@ class Processes(Work):
         if jobs < 1:
             raise BadInput(f"--jobs {jobs}: give at least 1")
         one_thread_each()
+        self.processes = jobs
         self._pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
         self._folder = TemporaryDirectory(prefix="needle-rig-")
         self._round = 0
@@ -106,6 +110,7 @@ class Cluster(Work):
             self._client: Any = connect(address, timeout="10s")
         except (OSError, TimeoutError, ValueError) as error:
             raise BadInput(f"--cluster {address}: no scheduler answers there ({error})") from error
+        self.processes = max(1, sum(self._client.ncores().values()))
 
     def share(self, shared: Any) -> None:
         """Send it to every worker."""

@@ -14,7 +14,7 @@ from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
-from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.diagnose import diagnose, expected
 from tests.values import known
 from tests.workbench.hidden import dataset, effect, few, try_effect
 
@@ -310,3 +310,11 @@ def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() 
     assert known(found.search.fits[found.search.best][1]).error < 1.1
     assert found.verdict == "unknown"
     assert not found.effects
+
+
+@pytest.mark.parametrize(
+    ("fit_s", "processes", "told"),
+    [(0.5, 2, "some 2 to 12 s"), (0.01, 2, "some 1 to 2 s"), (9.0, 2, "some 0.6 to 4 min")],
+)
+def test_how_long_it_will_take_is_told_after_the_first_fit(fit_s: float, processes: int, told: str) -> None:
+    assert expected(fit_s, processes) == told
