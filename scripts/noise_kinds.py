@@ -41,13 +41,15 @@ def _wanders(tau_s: float) -> Callable[[Random, Array], Array]:
 
 
 def _hum(random: Random, time_s: Array) -> Array:
-    wave = np.sin(2 * np.pi * ((MAINS_HZ + MAINS_OFF_HZ) * time_s + random.random()))
-    return _white(random, time_s) + WANDER_SHARE * np.sqrt(2.0) * wave
+    phase = 2 * np.pi * ((MAINS_HZ + MAINS_OFF_HZ) * time_s + random.random())
+    noise: Array = _white(random, time_s) + WANDER_SHARE * np.sqrt(2.0) * np.sin(phase)
+    return noise
 
 
 def _averaged(random: Random, time_s: Array) -> Array:
     rough = random.standard_normal(time_s.size + AVERAGED_SAMPLES - 1)
-    return np.convolve(rough, np.full(AVERAGED_SAMPLES, AVERAGED_SAMPLES**-0.5), "valid")
+    noise: Array = np.convolve(rough, np.full(AVERAGED_SAMPLES, AVERAGED_SAMPLES**-0.5), "valid")
+    return noise
 
 
 def _outliers(random: Random, time_s: Array) -> Array:

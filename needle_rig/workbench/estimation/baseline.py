@@ -22,7 +22,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.blocks import in_blocks
-from needle_rig.workbench.observations.noise import measure_noise
+from needle_rig.workbench.observations.noise import Noise, measure_noise
 from needle_rig.workbench.observations.replicate_noise import with_correlation, with_motion_scatter
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.policy import POLICY
@@ -128,10 +128,9 @@ def fit_baseline(
     first = _first_fit(problem, names, at, current.friction_n if model else None)
     notes = list(_notes(problem))
     if noise.replicates:
-        left = _left(problem, first)
-        if not snaps(dataset):  # they come at another instant in each replicate, which is no noise
-            noise = with_correlation(noise, binned, left, problem.groups)
-        noise = with_motion_scatter(noise, binned, left, problem.groups)
+        noise = with_motion_scatter(
+            _correlated(dataset, problem, first), binned, _left(problem, first), problem.groups
+        )
         problem = problem.with_noise(noise)
         first = refitted(problem, first)
     fine_m = current.element_length_m
@@ -145,13 +144,25 @@ def as_baseline(
     """A fit as a baseline of its own model: with the discretisation error at this fit, not at the search's
     start.
 
-    Where the model cannot be solved finely, the fit stays as it is.
+    So is noise that only a better model tells from what is missing. Where the model cannot be solved finely,
+    the fit stays as it is.
     """
+    noise = _correlated(baseline.dataset, problem, found)
+    if noise is not problem.noise:
+        problem, validation = problem.with_noise(noise), None
+        found = refitted(problem, found)
     try:
         problem, found = with_discretisation_error(problem, found, baseline.dataset.trials, baseline.fine_m)
     except SolverError:
         return problem, found, validation or cross_validate(problem, found)
     return problem, found, cross_validate(problem, found)
+
+
+def _correlated(dataset: Dataset, problem: Problem, found: Fit) -> Noise:
+    """The noise, with what replicates show at this fit of its correlation."""
+    if not problem.noise.replicates or snaps(dataset):  # a snap comes at another instant in each replicate
+        return problem.noise
+    return with_correlation(problem.noise, problem.trials, _left(problem, found), problem.groups)
 
 
 def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:

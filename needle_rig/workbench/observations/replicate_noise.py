@@ -7,7 +7,7 @@ too, but they are short: what wanders over longer than a hold looks like an offs
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,9 +32,6 @@ UPPER = 1.35
 know slow noise badly, and noise that is taken too small passes for an effect."""
 SIZES = (1e-3, 10.0)
 """Bounds of the correlated part in units of the white one."""
-MISFIT_SHARE, MISFIT_TIME_S = 0.05, 1.0
-"""By which what replicates share differs among them beyond its size, as their friction does, and over what
-time. Chosen: twice the scatter of friction."""
 _LEAST = float(np.finfo(np.float64).tiny)
 FEWEST_BINS = 8
 """That replicates have in common: fewer show no correlation."""
@@ -101,15 +98,19 @@ def with_correlation(
 
     `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. By restricted
     maximum likelihood; Hall sensors are alike: what all of them show together is taken for each, unless one
-    shows otherwise.
+    shows otherwise. Where the model is wrong, replicates differ by what their friction makes of its error:
+    then nothing is taken for noise, and `noise` itself comes back.
     """
     groups = [group for group in groups if len(group) > 1]
     if not groups:
         return noise
+    every = {c: _channel(noise, binned, residuals, groups, c) for c in range(noise.white.size)}
+    if _misfit(every.values()) > POLICY.noise.replicate_misfit:
+        return noise
     correlated, correlation_s = noise.correlated.copy(), noise.correlation_s.copy()
     asked = POLICY.noise.replicate_gain / 2.0
     for together in ([0], list(range(1, noise.white.size))):
-        channels = {c: _channel(noise, binned, residuals, groups, c) for c in together}
+        channels = {c: every[c] for c in together}
         pooled = _likeliest(list(channels.values()))
         is_shown = pooled.log_likelihood - sum(each.present for each in channels.values()) > asked
         for c, channel in channels.items():
@@ -123,7 +124,20 @@ def with_correlation(
                 chosen = own
             if chosen is not None:
                 correlated[c], correlation_s[c] = chosen.size * channel.white, chosen.tau_s
+    if np.array_equal(correlated, noise.correlated):
+        return noise
     return dataclasses.replace(noise, correlated=correlated, correlation_s=correlation_s)
+
+
+def _misfit(channels: Iterable[_Channel]) -> float:
+    """Mean square of what replicates share over that of how they differ: 1 for a model that is right."""
+    shared = apart = 0.0
+    for channel in channels:
+        for spectrum in channel.spectra[CORRELATION_TIMES_S[0]]:
+            contrasts = spectrum.contrasts
+            shared += (len(contrasts) + 1) * float(spectrum.shared[0] @ spectrum.shared[0])
+            apart += float((contrasts**2).sum()) / len(contrasts)
+    return shared / max(apart, _LEAST)
 
 
 def _channel(
@@ -182,14 +196,10 @@ def _spectra(
             covariances.append(matrix[np.ix_(at, at)])
             correlations.append(correlation(binned[i], places, tau_s))
         mean, time_s = seen[:, common].mean(0), binned[group[0]].time_s[alike[0, common]]
-        unlike = MISFIT_SHARE**2 * np.outer(mean, mean)
-        unlike *= np.exp(-np.abs(np.subtract.outer(time_s, time_s)) / MISFIT_TIME_S)
-        lower = cholesky(np.mean(covariances, 0) + unlike, lower=True)
+        lower = cholesky(np.mean(covariances, 0), lower=True)
         half = solve_triangular(lower, np.mean(correlations, 0), lower=True)
         values, vectors = eigh(solve_triangular(lower, half.T, lower=True))
-        rows = np.vstack(
-            [seen[:, common], mean, np.gradient(mean, binned[group[0]].time_s[alike[0, common]])]
-        )
+        rows = np.vstack([seen[:, common], mean, np.gradient(mean, time_s)])
         rotated = solve_triangular(lower, rows.T, lower=True).T @ vectors
         independent, shared = rotated[:-2], rotated[-2:]
         found.append(

@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from needle_rig.numerics import Array
 from needle_rig.units import rad
@@ -77,14 +78,29 @@ def test_white_noise_stays_white(binned: tuple[BinnedTrial, ...], white: Noise) 
         assert not found.correlated.any(), seed
 
 
-def test_what_replicates_share_is_no_noise_although_its_size_differs_with_their_friction(
-    binned: tuple[BinnedTrial, ...], white: Noise
+@pytest.mark.parametrize(("share", "is_noise"), [(2.7, True), (3.3, False)])
+def test_where_replicates_share_three_times_what_they_differ_by_the_model_is_wrong(
+    binned: tuple[BinnedTrial, ...], white: Noise, share: float, is_noise: bool
 ) -> None:
-    residuals = drawn(white, binned, 7)
-    for i, friction in zip(GROUP, (0.95, 1.0, 1.06), strict=True):
-        residuals[i] = residuals[i] + friction * rad(3.0) * np.sin(binned[i].time_s)
-    found = with_correlation(white, binned, residuals, [GROUP, [2], [3]])
-    assert not found.correlated[1:].any()
+    residuals = drawn(wandering(white, 0.3, 2.0, ALL), binned, 7)
+    error = drawn(wandering(white, 0.3, 2.0, ALL), binned, 8)[GROUP[0]]
+    alike = replicate_noise._alike([binned[i] for i in GROUP])
+
+    def wrong_by(size: float) -> list[Array]:
+        found = [r.copy() for r in residuals]
+        for i, places in zip(GROUP, alike, strict=True):
+            found[i][:, places] += size * error[:, alike[0]]
+        return found
+
+    def misfit(size: float) -> float:
+        found = wrong_by(size)
+        every = [replicate_noise._channel(white, binned, found, [GROUP], c) for c in range(5)]
+        return replicate_noise._misfit(every)
+
+    size = brentq(lambda s: misfit(s) - share, 0.0, 30.0)
+    noise = with_correlation(white, binned, wrong_by(size), [GROUP])
+    assert noise.correlated[ALL].all() == is_noise
+    assert (noise is white) == (not is_noise)
 
 
 def test_without_replicates_nothing_is_learnt(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
@@ -98,8 +114,6 @@ def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
     quiet = [np.full(b.mean.shape, np.nan) for b in binned]
     for i, way in zip(GROUP, (1.0, -1.0, 0.0), strict=True):
         quiet[i][1] = way * np.sin(0.7 * binned[i].time_s)
-    for i in GROUP:
-        quiet[i][1] += 5.0
 
     def found(size: float) -> Noise:
         return with_correlation(white, binned, [size * q for q in quiet], [GROUP])
