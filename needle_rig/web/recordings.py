@@ -102,18 +102,12 @@ def _inside(mapping: Mapping, files: list[str]) -> None:
 def _document(mapping: Mapping, files: list[str], root: Path, recordings: Recordings) -> Document:
     """The mapping, what it needs, and its channels to look at."""
     _inside(mapping, files)
-    columns = {
-        name: [column.name for column in recordings.read(root / clock.files[0].path).columns]
-        for name, clock in mapping.clocks.items()
-    }
     sensors = [] if mapping.rig is None else [sensor.name for sensor in mapping.rig.hall_sensors]
     told = [channel.role for channel in mapping.channels]
     shown, _ = preview(mapping, root, recordings)
     return {
         "mapping": mapping.model_dump(mode="json"),
         "lacks": mapping.lacks(),
-        "doubts": mapping.doubts(),
-        "columns": columns,
         "roles": list(dict.fromkeys([BASE, TORQUE, *sensors, *told])),
         "shown": [
             {
