@@ -147,11 +147,12 @@ def as_baseline(
     So is noise that only a better model tells from what is missing. Where the model cannot be solved finely,
     the fit stays as it is.
     """
-    noise = _correlated(baseline.dataset, problem, found)
-    if noise is not problem.noise:
-        problem, validation = problem.with_noise(noise), None
-        found = refitted(problem, found)
     try:
+        noise = _correlated(baseline.dataset, problem, found)
+        if noise is not problem.noise:
+            renewed = problem.with_noise(noise)
+            found = refitted(renewed, found)
+            problem, validation = renewed, None
         problem, found = with_discretisation_error(problem, found, baseline.dataset.trials, baseline.fine_m)
     except SolverError:
         return problem, found, validation or cross_validate(problem, found)
