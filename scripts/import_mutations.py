@@ -194,7 +194,8 @@ def _swapped_names(path: Path, truth: Truth, rng: random.Random) -> tuple[str, T
         )
     ):
         at -= 1
-    cells = lines[at].split(by)
+    outside_quotes = re.escape(by) + rb'(?=(?:[^"]*"[^"]*")*[^"]*$)'
+    cells = re.split(outside_quotes, lines[at])
     one, other = rng.sample(range(1, min(len(cells), 1 + len(roles))), 2)
     cells[one], cells[other] = cells[other], cells[one]
     lines[at] = by.join(cells)
