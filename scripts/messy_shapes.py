@@ -57,7 +57,7 @@ SHORT = Protocol(
     ),
 )
 FAST_HZ, CAMERA_HZ = 2000.0, 10.0
-RELAXING_DEG, RELAXING_SHRINK, RELAXED_DEG = 80.0, 0.75, 2.0
+RELAXING_DEG, RELAXING_SHRINK, RELAXED_DEG = 80.0, 0.85, 2.0
 """Turns to and fro after a trial of a long recording that relax the shaft: the first, each over the one
 before it, and the last."""
 RELAXING_DEG_S, RELAXING_SETTLE_S, REST_BETWEEN_S = 90.0, 0.2, 4.0
@@ -179,15 +179,19 @@ def recorded(shape: Shape, effects: tuple[Effect, ...], kind: str, noise: Noise,
 
 
 def _whole(setup: Setup, effects: tuple[Effect, ...], seed: int) -> Dataset:
-    """One recording of a series: after each trial the shaft is turned to and fro until it is relaxed."""
+    """One recording of a series: after each trial the shaft is turned to and fro until it is nearly relaxed.
+
+    Friction is that of one insertion.
+    """
     series = simulated(setup, effects, seed)
     random = np.random.default_rng([seed, 18])
     error = setup.noise.rigidity_error * float(random.standard_normal())
-    plain = load_parameters("rig_rigid").with_effects(*effects)
-    plain = dataclasses.replace(
-        plain,
+    scatter = max(0.0, 1.0 + setup.noise.friction_scatter * float(random.standard_normal()))
+    model = load_parameters("rig_rigid").with_effects(*effects, FrictionOfTrial(scatter))
+    model = dataclasses.replace(
+        model,
         layout=series.layout,
-        torsional_rigidity_nm2=plain.torsional_rigidity_nm2 * math.exp(error),
+        torsional_rigidity_nm2=model.torsional_rigidity_nm2 * math.exp(error),
     )
     needle: SettledNeedle | None = None
     begin_s, travel_rad = 0.0, 0.0
@@ -195,13 +199,7 @@ def _whole(setup: Setup, effects: tuple[Effect, ...], seed: int) -> Dataset:
     for index, trial in enumerate(series.trials):
         path = _relaxed_after(trial.trial, setup.rate_hz)
         place = dataclasses.replace(path, start_s=begin_s, index=index, travel_before_rad=travel_rad)
-        scatter = max(0.0, 1.0 + setup.noise.friction_scatter * float(random.standard_normal()))
-        model = plain.with_effects(FrictionOfTrial(scatter))
-        needle = (
-            SettledNeedle.relaxed(model, place=place)
-            if needle is None
-            else dataclasses.replace(needle, model=model)
-        ).moved(place)
+        needle = (needle or SettledNeedle.relaxed(model, place=place)).moved(place)
         assert needle.solution is not None
         seen = model.observed(place, needle.solution)
         pieces.append((begin_s + path.time_s, path.base_angle_rad, seen.torque_nm, seen.hall_rad))

@@ -119,7 +119,12 @@ class Traces:
         data = self.data
         stated = [_layout(data.layout), asdict(data.needle), data.sensor_names]
         told = [
-            [t.trial.start_s, asdict(t.command), *([] if t.start == "relaxed" else [t.start])]
+            [
+                t.trial.start_s,
+                asdict(t.command),
+                *([] if t.start == "relaxed" else [t.start]),
+                *t.turns_before_rad,
+            ]
             for t in data.trials
         ]
         phases = [t.phase.tolist() for t in data.trials]

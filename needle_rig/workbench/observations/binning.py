@@ -9,6 +9,7 @@ the same averages are taken of model and data.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,8 +52,8 @@ class BinnedTrial:
     trial: Trial
     """The grid: times and base angles (m,) that drive the model."""
     averages: tuple[csr_array, ...]
-    """Weights (K, m), a channel each, that take the model on the grid to bin means: where a bin has few samples
-    of a channel, to the mean at their times."""
+    """Weights (K, m), a channel each, that take the model on the grid to bin means: where a bin has few
+    samples of a channel, to the mean at their times."""
     mean: Array
     """Bin means (C, K) of the data; NaN where a channel has none. N·m and rad."""
     count: Array
@@ -78,7 +79,6 @@ class BinnedTrial:
     """Changes of the model's bin means (C, K, D) for D paths that differ by the encoder's noise, where that
     counts as noise."""
 
-
     def averaged(self, values: Array) -> Array:
         """Bin means (C, K) of values on the grid (C, m)."""
         return np.array([average @ each for average, each in zip(self.averages, values, strict=True)])
@@ -90,14 +90,42 @@ def channels(trial: DatasetTrial) -> Array:
 
 
 def motions_of(base_rad: Array, phase: npt.NDArray[np.str_]) -> list[tuple[int, int, int]]:
-    """(first, stop, end) sample of every motion; from `stop` on the base holds still."""
+    """(first, stop, end) sample of every motion; from `stop` on the base holds still.
+
+    Strokes that follow one another without a hold are motions of their own.
+    """
     change = np.flatnonzero(phase[1:] != phase[:-1]) + 1
     found = []
     for first, end in zip(np.r_[0, change], np.r_[change, phase.size], strict=True):
         path = base_rad[first:end]
         goal = np.median(path[-max(1, min(path.size // END_SHARE, END_SAMPLES)) :])
         away = np.flatnonzero(np.abs(path - goal) > rad(POLICY.noise.still_deg))
-        found.append((int(first), int(first + (away[-1] + 1 if away.size else 0)), int(end)))
+        stop = int(first + (away[-1] + 1 if away.size else 0))
+        begun = int(first)
+        for turn in _reversals(base_rad[first:stop]):
+            found.append((begun, int(first) + turn, int(first) + turn))
+            begun = int(first) + turn
+        found.append((begun, stop, int(end)))
+    return found
+
+
+def _reversals(path_rad: Array) -> list[int]:
+    """Samples of a path at which it turns back by more than the smallest motion."""
+    if not path_rad.size:
+        return []
+    steps = np.diff(path_rad)
+    moves = np.flatnonzero(steps)
+    corners = moves[1:][np.diff(np.sign(steps[moves])) != 0]
+    found: list[int] = []
+    way, farthest = 0.0, 0
+    for at in [*corners.tolist(), path_rad.size - 1]:
+        on = float(path_rad[at] - path_rad[farthest])
+        if way * on > 0.0:
+            farthest = at
+        elif abs(on) > POLICY.noise.smallest_motion_rad:
+            if way:
+                found.append(farthest)
+            way, farthest = math.copysign(1.0, on), at
     return found
 
 

@@ -89,7 +89,9 @@ def test_noise_of_tenths_of_a_second_is_seen_at_a_thousand_samples_a_second(sile
     assert noise.correlation_s[0] == pytest.approx(0.2, abs=0.21)
 
 
-def test_noise_that_is_averaged_over_milliseconds_counts_as_what_is_left_of_it_in_a_bin(silent: Dataset) -> None:
+def test_noise_that_is_averaged_over_milliseconds_counts_as_what_is_left_of_it_in_a_bin(
+    silent: Dataset,
+) -> None:
     random = np.random.default_rng(7)
 
     def averaged(count: int) -> Array:
