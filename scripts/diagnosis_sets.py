@@ -8,7 +8,7 @@ import json
 import random
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NotRequired, TypedDict
 
@@ -24,7 +24,12 @@ from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.parameters import against_mean, free_parameters, make_effects
+from needle_rig.workbench.estimation.parameters import (
+    FreeParameter,
+    against_mean,
+    free_parameters,
+    make_effects,
+)
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
@@ -100,6 +105,7 @@ class Answer(TypedDict, total=False):
     covered: list[bool]
     relatives: list[str]
     left: list[str]
+    rules: list[str]
     f_test: str | None
     aic: str | None
     version: str
@@ -196,11 +202,8 @@ def key(task: Task) -> str:
     return json.dumps({f: value for f, value in task.items() if f in fields}, sort_keys=True)
 
 
-def simulated(
-    setup: int, effects: Sequence[Effect], seed: int, finer: float = 1.0, noise: Noise | None = None
-) -> Dataset:
-    """A dataset of a setup with these effects hidden, with the setup's noise or another."""
-    given = SETUPS[setup]
+def simulated(given: Setup, effects: Sequence[Effect], seed: int, finer: float = 1.0) -> Dataset:
+    """A dataset of a setup with these effects hidden."""
     model = load_parameters("rig_rigid").with_effects(*effects)
     if given.layout is not None:
         model = dataclasses.replace(model, layout=given.layout)
@@ -209,9 +212,12 @@ def simulated(
         element_length_m=model.element_length_m / finer,
         tolerance_rad=model.tolerance_rad / finer,
     )
-    return simulate_dataset(
-        model, given.protocol, seed, noise or given.noise, name="x", rate_hz=given.rate_hz
-    )
+    return simulate_dataset(model, given.protocol, seed, given.noise, name="x", rate_hz=given.rate_hz)
+
+
+def silent(given: Setup) -> Setup:
+    """The setup without sensor noise, which `noise_kinds.noisy` then adds; friction scatters as before."""
+    return dataclasses.replace(given, noise=dataclasses.replace(given.noise, hall_deg=0.0, torque_nmm=0.0))
 
 
 _BASELINES: dict[int, Baseline] = {}
@@ -221,11 +227,26 @@ def limits_of(setup: int, effect: str, turn: float) -> tuple[float, float, float
     """(detection limit, smallest strength that matters, where multiples of 1 and more count from)."""
     library = find_effects()
     if setup not in _BASELINES:
-        _BASELINES[setup] = fit_baseline(simulated(setup, (), 987), None, library)
+        _BASELINES[setup] = fit_baseline(simulated(SETUPS[setup], (), 987), None, library)
     baseline = _BASELINES[setup]
+    return limits_in(baseline, effect, turn)
+
+
+def limits_in(baseline: Baseline, effect: str, turn: float) -> tuple[float, float, float]:
+    """The same of the dataset that the baseline was fitted to."""
     limit = detection_limit(baseline, effect, turn)
     smallest = smallest_strength(baseline.problem.parameters([effect]))
     return limit, smallest, max(limit, smallest)
+
+
+def hidden_at(
+    parameters: Sequence[FreeParameter], library: Mapping[str, type[Effect]], strength: float, turn: float
+) -> tuple[tuple[Effect, ...], dict[str, float]]:
+    """An effect at a strength in typical sizes, and its values by name but for those of form."""
+    scaled_values = at_strength(parameters, strength, turn)
+    pairs = zip(parameters, against_mean(parameters, scaled_values), strict=True)
+    values = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
+    return make_effects(library, parameters, scaled_values), values
 
 
 def spoiled(dataset: Dataset, impostor: Impostor, seed: int) -> Dataset:
@@ -294,13 +315,12 @@ def made(task: Task, known: Limits) -> Made | None:
             return None
         parameters = free_parameters(library, [name], layout)
         strength = task["strength"] * (limit if task["strength"] < 1 else matters)
-        scaled_values = at_strength(parameters, strength, turn)
-        hidden += make_effects(library, parameters, scaled_values)
-        pairs = zip(parameters, against_mean(parameters, scaled_values), strict=True)
-        truth[name] = {a.name: a.value(float(p)) for a, p in pairs if not a.info.shapes}
+        effects, truth[name] = hidden_at(parameters, library, strength, turn)
+        hidden += effects
     impostor = Impostor(task["impostor"]) if "impostor" in task else None
     seed = 10_000 + 7 * task["seed"] + sum(map(ord, key({**task, "seed": 0})))
-    dataset = simulated(task["setup"], hidden, seed, 2.0 if impostor is Impostor.FINER_SOLVER else 1.0)
+    finer = 2.0 if impostor is Impostor.FINER_SOLVER else 1.0
+    dataset = simulated(SETUPS[task["setup"]], hidden, seed, finer)
     if impostor is not None and impostor is not Impostor.FINER_SOLVER:
         dataset = spoiled(dataset, impostor, seed)
     if task["kind"] == "removed":
@@ -313,16 +333,25 @@ def judged(task: Task, known: Limits) -> Answer:
     given = made(task, known)
     if given is None:
         return {"limits": {}, "skipped": f"{' '.join(task['effects'])} does not show in this setup"}
-    truth = given.truth
+    answer, found = answer_to(given.dataset, given.library, given.truth)
+    answer["limits"] = given.limits
+    if task["kind"] in ("one", "none"):
+        answer["f_test"], answer["aic"] = naive(found)
+    return answer
+
+
+def answer_to(
+    dataset: Dataset, library: Mapping[str, type[Effect]], truth: Mapping[str, Mapping[str, float]]
+) -> tuple[Answer, Diagnosis]:
+    """The diagnosis of a dataset, and what of it is judged; `truth` holds the hidden effects' values."""
     begun, cpu = time.monotonic(), time.process_time()
-    found = diagnose(given.dataset, given.library)
+    found = diagnose(dataset, library)
     wall_s, cpu_s = round(time.monotonic() - begun, 1), round(time.process_time() - cpu, 1)
     named = found.ranking[: len(found.effects)]
     values = [(v, truth[r.effect].get(v.name)) for r in named if r.effect in truth for v in r.values]
     answer: Answer = {
         "wall_s": wall_s,
         "cpu_s": cpu_s,
-        "limits": given.limits,
         "verdict": found.verdict,
         "named": list(found.effects),
         "ties": {r.effect: list(r.indistinguishable_from) for r in named},
@@ -331,10 +360,9 @@ def judged(task: Task, known: Limits) -> Answer:
         "covered": [v.low <= value <= v.high for v, value in values if value is not None],
         "relatives": relatives(list(truth)),
         "left": [p.sentence() for p in found.residual_patterns.patterns[:2]],
+        "rules": [r.rule for r in found.reasons],
     }
-    if task["kind"] in ("one", "none"):
-        answer["f_test"], answer["aic"] = naive(found)
-    return answer
+    return answer, found
 
 
 def relatives(effects: list[str]) -> list[str]:

@@ -86,17 +86,20 @@ KINDS: Mapping[str, Callable[[Random, Array], Array]] = {
 
 
 def noisy(dataset: Dataset, kind: str, noise: Noise, seed: int) -> Dataset:
-    """A dataset that was made without sensor noise, with noise of this kind."""
+    """A dataset that was made without sensor noise, with noise of this kind where there are samples."""
     random = np.random.default_rng(seed)
-    torque_nm, hall_rad = nm(noise.torque_nmm), rad(noise.hall_deg)
+
+    def read(values: Array, time_s: Array, size: float) -> Array:
+        known = np.isfinite(values)
+        seen = np.full_like(values, np.nan)
+        if known.any():
+            seen[known] = values[known] + size * KINDS[kind](random, time_s[known])
+        return size * np.rint(seen / size) if kind == "quantised" else seen
+
     trials = []
     for given in dataset.trials:
         time_s = given.trial.time_s
-        torque = given.torque_nm + torque_nm * KINDS[kind](random, time_s)
-        hall = given.hall_rad + hall_rad * np.column_stack(
-            [KINDS[kind](random, time_s) for _ in given.hall_rad.T]
-        )
-        if kind == "quantised":
-            torque, hall = torque_nm * np.rint(torque / torque_nm), hall_rad * np.rint(hall / hall_rad)
-        trials.append(dataclasses.replace(given, torque_nm=torque, hall_rad=hall))
+        torque = read(given.torque_nm, time_s, nm(noise.torque_nmm))
+        halls = [read(column, time_s, rad(noise.hall_deg)) for column in given.hall_rad.T]
+        trials.append(dataclasses.replace(given, torque_nm=torque, hall_rad=np.column_stack(halls)))
     return dataclasses.replace(dataset, trials=tuple(trials))

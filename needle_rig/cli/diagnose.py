@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 @model_option
 @effects_option
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True)
+@click.option(
+    "--quick", is_flag=True, help="One effect alone, each by itself: a fifth of the time, and no second one."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Diagnosis file to write, for adopt.")
 @seed_option
 @jobs_option
@@ -45,6 +48,7 @@ def command(
     model_path: Path | None,
     directories: tuple[str, ...],
     max_effects: int,
+    quick: bool,
     out: Path | None,
     seed: int,
     jobs: int | None,
@@ -74,6 +78,7 @@ def command(
         library(directories),
         saved.model if saved else None,
         max_effects=max_effects,
+        quick=quick,
         seed=seed,
         work=worker(jobs, cluster),
         say=say,

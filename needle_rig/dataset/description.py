@@ -21,6 +21,10 @@ UNTOLD_NM2 = 62.56e-6
 """Stands for a rigidity that neither a file nor torque and angles tell: that of the shipped needle."""
 
 
+MOST_TURNS = 1000
+"""Turning points before a trial: friction remembers a few, each of which takes the model six steps."""
+
+
 class _Part(BaseModel):
     """Keys of other programs are kept and named, never refused."""
 
@@ -72,6 +76,7 @@ class TrialPart(_Part):
     file: str
     start_s: float | None = None
     start: Start = "relaxed"
+    turns_before_deg: Annotated[tuple[float, ...], Field(max_length=MOST_TURNS)] = ()
     kind: str = "unknown"
     target_deg: float | None = None
     speed_deg_s: Annotated[float, Field(gt=0)] | None = None

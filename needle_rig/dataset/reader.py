@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -119,7 +120,14 @@ def _read_one(path: Path) -> Dataset:
             notes.append(str(reason))
             continue
         end_s = start_s + float(trial.trial.time_s[-1])
-        trials.append(trial)
+        if part.turns_before_deg and part.start != "relaxed":
+            raise BadInput(
+                f"{places.of(('trials', place))}: start {part.start} is an unknown twist, and"
+                " turns_before_deg tells it; keep one"
+            )
+        trials.append(
+            dataclasses.replace(trial, turns_before_rad=tuple(map(math.radians, part.turns_before_deg)))
+        )
         notes.extend(trial.notes)
     if not needle.rigidity_is_known:
         needle, said = guessed_rigidity(trials, layout)

@@ -96,6 +96,9 @@ class DatasetTrial:
     notes: tuple[str, ...] = ()
     """What was found wrong with the file and how it was handled, a sentence each."""
     start: Start = "relaxed"
+    turns_before_rad: tuple[float, ...] = ()
+    """Turning points of the base from a relaxed shaft at 0 to where the trial begins, that friction has not
+    forgotten; none where the trial begins relaxed."""
     start_change: Array | None = None
     """What an unknown start changes of the readings, (changes, channels, samples), torque first: independent
     standard deviations."""

@@ -71,7 +71,7 @@ def judge_starts(
     One angle alone that begins elsewhere is a sensor that has moved: its trial is left out. Offsets that all
     trials share stay.
     """
-    relaxed = [t for t in trials if t.start == "relaxed"]
+    relaxed = [t for t in trials if t.start == "relaxed" and not t.turns_before_rad]
     if len(relaxed) < 3:
         return list(trials), []
     with np.errstate(invalid="ignore"):
@@ -85,7 +85,7 @@ def judge_starts(
         with np.errstate(invalid="ignore"):
             away = np.where(np.isfinite(start), np.abs(start - usual), 0.0)
         unlike = np.flatnonzero(away > limits)
-        if trial.start != "relaxed" or not unlike.size:
+        if trial.start != "relaxed" or trial.turns_before_rad or not unlike.size:
             kept.append(trial)
             continue
         worst = int(unlike[np.argmax(away[unlike] / limits[unlike])])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
@@ -33,6 +34,8 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
         told: JsonObject = {"file": file, "start_s": round(trial.trial.start_s, 3)}
         if trial.start != "relaxed":
             told["start"] = trial.start
+        if trial.turns_before_rad:
+            told["turns_before_deg"] = [round(math.degrees(turn), 4) for turn in trial.turns_before_rad]
         trials.append(told | trial.command.file_keys())
     rigidity_nmm2 = _tidy(needle.torsional_rigidity_nm2 * 1e6)
     segments = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from needle_rig.importing.reader import Recordings
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.rows import Channel, at_rows, clock_times, column_of, row_times
 from needle_rig.importing.si import to_si
-from needle_rig.importing.trial_cuts import REST_S, cuts_of
+from needle_rig.importing.trial_cuts import REST_S, cuts_of, turns_before
 from needle_rig.numerics import Array
 
 
@@ -127,8 +128,19 @@ def _recording(
         start = "zeroed"
     cuts, notes_of_cut = cuts_of(mapping, table, of, zero_s, number, parts, sensors)
     notes += [f"{source}: {note}" for note in notes_of_cut]
+    before: list[tuple[float, ...]] = [()] * len(cuts)
+    if mapping.trials.at == "rests" and start == "relaxed":
+        whole = table.copy()
+        to_si(whole, parts, sensors)
+        before = turns_before(whole, cuts)
+        remembered = sum(map(bool, before))
+        if remembered:
+            notes.append(
+                f"{source}: {remembered} of {len(cuts)} trials begin with a twist that earlier ones left; the"
+                " turns of the base that friction remembers are put before them"
+            )
     trials = []
-    for k, (first, last) in enumerate(cuts, 1):
+    for k, ((first, last), turns) in enumerate(zip(cuts, before, strict=True), 1):
         shown = source if len(cuts) == 1 else f"{source}, trial {k}"
         values = table[first:last].copy()
         start_s = begin_s + float(values[0, 0])
@@ -139,20 +151,19 @@ def _recording(
         phase = np.full(len(values), "", dtype=np.str_)
         said: list[str] = []
         try:
-            trials.append(
-                checked_trial(
-                    values,
-                    phase,
-                    lines,
-                    sensors,
-                    shown,
-                    TrialCommand("unknown"),
-                    start_s,
-                    said,
-                    absent,
-                    start,
-                )
+            trial = checked_trial(
+                values,
+                phase,
+                lines,
+                sensors,
+                shown,
+                TrialCommand("unknown"),
+                start_s,
+                said,
+                absent,
+                start,
             )
+            trials.append(dataclasses.replace(trial, turns_before_rad=turns))
         except LeftOut as left:
             notes.append(f"{shown}: left out: {left.reason}")
     return trials, length_s + REST_S

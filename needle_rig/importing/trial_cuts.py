@@ -7,12 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from needle_rig.dataset.base_path import denoised_base
 from needle_rig.errors import BadInput
 from needle_rig.importing.mapping import ChannelPart, Mapping
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.rows import clock_times, column_of
 from needle_rig.importing.si import to_si
 from needle_rig.numerics import Array
+from needle_rig.workbench.observations.earlier_path import dominant_turns
 
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""
@@ -24,6 +26,12 @@ SAME_TORQUE = 0.1
 """Share of the torque's span: a shaft that bears more is wound, and its trial goes on."""
 SAME_SENSOR_DEG = 3.0
 """A sensor that stands farther from where it began is on a wound needle; as `WOUND_DEG` of datasets."""
+RELAXED_SENSOR_DEG, RELAXED_TORQUE, RELAXED_SIGMAS = 0.2, 0.02, 3.0
+"""A shaft whose readings at a rest are within these of its first rest (a share of the torque's span, or so
+many standard errors) is relaxed: less is within the noise of one sample."""
+MEDIAN_TO_SIGMA, MEDIAN_VARIANCE = 1.4826, math.pi / 2.0
+"""Standard deviation over median absolute deviation, variance of a median over that of a mean, of normal
+samples."""
 
 
 def cuts_of(
@@ -68,6 +76,50 @@ def cuts_of(
     return at_rests(si)
 
 
+def turns_before(si: Array, cuts: list[tuple[int, int]]) -> list[tuple[float, ...]]:
+    """For each trial of a recording that began relaxed, the turns before it that friction remembers.
+
+    None where every reading is as it was at first: the shaft is relaxed, or somebody let it go.
+    """
+    time_s = si[:, 0]
+    known = np.isfinite(si[:, 1])
+    base = denoised_base(time_s, np.interp(time_s, time_s[known], si[known, 1])).angle_rad
+    moved = np.abs(base - base[0]) > math.radians(STILL_DEG)
+    rest = slice(0, int(np.argmax(moved)) if moved.any() else len(base))
+    found, since = [], 0
+    for first, _ in cuts:
+        around = np.abs(time_s - time_s[first]) <= 0.25 * REST_S
+        if first == 0 or all(
+            _alike(column[rest], column[around], RELAXED_TORQUE * _span(column) if k == 0 else None)
+            for k, column in enumerate(si.T[2:])
+        ):
+            since = first
+        found.append(tuple(dominant_turns(base[since : first + 1])) if first > since else ())
+    return found
+
+
+def _alike(one: Array, other: Array, limit: float | None) -> bool:
+    """Whether two stretches of a channel have one median, by their noise or a limit (default: an angle's).
+
+    What has no reading is alike.
+    """
+    means, variances = [], []
+    for values in (one, other):
+        read = values[np.isfinite(values)]
+        if not read.size:
+            return True
+        means.append(float(np.median(read)))
+        spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(read - means[-1])))
+        variances.append(spread**2 * MEDIAN_VARIANCE / read.size)
+    least = math.radians(RELAXED_SENSOR_DEG) if limit is None else limit
+    return abs(means[1] - means[0]) <= max(RELAXED_SIGMAS * math.sqrt(sum(variances)), least)
+
+
+def _span(column: Array) -> float:
+    read = column[np.isfinite(column)]
+    return float(np.ptp(read)) if read.size else 0.0
+
+
 def at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
     """Cuts in the middle of rests where the shaft is as it was at the start.
 
@@ -78,7 +130,7 @@ def at_rests(si: Array) -> tuple[list[tuple[int, int]], list[str]]:
     base = np.interp(time_s, time_s[known], si[known, 1])
     near = np.abs(base) <= math.radians(SAME_ANGLE_DEG)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.view(np.int8), [0]))))
-    spans = np.array([np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in si.T[2:]])
+    spans = np.array([_span(c) for c in si.T[2:]])
     cuts, wound = [0], 0
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         inside = slice(start + (stop - start) // 4, stop - (stop - start) // 4)

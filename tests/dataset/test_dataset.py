@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -363,6 +364,18 @@ def test_a_torque_that_begins_elsewhere_is_a_wound_start(tmp_path: Path) -> None
     dataset = read_dataset(_moved(tmp_path, {2: 0.08}))
     assert dataset.trials[3].start == "wound"
     assert "the torque starts at 0.08" in dataset.notes[0]
+
+
+def test_an_unknown_twist_and_the_turns_that_made_it_are_refused_together(tmp_path: Path) -> None:
+    shutil.copytree(PRACTICE / "none", tmp_path / "set")
+    file = tmp_path / "set" / "dataset.yaml"
+    told = yaml.safe_load(file.read_text())
+    told["trials"][2] |= {"start": "wound", "turns_before_deg": [70.0, -20.0]}
+    file.write_text(yaml.safe_dump(told))
+    with pytest.raises(
+        BadInput, match="start wound is an unknown twist, and turns_before_deg tells it; keep"
+    ):
+        read_dataset(tmp_path / "set")
 
 
 def test_a_declared_start_is_kept_wherever_the_base_stands_and_written_again(tmp_path: Path) -> None:

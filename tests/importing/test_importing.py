@@ -15,7 +15,7 @@ import scipy.io
 
 from needle_rig.cli.main import run as command
 from needle_rig.config.places import write_yaml
-from needle_rig.dataset import read_dataset
+from needle_rig.dataset import read_dataset, write_dataset
 from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
 from needle_rig.importing import (
@@ -258,6 +258,31 @@ def test_one_long_recording_is_cut_where_the_shaft_is_as_it_was(tmp_path: Path, 
     dataset = dataset_of(mapping, Path())
     assert len(dataset.trials) == 3
     assert [len(places) for places in dataset.replicates.values()] == [2, 1]
+
+
+def test_what_earlier_turns_left_in_the_shaft_goes_before_a_trial_unless_it_was_let_go(
+    tmp_path: Path, rig: RigPart
+) -> None:
+    time_s = np.arange(0.0, 12.0, 0.02)
+    corners_s = [0.0, 1.0, 3.0, 5.0, 6.0, 8.5, 9.5, 10.5, 12.0]
+    base_deg = np.interp(time_s, corners_s, [0.0, 0.0, 60.0, -20.0, 0.0, 0.0, 45.0, 45.0, 45.0])
+    random = np.random.default_rng(2)
+    for twist_deg in (1.5, 0.0):
+        shaft = np.interp(time_s, corners_s, [0.0, 0.0, 30.0, 5.0, *[twist_deg] * 2, 20.0, 20.0, 20.0])
+        halls = shaft[:, None] + 0.05 * random.standard_normal((len(time_s), 4))
+        torque = 2e-3 * (base_deg - shaft) + 1e-4 * random.standard_normal(len(time_s))
+        noisy = base_deg + 0.01 * random.standard_normal(len(time_s))
+        table = np.column_stack((time_s, noisy, torque, halls))
+        log = written(tmp_path / f"log{twist_deg:g}.csv", table)
+        mapping = mapped(log, rig).model_copy(update={"trials": TrialsPart(at="rests")})
+        data = dataset_of(mapping, Path())
+        assert len(data.trials) == 2
+        assert data.trials[0].turns_before_rad == ()
+        turns = np.degrees(data.trials[1].turns_before_rad)
+        assert turns == pytest.approx([60.0, -20.0, 0.0][: 3 if twist_deg else 0], abs=0.5)
+        assert any("earlier ones left" in note for note in data.notes) is bool(twist_deg)
+        again = read_dataset(write_dataset(data, tmp_path / f"data{twist_deg:g}"))
+        assert again.trials[1].turns_before_rad == pytest.approx(data.trials[1].turns_before_rad, abs=1e-5)
 
 
 @pytest.mark.parametrize(("zero", "start"), [("start", "zeroed"), (0.0, "wound")])

@@ -22,6 +22,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.blocks import in_blocks
+from needle_rig.workbench.observations.earlier_path import with_known_paths
 from needle_rig.workbench.observations.noise import Noise, measure_noise
 from needle_rig.workbench.observations.replicate_noise import with_correlation, with_motion_scatter
 from needle_rig.workbench.observations.snaps import snaps
@@ -70,9 +71,11 @@ def judged(dataset: Dataset) -> Dataset:
 
 
 def in_whole_trials(dataset: Dataset) -> Dataset:
-    """Trials with an unknown start after a run-in. Raises BadInput, SolverError."""
+    """Trials after the path that is known before them, or a run-in. Raises BadInput, SolverError."""
     null = null_model(dataset)
-    return after_run_in(dataset, dataclasses.replace(null, element_length_m=element_length(null)))
+    return after_run_in(
+        with_known_paths(dataset), dataclasses.replace(null, element_length_m=element_length(null))
+    )
 
 
 def element_length(model: NeedleModel) -> float:

@@ -61,7 +61,7 @@ def whitened_error(
     errors = []
     for t, used in enumerate(problem.predict(found.parameters, found.vector)):
         values = np.vstack([seen[t].torque_nm[None, :], seen[t].hall_rad.T])
-        means = (sample_weights(trials[t]) @ values.T).T
+        means = np.array([w @ v for w, v in zip(sample_weights(trials[t]), values, strict=True)])
         errors.append(problem.whiteners[t](means - used)[:, None])
     return tuple(errors)
 

@@ -24,7 +24,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import build_rod
 from needle_rig.units import deg, rad
 from needle_rig.workbench.estimation.simulator import Simulator
-from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, sample_weights
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
 from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise, whitener
 from needle_rig.workbench.policy import POLICY
@@ -149,7 +149,7 @@ class _Shaft:
             free[c, use] = np.abs(half[c, use]) < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
         known = np.isfinite(binned.mean)
         share = float(free[known].mean())
-        of_sample = sample_weights(trial).tocsc().indices
+        of_sample = bins_of_samples(trial)
         changes = list(away / math.sqrt(len(away)))
         if given.start == "zeroed":
             first = of_sample[np.flatnonzero(trial.phase != PHASE)[0]]

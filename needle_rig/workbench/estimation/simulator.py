@@ -63,7 +63,7 @@ class Simulator:
         if any(s.solves > most_solves * s.time_s.size for s in solutions):
             raise SolverError(f"{models[0].name}: the needle snaps through too many balances to follow")
         readings = [
-            (binned.average @ _stacked(model.observed(binned.trial, solution)).T).T
+            binned.averaged(_stacked(model.observed(binned.trial, solution)))
             for model, binned, solution in zip(models, trials, solutions, strict=True)
         ]
         while len(self._kept) > CACHE_ENTRIES:

@@ -194,7 +194,8 @@ def seen(problem: Problem, law: Law) -> Array:
         )
         halls = [m[list(rows)] for m in measured]
         if law.variable == "twist":
-            halls = [h - b.average @ b.trial.base_angle_rad for h, b in zip(halls, trials, strict=True)]
+            driven = [b.averaged(np.tile(b.trial.base_angle_rad, (len(b.averages), 1))) for b in trials]
+            halls = [h - d[list(rows)] for h, d in zip(halls, driven, strict=True)]
         values = [h.ravel() for h in halls]
         base = [b.trial.base_angle_rad for b in trials] if law.hook == "torque" else []
         return _finite(np.concatenate([*values, *base]))
@@ -259,10 +260,10 @@ def _reading_columns(problem: Problem, parent: Fit, made: SplineLaw) -> list[Arr
         reading = problem.model(parent.parameters, parent.vector, t).predict(binned.trial)
         changes = np.zeros((*binned.mean.shape, made.spline.count))
         if law.place == "torque":
-            changes[0] = binned.average @ made.on(reading, None)
+            changes[0] = binned.averages[0] @ made.on(reading, None)
         else:
             for k in range(reading.hall_rad.shape[1]) if law.number is None else (law.number,):
-                changes[1 + k] = binned.average @ made.on(reading, k)
+                changes[1 + k] = binned.averages[1 + k] @ made.on(reading, k)
         columns.append(whiten(factor * changes @ made.spline.root))
     return columns
 

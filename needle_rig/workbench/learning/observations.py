@@ -87,6 +87,7 @@ class Observations(Protocol):
         model: NeedleModel | None,
         *,
         max_effects: int = 3,
+        quick: bool = False,
         seed: int = 0,
         work: Work | None = None,
         say: Say = lambda _: None,
@@ -119,7 +120,12 @@ class Traces:
         data = self.data
         stated = [_layout(data.layout), asdict(data.needle), data.sensor_names]
         told = [
-            [t.trial.start_s, asdict(t.command), *([] if t.start == "relaxed" else [t.start])]
+            [
+                t.trial.start_s,
+                asdict(t.command),
+                *([] if t.start == "relaxed" else [t.start]),
+                *t.turns_before_rad,
+            ]
             for t in data.trials
         ]
         phases = [t.phase.tolist() for t in data.trials]
@@ -140,12 +146,15 @@ class Traces:
         model: NeedleModel | None,
         *,
         max_effects: int = 3,
+        quick: bool = False,
         seed: int = 0,
         work: Work | None = None,
         say: Say = lambda _: None,
     ) -> Answer:
         """Which effect is missing from the model. Raises BadInput, SolverError."""
-        return diagnose(self.data, library, model, max_effects=max_effects, seed=seed, work=work, say=say)
+        return diagnose(
+            self.data, library, model, max_effects=max_effects, quick=quick, seed=seed, work=work, say=say
+        )
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
@@ -196,6 +205,7 @@ class SettledValues:
         model: NeedleModel | None,
         *,
         max_effects: int = 3,  # noqa: ARG002 one effect at a time is tried
+        quick: bool = False,  # noqa: ARG002 it always is
         seed: int = 0,  # noqa: ARG002 nothing is drawn
         work: Work | None = None,
         say: Say = lambda _: None,

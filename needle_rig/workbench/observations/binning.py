@@ -9,11 +9,12 @@ the same averages are taken of model and data.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from needle_rig.dataset import DatasetTrial
 from needle_rig.numerics import Array
@@ -40,7 +41,8 @@ ALLOWANCE = 1.3
 SAME_TIME_S = 1e-9
 """Points of the grid closer than this are one."""
 MOST_MISSING = 0.5
-"""Share of a bin's samples that must be there for it to have a mean."""
+"""Share of a bin's samples below which the others do not stand for what is missing: data and model are then
+averaged at the samples that are there."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,9 @@ class BinnedTrial:
 
     trial: Trial
     """The grid: times and base angles (m,) that drive the model."""
-    average: csr_array
-    """Weights (K, m) that take the model on the grid to bin means."""
+    averages: tuple[csr_array, ...]
+    """Weights (K, m), a channel each, that take the model on the grid to bin means: where a bin has few
+    samples of a channel, to the mean at their times."""
     mean: Array
     """Bin means (C, K) of the data; NaN where a channel has none. N·m and rad."""
     count: Array
@@ -76,6 +79,10 @@ class BinnedTrial:
     """Changes of the model's bin means (C, K, D) for D paths that differ by the encoder's noise, where that
     counts as noise."""
 
+    def averaged(self, values: Array) -> Array:
+        """Bin means (C, K) of values on the grid (C, m)."""
+        return np.array([average @ each for average, each in zip(self.averages, values, strict=True)])
+
 
 def channels(trial: DatasetTrial) -> Array:
     """Torque and Hall angles as (C, M)."""
@@ -83,14 +90,42 @@ def channels(trial: DatasetTrial) -> Array:
 
 
 def motions_of(base_rad: Array, phase: npt.NDArray[np.str_]) -> list[tuple[int, int, int]]:
-    """(first, stop, end) sample of every motion; from `stop` on the base holds still."""
+    """(first, stop, end) sample of every motion; from `stop` on the base holds still.
+
+    Strokes that follow one another without a hold are motions of their own.
+    """
     change = np.flatnonzero(phase[1:] != phase[:-1]) + 1
     found = []
     for first, end in zip(np.r_[0, change], np.r_[change, phase.size], strict=True):
         path = base_rad[first:end]
         goal = np.median(path[-max(1, min(path.size // END_SHARE, END_SAMPLES)) :])
         away = np.flatnonzero(np.abs(path - goal) > rad(POLICY.noise.still_deg))
-        found.append((int(first), int(first + (away[-1] + 1 if away.size else 0)), int(end)))
+        stop = int(first + (away[-1] + 1 if away.size else 0))
+        begun = int(first)
+        for turn in _reversals(base_rad[first:stop]):
+            found.append((begun, int(first) + turn, int(first) + turn))
+            begun = int(first) + turn
+        found.append((begun, stop, int(end)))
+    return found
+
+
+def _reversals(path_rad: Array) -> list[int]:
+    """Samples of a path at which it turns back by more than the smallest motion."""
+    if not path_rad.size:
+        return []
+    steps = np.diff(path_rad)
+    moves = np.flatnonzero(steps)
+    corners = moves[1:][np.diff(np.sign(steps[moves])) != 0]
+    found: list[int] = []
+    way, farthest = 0.0, 0
+    for at in [*corners.tolist(), path_rad.size - 1]:
+        on = float(path_rad[at] - path_rad[farthest])
+        if way * on > 0.0:
+            farthest = at
+        elif abs(on) > POLICY.noise.smallest_motion_rad:
+            if way:
+                found.append(farthest)
+            way, farthest = math.copysign(1.0, on), at
     return found
 
 
@@ -99,17 +134,27 @@ def direction_of(move_rad: Array) -> Array:
     return np.asarray(np.sign(move_rad) * (np.abs(move_rad) > POLICY.noise.smallest_motion_rad))
 
 
+def is_slow(valid: npt.NDArray[np.bool_]) -> bool:
+    """Whether a channel has samples in few of the rows (M,): beside a faster one, it was read more slowly."""
+    return bool(valid.any() and valid.mean() < MOST_MISSING)
+
+
 def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """(values with holes and outliers filled in from their neighbours, valid, outlier) of one channel (M,).
 
     An outlier lies more than `noise.outlier_sigmas` robust standard deviations from the median of its
-    neighbours.
+    neighbours; those of a channel with few samples are its own.
     """
     valid = np.isfinite(values)
     outlier = np.zeros(values.size, bool)
     if valid.sum() < NEIGHBOURS + 2:
         return np.where(valid, values, 0.0), valid, outlier
     where = np.arange(values.size)
+    if is_slow(valid):
+        own, kept, outlier[valid] = set_aside(values[valid])
+        known = where[valid]
+        valid[known[~kept]] = False
+        return np.interp(where, known, own), valid, outlier
     filled = values if valid.all() else np.interp(where, where[valid], values[valid])
     # the ends mirrored; scipy.ndimage would take longer to import than this to run
     near = np.lib.stride_tricks.sliding_window_view(
@@ -158,19 +203,46 @@ def _blocks(time_s: Array, parts: list[tuple[int, int, int]]) -> tuple[list[int]
     return starts, bins, moving_bins
 
 
-def sample_weights(given: DatasetTrial) -> csr_array:
-    """Weights (K, M) that take values at a trial's samples to means in its bins."""
+def bins_of_samples(given: DatasetTrial) -> npt.NDArray[np.int64]:
+    """Bin of each sample of a trial, (M,)."""
     time_s = given.trial.time_s
-    starts, bins, kinds = _blocks(time_s, motions_of(given.trial.base_angle_rad, np.asarray(given.phase)))
-    of_sample = np.repeat(bins, np.diff([*starts, time_s.size]))
-    share = 1.0 / np.bincount(of_sample, minlength=len(kinds))
-    places = (of_sample, np.arange(time_s.size))
-    return csr_array((share[of_sample], places), shape=(len(kinds), time_s.size))
+    starts, bins, _ = _blocks(time_s, motions_of(given.trial.base_angle_rad, np.asarray(given.phase)))
+    return np.repeat(bins, np.diff([*starts, time_s.size]))
+
+
+def sample_weights(given: DatasetTrial) -> tuple[csr_array, ...]:
+    """Weights (K, M), a channel each, that take values at a trial's samples to means in its bins."""
+    of_sample = bins_of_samples(given)
+    return tuple(_weights(of_sample, set_aside(values)[1]) for values in channels(given))
+
+
+def _weights(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> csr_array:
+    """Weights (K, M) of equal shares: of a bin's samples, or of the valid ones where most are missing."""
+    used = np.flatnonzero(valid | ~_sparse(of_sample, valid)[of_sample])
+    bins = int(of_sample[-1]) + 1
+    share = 1.0 / np.maximum(np.bincount(of_sample[used], minlength=bins), 1)
+    return csr_array((share[of_sample[used]], (of_sample[used], used)), shape=(bins, of_sample.size))
+
+
+def _sparse(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Which bins (K,) lack most of their samples."""
+    bins = int(of_sample[-1]) + 1
+    have = np.bincount(of_sample, valid, bins)
+    return np.asarray(have < MOST_MISSING * np.bincount(of_sample, minlength=bins))
 
 
 def driven_by_samples(binned: BinnedTrial, given: DatasetTrial) -> BinnedTrial:
     """The same bins of a trial, with the model driven by every sample."""
-    return dataclasses.replace(binned, trial=given.trial, average=sample_weights(given))
+    return dataclasses.replace(binned, trial=given.trial, averages=sample_weights(given))
+
+
+def interpolation(grid: Array, at: Array) -> csr_array:
+    """Weights (M, m) of linear interpolation from a rising grid (m,) to points (M,) within it."""
+    after = np.clip(np.searchsorted(grid, at), 1, grid.size - 1)
+    share = (at - grid[after - 1]) / (grid[after] - grid[after - 1])
+    rows = np.arange(at.size)
+    places = (np.r_[rows, rows], np.r_[after - 1, after])
+    return csr_array((np.r_[1.0 - share, share], places), shape=(at.size, grid.size))
 
 
 def bin_trial(given: DatasetTrial) -> BinnedTrial:
@@ -193,16 +265,6 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
 
     block_time, block_base = block_mean(time_s), block_mean(base_rad)
     samples = bin_sum(size.astype(float))
-    outliers, missing, mean, count = [], [], [], []
-    for values in channels(given):
-        filled, valid, outlier = set_aside(values)
-        have = np.add.reduceat(valid.astype(float), first)
-        count.append(bin_sum(have))
-        average = bin_sum(block_mean(filled) * size) / samples
-        mean.append(np.where(count[-1] >= MOST_MISSING * samples, average, np.nan))
-        outliers.append(int(outlier.sum()))
-        missing.append(int((~np.isfinite(values)).sum()))
-
     guards = np.unique([0, *[end - 1 for _, _, end in parts]])
     grid_time = np.r_[block_time, time_s[guards]]
     grid_base = np.r_[block_base, base_rad[guards]]
@@ -221,6 +283,24 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
         ).transpose(1, 2, 0)
     weights = np.zeros((number, grid_time.size))
     weights[of_bin, place[: first.size]] = size / samples[of_bin]
+    of_sample = np.repeat(of_bin, size)
+    whole = csr_array(weights)
+    outliers, missing, mean, count, averages = [], [], [], [], []
+    for values in channels(given):
+        filled, valid, outlier = set_aside(values)
+        count.append(bin_sum(np.add.reduceat(valid.astype(float), first)))
+        average = bin_sum(block_mean(filled) * size) / samples
+        at_samples = whole
+        if (sparse := _sparse(of_sample, valid)).any():
+            own = _weights(of_sample, valid)
+            average = np.where(count[-1] > 0, np.where(sparse, own @ filled, average), np.nan)
+            at_times = own @ interpolation(grid_time, time_s)
+            rows = sparse.astype(float)
+            at_samples = csr_array(diags_array(rows) @ at_times + diags_array(1.0 - rows) @ whole)
+        mean.append(average)
+        averages.append(at_samples)
+        outliers.append(int(outlier.sum()))
+        missing.append(int((~np.isfinite(values)).sum()))
 
     motion = np.repeat(np.arange(len(parts)), [end - begin for begin, _, end in parts])[first]
     stop_time = np.array([time_s[min(stop, time_s.size - 1)] for _, stop, _ in parts])
@@ -242,7 +322,7 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
         rate[which] = (base_rad[high] - edge_base[low[which]]) / span if span > 0 else 0.0
     return BinnedTrial(
         trial=dataclasses.replace(given.trial, time_s=grid_time, base_angle_rad=grid_base),
-        average=csr_array(weights),
+        averages=tuple(averages),
         mean=np.asarray(mean),
         count=np.asarray(count),
         time_s=bin_time,

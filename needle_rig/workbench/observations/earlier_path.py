@@ -60,6 +60,19 @@ def with_path_before(trial: DatasetTrial, corners_rad: Sequence[float]) -> Datas
     )
 
 
+def with_known_paths(dataset: Dataset) -> Dataset:
+    """The dataset; trials before which the base is known to have turned, after that path."""
+    if not any(trial.turns_before_rad for trial in dataset.trials):
+        return dataset
+    trials = (
+        dataclasses.replace(with_path_before(trial, trial.turns_before_rad), turns_before_rad=())
+        if trial.turns_before_rad
+        else trial
+        for trial in dataset.trials
+    )
+    return dataclasses.replace(dataset, trials=tuple(trials))
+
+
 def dominant_turns(path_rad: Array) -> list[float]:
     """Turning points of a path from 0 that are not passed again, in their order; the last is its end."""
     if not path_rad.size:
@@ -91,7 +104,7 @@ def after_earlier_runs(dataset: Dataset, runs: Sequence[RunFile]) -> Dataset:
             trials.append(trial)
             continue
         turns = dominant_turns(np.concatenate([before.trial.base_angle_rad for before in earlier]))
-        trials.append(dataclasses.replace(with_path_before(trial, turns), start="relaxed"))
+        trials.append(dataclasses.replace(trial, start="relaxed", turns_before_rad=tuple(turns)))
         told = ", ".join(f"{deg(turn):.0f}" for turn in turns)
         before = f"the {len(earlier)} runs before it" if len(earlier) > 1 else "the run before it"
         notes.append(f"{trial.file}: begins as {before} left the shaft, after turns of the base to {told}°")

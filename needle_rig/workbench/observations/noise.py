@@ -18,7 +18,13 @@ from scipy.optimize import nnls
 from needle_rig.dataset import DatasetTrial
 from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
-from needle_rig.workbench.observations.binning import BinnedTrial, channels, motions_of, set_aside
+from needle_rig.workbench.observations.binning import (
+    BinnedTrial,
+    channels,
+    is_slow,
+    motions_of,
+    set_aside,
+)
 from needle_rig.workbench.policy import POLICY
 
 Places = npt.NDArray[np.int64]
@@ -26,8 +32,11 @@ Places = npt.NDArray[np.int64]
 CORRELATION_TIMES_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 SETTLED_FROM = 0.4
 """Share of a hold after which it counts as settled."""
-WINDOW_SAMPLES, SHORTEST_WINDOW_SAMPLES = 160, 16
-"""Of a settled stretch whose autocovariance is taken."""
+WINDOW, SHORTEST_WINDOW = 160, 16
+"""Values of a settled stretch whose autocovariance is taken,"""
+WINDOW_SPACING_S = 0.02
+"""which are means over this long where samples come faster: of noise that is correlated over less only the
+mean of a bin is told, and windows of single samples would be too short for what wanders."""
 MOST_LAGS = 25
 """Lags of the autocovariance."""
 VALID_SHARE = 0.9
@@ -60,25 +69,63 @@ class Noise:
     """Taken from the dataset's own statement, not measured."""
 
 
-def _windows(trials: Sequence[DatasetTrial]) -> tuple[list[list[Array]], float]:
-    """Settled stretches of every channel, and the sample spacing."""
-    found: list[list[Array]] = []
-    spacing = []
-    for given in trials:
-        spacing.append(float(np.median(np.diff(given.trial.time_s))))
-        values = [set_aside(v) for v in channels(given)]
-        if not found:
-            found = [[] for _ in values]
-        for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
-            begin = stop + int(SETTLED_FROM * (end - stop))
-            for at in range(begin, end - SHORTEST_WINDOW_SAMPLES + 1, WINDOW_SAMPLES):
-                until = min(end, at + WINDOW_SAMPLES)
-                if until - at < SHORTEST_WINDOW_SAMPLES:
-                    continue
-                for c, (filled, valid, _) in enumerate(values):
-                    if valid[at:until].mean() > VALID_SHARE:
-                        found[c].append(filled[at:until])
-    return found, float(np.median(spacing))
+@dataclass(frozen=True)
+class _Settled:
+    """Settled stretches of one channel: means over `count` samples each, `spacing_s` apart."""
+
+    pieces: list[Array]
+    spacing_s: float
+    count: int
+
+
+def _settled(trials: Sequence[DatasetTrial]) -> list[_Settled]:
+    """Of every channel, at its own samples: those of a slow one lie between the rows of a fast one."""
+    each = [[_own_samples(given, values) for values in channels(given)] for given in trials]
+    found = []
+    for of_channel in zip(*each, strict=True):
+        gaps = [float(np.median(np.diff(own.time_s))) for own in of_channel if own.time_s.size > 1]
+        spacing_s = float(np.median(gaps)) if gaps else 1.0
+        fast = max(1, round(WINDOW_SPACING_S / spacing_s))
+        for count in sorted({fast, 1}, reverse=True):
+            pieces = [piece for own in of_channel for piece in _windows(own, count)]
+            if pieces:
+                break
+        found.append(_Settled(pieces, count * spacing_s, count))
+    return found
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """One channel of one trial where it was read: times and values (n,), gaps filled, and which are valid."""
+
+    time_s: Array
+    filled: Array
+    valid: npt.NDArray[np.bool_]
+    stretches: list[tuple[int, int]]
+    """First and end sample of what is settled of each hold."""
+
+
+def _own_samples(given: DatasetTrial, values: Array) -> _Samples:
+    time_s, read = given.trial.time_s, np.isfinite(values)
+    rows = np.flatnonzero(read) if is_slow(read) else np.arange(values.size)
+    filled, valid, _ = set_aside(values[rows])
+    stretches = []
+    for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
+        begin = stop + int(SETTLED_FROM * (end - stop))
+        stretches.append((int(np.searchsorted(rows, begin)), int(np.searchsorted(rows, end))))
+    return _Samples(time_s[rows], filled, valid, stretches)
+
+
+def _windows(own: _Samples, count: int) -> list[Array]:
+    """Windows of what is settled, in means over `count` samples."""
+    found = []
+    for begin, end in own.stretches:
+        for at in range(begin, end - count * SHORTEST_WINDOW + 1, count * WINDOW):
+            means = min(end - at, count * WINDOW) // count
+            until = at + means * count
+            if own.valid[at:until].mean() > VALID_SHARE:
+                found.append(own.filled[at:until].reshape(means, count).mean(1))
+    return found
 
 
 def _split(pieces: list[Array], spacing_s: float) -> tuple[float, float, float]:
@@ -135,8 +182,9 @@ def floors(count: int) -> Array:
 
 def measure_noise(trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial]) -> Noise:
     """Noise of a dataset, before any model is held against it."""
-    pieces, spacing = _windows(trials)
-    parts = np.array([_split(p, spacing) for p in pieces])
+    settled = _settled(trials)
+    parts = np.array([_split(each.pieces, each.spacing_s) for each in settled])
+    parts[:, 0] *= np.sqrt([each.count for each in settled])
     floor = floors(parts.shape[0])
     silent = parts[:, 0] <= 0
     parts[silent, 0] = 10 * floor[silent]

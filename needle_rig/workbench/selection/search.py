@@ -251,11 +251,19 @@ def search(
     *,
     max_effects: int,
     work: Work,
+    quick: bool = False,
 ) -> SearchTrace:
-    """Search among `names` on top of `root`, until nothing more passes or more would be named."""
+    """Search among `names` on top of `root`, until nothing more passes or more would be named.
+
+    `quick` ends with the best single effect that is large enough to matter.
+    """
     work.share(problem)
     trace = SearchTrace.begin(problem, names, root, root_validation)
     frontier = [trace.start]
+    if quick:
+        trace, options = _forward(trace, work, frontier)
+        best = next((key for key in options if trace.named(key)), trace.start)
+        return dataclasses.replace(trace, best=best).stepped("forward")
     while True:
         trace, options = _forward(trace, work, frontier)
         if not options:

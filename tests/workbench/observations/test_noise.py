@@ -6,7 +6,7 @@ import pytest
 from needle_rig.dataset import Dataset
 from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
-from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, set_aside
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of, set_aside
 from needle_rig.workbench.observations.noise import (
     Noise,
     covariance,
@@ -96,3 +96,32 @@ def test_whitened_noise_is_white() -> None:
 def test_replicates_are_trials_of_one_command() -> None:
     data = dataset()
     assert replicate_groups([t.command for t in data.trials]) == [[0, 1, 4], [2], [3]]
+
+
+def test_strokes_without_a_hold_between_them_are_motions_of_their_own() -> None:
+    corners_deg = np.array([0.0, 60.0, -50.0, 40.0, 39.5, 40.0, -30.0, 0.0])
+    path = rad(np.interp(np.arange(701) / 100.0, np.arange(8.0), corners_deg))
+    path = np.r_[path, np.full(100, path[-1])]
+    parts = motions_of(path, np.full(path.size, "whole"))
+    assert [first for first, _, _ in parts] == pytest.approx([0, 100, 200, 300, 600], abs=2)
+    assert [end - stop for _, stop, end in parts[:-1]] == [0, 0, 0, 0]
+    assert parts[-1][1] == pytest.approx(700, abs=2)
+    held = motions_of(rad(np.linspace(0.0, 45.0, 200)), np.full(200, "rotate"))
+    assert len(held) == 1
+
+
+def test_a_motion_to_and_fro_is_driven_through_its_turning_points() -> None:
+    given = dataset().trials[0]
+    time_s = np.arange(1000) / 50.0
+    sine = rad(40.0) * np.sin(2 * np.pi * time_s / 2.0)
+    zero = np.zeros(1000)
+    trial = dataclasses.replace(
+        given,
+        trial=dataclasses.replace(given.trial, time_s=time_s, base_angle_rad=sine),
+        torque_nm=zero,
+        hall_rad=np.zeros((1000, 4)),
+        phase=np.full(1000, "sweep"),
+    )
+    driven = bin_trial(trial).trial
+    away = np.abs(np.interp(time_s, driven.time_s, driven.base_angle_rad) - sine)
+    assert away.max() < rad(0.3)

@@ -314,7 +314,27 @@ def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() 
 
 @pytest.mark.parametrize(
     ("fit_s", "processes", "told"),
-    [(0.5, 2, "some 2 to 12 s"), (0.01, 2, "some 1 to 2 s"), (9.0, 2, "some 0.6 to 4 min")],
+    [
+        (0.5, 2, "some 2 to 12 s"),
+        (0.01, 2, "some 1 to 2 s"),
+        (2.39, 2, "some 10 to 60 s"),
+        (2.41, 2, "some 10 to 60 s (--quick: some 6 to 24 s, for one effect alone)"),
+        (9.0, 2, "some 0.6 to 4 min (--quick: some 22 to 90 s, for one effect alone)"),
+    ],
 )
 def test_how_long_it_will_take_is_told_after_the_first_fit(fit_s: float, processes: int, told: str) -> None:
     assert expected(fit_s, processes) == told
+    assert "--quick" not in expected(fit_s, processes, quick=True)
+
+
+def test_a_quick_diagnosis_names_one_effect_and_says_what_it_left_out() -> None:
+    data = dataset(
+        effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45),
+        effect("torque_bias", bias_nmm=0.05),
+    )
+    found = diagnose(data, few("tissue_elasticity", "torque_bias", "hall_offset"), quick=True)
+    assert found.search.named(found.search.best) == ["tissue_elasticity"]
+    assert len(found.search.children) == 1
+    assert found.verdict == "unknown"
+    assert "whether a second is missing" in found.notes[0]
+    assert found.decisions["hall_offset"].decision == "cannot_tell"
