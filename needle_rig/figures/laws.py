@@ -18,7 +18,7 @@ SHORT = 0.05
 """Share of the axis: stretches without data that are shorter lie between readings, and are no gap."""
 FEW = 12
 """A variable with so few values in the data (a direction, the number of a trial) is shown by points."""
-AGAIN = 1.6
+AGAIN = 1.3
 """The axis shows so many times the curve and its band where data are: a band without data has no end."""
 
 
@@ -70,7 +70,9 @@ def _draw_data(axes: Any, law: LearntLaw) -> None:
     for start, end in _gaps(curve):
         axes.axvspan(start, end, color=EMPTY, linewidth=0.0)
     axes.bar(curve.at, curve.data, width=float(curve.at[1] - curve.at[0]), color="0.55")
-    axes.set_ylabel("values", fontsize=9)
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=0.5)
+    axes.set_ylabel("readings", fontsize=9)
     axes.set_xlabel(f"{_variable(law)} (grey: no data)" if _gaps(curve) else _variable(law), fontsize=9)
 
 
