@@ -115,7 +115,7 @@ def _quantity(law: LearntLaw) -> str:
     if law.law.hook == "drive":
         return "needle − encoder"
     if law.law.hook == "observe":
-        return f"error of {law.law.place}"
+        return "error of the torque reading" if law.law.place == "torque" else f"error of {law.law.place}"
     if law.law.place == "stiffness":
         return "angle before it slips"
     return f"{law.law.place.replace('_', ' ')} / that without it − 1"
