@@ -145,28 +145,35 @@ class Sindy:
     name: str = "PySINDy"
     settings: str = (
         "states: torque and Hall angles at 50 Hz; inputs: base angle, rate, |rate|; derivatives by smoothed"
-        " finite differences; products up to the second degree, with and without sines and cosines of once"
-        " to three times each angle; STLSQ; library and threshold (0.003 … 0.3) are those whose simulation"
-        " comes nearest to the trials that were given; simulated from rest by Heun's method"
+        " finite differences; terms: linear, products of two, or these with sines and cosines of once to"
+        " three times each variable; STLSQ with a threshold of 0.003 … 0.3; terms and threshold are those"
+        " that, from each half of the commands given, foretell the other best; then fitted to all given;"
+        " simulated from rest by Heun's method"
     )
 
     THRESHOLDS = (0.003, 0.01, 0.03, 0.1, 0.3)
 
     def fitted(self, trials: Sequence[int]) -> Foretelling:
-        wanted = np.concatenate([self.data.scaled(t) for t in trials], axis=1)
-        rated: list[tuple[float, SindyModel]] = []
-        for fourier in (False, True):
-            models = [self._model(trials, threshold, fourier) for threshold in self.THRESHOLDS]
-            for model, told in zip(models, simulated(self.data, models, trials), strict=True):
-                left = wanted - np.concatenate(told, axis=1)
-                rated.append((float(np.nanmean(left**2)), model))
-        return min(rated, key=lambda r: r[0])[1]
+        groups = [[t for t in group if t in trials] for group in self.data.baseline.problem.groups]
+        groups = [group for group in groups if group]
+        halves = [[t for group in groups[k::2] for t in group] for k in (0, 1)]
+        rated: list[tuple[float, Terms, float]] = []
+        for terms in TERMS:
+            errors = np.zeros(len(self.THRESHOLDS))
+            for given, left in (halves, halves[::-1]):
+                models = [self._model(given, threshold, terms) for threshold in self.THRESHOLDS]
+                wanted = np.concatenate([self.data.scaled(t) for t in left], axis=1)
+                for k, told in enumerate(simulated(self.data, models, left)):
+                    errors[k] += float(np.nansum((wanted - np.concatenate(told, axis=1)) ** 2))
+            rated += [(float(e), terms, t) for e, t in zip(errors, self.THRESHOLDS, strict=True)]
+        _, terms, threshold = min(rated, key=lambda r: r[0])
+        return self._model(trials, threshold, terms)
 
-    def _model(self, trials: Sequence[int], threshold: float, fourier: bool) -> SindyModel:
+    def _model(self, trials: Sequence[int], threshold: float, terms: Terms) -> SindyModel:
         import pysindy
 
-        library: Any = pysindy.PolynomialLibrary(degree=2)
-        if fourier:
+        library: Any = pysindy.PolynomialLibrary(degree=terms.degree)
+        if terms.fourier:
             library = library + pysindy.FourierLibrary(n_frequencies=FREQUENCIES)
         model = pysindy.SINDy(
             optimizer=pysindy.STLSQ(threshold=threshold, alpha=1e-3, max_iter=50),
@@ -184,14 +191,25 @@ class Sindy:
                 u=[driven_by(each) for each in given],
                 feature_names=names,
             )
-        return SindyModel(self.data, model, fourier)
+        return SindyModel(self.data, model, terms)
 
 
-def library_features(x: Array, fourier: bool) -> Array:
+@dataclass(frozen=True)
+class Terms:
+    """Which terms a system may have."""
+
+    degree: int
+    fourier: bool = False
+
+
+TERMS = (Terms(1), Terms(2), Terms(2, fourier=True))
+
+
+def library_features(x: Array, terms: Terms) -> Array:
     """The library's terms (n, F) at rows of variables (n, V), a hundred times as fast as it gives them."""
     i, j = np.triu_indices(x.shape[1])
-    parts = [np.ones((len(x), 1)), x, x[:, i] * x[:, j]]
-    for n in range(1, 1 + FREQUENCIES) if fourier else ():
+    parts = [np.ones((len(x), 1)), x, *([x[:, i] * x[:, j]] if terms.degree > 1 else [])]
+    for n in range(1, 1 + FREQUENCIES) if terms.fourier else ():
         parts.append(np.stack([np.sin(n * x), np.cos(n * x)], axis=2).reshape(len(x), -1))
     return np.hstack(parts)
 
@@ -214,12 +232,12 @@ def simulated(data: Data, models: Sequence[SindyModel], trials: Sequence[int]) -
     inputs = np.array([_padded(driven_by(each), most) for each in given])
     steps = np.diff([_padded(each.trial.time_s, most) for each in given], axis=1)
     coefficients = np.array([np.asarray(m.model.coefficients()) for m in models])
-    fourier = any(m.fourier for m in models)
+    terms = models[0].terms
     shape = (len(models), len(given), len(data.channels))
 
     def slope(x: Array, u: Array) -> Array:
         rows = np.concatenate([x, np.broadcast_to(u, (*x.shape[:2], u.shape[-1]))], axis=2)
-        features = library_features(rows.reshape(-1, rows.shape[-1]), fourier)
+        features = library_features(rows.reshape(-1, rows.shape[-1]), terms)
         return np.asarray(np.einsum("mcf,mtf->mtc", coefficients, features.reshape(*shape[:2], -1)))
 
     states = np.zeros((most, *shape))
@@ -249,7 +267,7 @@ class SindyModel:
 
     data: Data
     model: Any
-    fourier: bool
+    terms: Terms
 
     def readings(self, trial: int) -> Array:
         return np.asarray(simulated(self.data, [self], [trial])[0][0] * self.data.units[:, None])

@@ -26,7 +26,8 @@ def demo_figure(story: Story) -> Figure:
         axes.set_title("\n".join(textwrap.wrap(law.law.words(), 44)), fontsize=10)
         axes.legend(frameon=False, fontsize=7)
     held = story.as_json()["held_out_error"]
-    bars = left.bar(["rigid", "+ " + "\n+ ".join(story.lesson.adopted)], [held["before"], held["after"]])
+    adopted = "\n+ ".join(story.lesson.adopted) or "nothing"
+    bars = left.bar(["rigid", f"+ {adopted}"], [held["before"], held["after"]])
     left.bar_label(bars, fmt="%.1f")
     bars[0].set_color("#b04a3a")
     bars[1].set_color("#0b6e4f")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from peers import Data, Discrepancy, Sindy, Symbolic, left_out_error, library_features, of_command
+from peers import TERMS, Data, Discrepancy, Sindy, Symbolic, left_out_error, library_features, of_command
 
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from tests.workbench.hidden import dataset, few
@@ -118,9 +118,9 @@ def test_the_terms_of_sindys_library_are_its_own() -> None:
     rows = np.random.default_rng(1).standard_normal((4, 8))
     plain = pysindy.PolynomialLibrary(degree=2)
     both = plain + pysindy.FourierLibrary(n_frequencies=3)
-    for library, fourier in ((plain, False), (both, True)):
+    for library, terms in zip((pysindy.PolynomialLibrary(degree=1), plain, both), TERMS, strict=True):
         library.fit(rows)
-        assert library_features(rows, fourier) == pytest.approx(np.asarray(library.transform(rows)))
+        assert library_features(rows, terms) == pytest.approx(np.asarray(library.transform(rows)))
 
 
 @pytest.mark.slow
