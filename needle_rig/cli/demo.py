@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
 
@@ -19,6 +20,7 @@ from needle_rig.cli._workbench import effects_option, jobs_option, json_option, 
     metavar="NAME[=VALUE]",
     help="What to hide in the rig; default: tissue_elasticity=0.3.",
 )
+@click.option("--law", is_flag=True, help="Hide a law that no effect holds; learn has to find it.")
 @effects_option
 @click.option("--target", type=click.FloatRange(-360.0, 360.0), default=45.0, show_default=True)
 @click.option("--runs", type=click.IntRange(1, 100), default=8, show_default=True, help="Fresh needles.")
@@ -30,6 +32,7 @@ from needle_rig.cli._workbench import effects_option, jobs_option, json_option, 
 def command(
     parameters: str,
     effects: tuple[str, ...],
+    law: bool,
     directories: tuple[str, ...],
     target: float,
     runs: int,
@@ -42,7 +45,7 @@ def command(
     """Go round the whole circle on a simulated rig that hides an effect.
 
     Runs with reed2008, diagnose, adopt, and planned with the new model on fresh needles of the same rig.
-    Takes about a minute.
+    Takes about a minute; some minutes with --law, where learn takes the place of diagnose.
     """
     from needle_rig.workbench.parallel import one_thread_each
 
@@ -51,17 +54,41 @@ def command(
     from needle_rig.errors import BadInput
     from needle_rig.model import load_parameters, save_model
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.workbench.contest.demo import in_words, tell_story
+    from needle_rig.workbench.contest.demo import in_words, tell_law_story, tell_story
+    from needle_rig.workbench.contest.untold_law import SECTION
 
     if target == 0.0:
         raise BadInput("--target 0: there is nothing to turn; give up to ±360 degrees")
+    if law and effects:
+        raise click.UsageError("--law hides a law of its own; leave --effect out.")
     known = library(directories)
     plant = load_parameters(parameters, effects=directories)
-    hidden = effects or (() if plant.effects else ("tissue_elasticity=0.3",))
-    plant = plant.with_effects(*parse_effects(hidden, known))
-    story = tell_story(
-        plant, known, target_deg=target, runs=runs, seed=seed, work=worker(jobs, None), say=say
-    )
+    if law:
+        if len(plant.layout.tissue_sections_m) < SECTION:
+            raise BadInput(
+                f"--law acts in tissue section {SECTION}, and {parameters} has"
+                f" {len(plant.layout.tissue_sections_m)}; name another parameter set"
+            )
+        with TemporaryDirectory(prefix="needle-rig-") as folder:
+            draft = _draft(model_out, Path(folder))
+            if draft.stem in known:
+                raise BadInput(f"{draft.stem}: there is an effect of this name; name --model-out otherwise")
+            story = tell_law_story(
+                plant,
+                known,
+                draft,
+                target_deg=target,
+                runs=runs,
+                seed=seed,
+                workers=lambda: worker(jobs, None),
+                say=say,
+            )
+    else:
+        hidden = effects or (() if plant.effects else ("tissue_elasticity=0.3",))
+        plant = plant.with_effects(*parse_effects(hidden, known))
+        story = tell_story(
+            plant, known, target_deg=target, runs=runs, seed=seed, work=worker(jobs, None), say=say
+        )
     if model_out is not None:
         save_model(model_out, story.lesson.after)
         click.echo(f"model: {model_out}", err=True)
@@ -78,3 +105,8 @@ def command(
         return
     for paragraph in in_words(story):
         click.echo(paragraph)
+
+
+def _draft(model_out: Path | None, folder: Path) -> Path:
+    """Where a law's effect file goes: beside the model file, whose readers then name that folder."""
+    return folder / "learnt_law.py" if model_out is None else model_out.with_name(f"{model_out.stem}_law.py")

@@ -6,6 +6,7 @@ import datetime
 import json
 import shlex
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 @data_argument
 @click.option("--out", type=click.Path(path_type=Path), help="Effect file to draft (.py).")
 @click.option("--png", "png_path", type=click.Path(path_type=Path), help="Write the curves as a picture.")
+@click.option("--pysr", is_flag=True, help="Ask PySR for a formula of each curve as well.")
 @model_option
 @effects_option
 @seed_option
@@ -43,6 +45,7 @@ def command(
     data: tuple[Path, ...],
     out: Path | None,
     png_path: Path | None,
+    pysr: bool,
     model_path: Path | None,
     directories: tuple[str, ...],
     seed: int,
@@ -64,11 +67,13 @@ def command(
     one_thread_each()
     from needle_rig.workbench.laws.draft import Origin
     from needle_rig.workbench.laws.learn import learn_laws
+    from needle_rig.workbench.laws.symbolic import formula_of, regressor
     from needle_rig.workbench.learning.observations import Traces
 
     started = time.monotonic()
     effects = library(directories)
     _check_places(out, png_path, effects)
+    make = regressor() if pysr else None
     present = read_model(model_path, directories)
     observed = read_observations(data)
     if not isinstance(observed, Traces):
@@ -94,10 +99,16 @@ def command(
 
         laws_figure(found).savefig(png_path, dpi=110)
         click.echo(f"wrote {png_path}", err=True)
+    if make is not None and found.laws:
+        say("asking PySR")
+    others = [] if make is None else [formula_of(make, law) for law in found.laws]
     if as_json:
-        click.echo(json.dumps(found.as_json(time.monotonic() - started), ensure_ascii=False))
+        told = found.as_json(time.monotonic() - started)
+        for law, other in zip(told["laws"], others, strict=False):
+            law["pysr"] = other.text
+        click.echo(json.dumps(told, ensure_ascii=False))
         return
-    _show(found)
+    _show(found, [other.sentence() for other in others])
     if found.verdict == "law" and drafts:
         click.echo(f"adopt it: {_adoption(data, drafts[0], model_path)}")
 
@@ -124,7 +135,7 @@ def _adoption(data: tuple[Path, ...], draft: Path, model_path: Path | None) -> s
     return shlex.join([*words, *model, "--effects", str(draft.parent), "--out", "MODEL.yaml"])
 
 
-def _show(found: Learnt) -> None:
+def _show(found: Learnt, others: Sequence[str]) -> None:
     from needle_rig.workbench.selection.answer import left_out_error
 
     click.echo(f"{found.origin.dataset}: {found.verdict.replace('_', ' ')}. {found.sentence}")
@@ -132,13 +143,15 @@ def _show(found: Learnt) -> None:
     click.echo(f"error on commands left out: {before} → {after} × the noise")
     if found.library:
         click.echo(f"of the library: {', '.join(found.library)}")
-    for law in found.laws:
+    for place, law in enumerate(found.laws):
         step = f"{left_out_error(law.held_out_before)} → {left_out_error(law.held_out_after)}"
         click.echo(f"{law.law.name}: {law.law.words()}; {step}")
         if law.formula is not None:
             click.echo(f"  formula {law.formula}")
         for name, value, spread, unit in law.parameters:
             click.echo(f"  {name} = {value:.4g} ± {spread:.2g}" + ("" if unit == "1" else f" {unit}"))
+        for other in others[place : place + 1]:
+            click.echo(f"  {other}")
         for other in law.tied_with:
             click.echo(f"  cannot be told from: {other.words()}")
         if law.experiment is not None:

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib.figure import Figure
 
+from needle_rig.figures.laws import draw_curve
 from needle_rig.figures.plan import base_path
 from needle_rig.units import mm
 from needle_rig.workbench.contest.demo import Story
+from needle_rig.workbench.learning.learn_law import LawLesson
 
 
 def demo_figure(story: Story) -> Figure:
-    """The model's error before and after, the shaft at the end, and the base on its way."""
-    picture = Figure(figsize=(12.0, 4.2), layout="constrained")
-    left, middle, right = picture.subplots(1, 3, width_ratios=(1, 1.6, 1.6))
+    """The model's error before and after, the law if one was learnt, the shaft at the end, the base's way."""
+    laws = story.lesson.learnt.laws if isinstance(story.lesson, LawLesson) else ()
+    picture = Figure(figsize=(12.0 + 4.5 * len(laws), 4.2), layout="constrained")
+    left, *between, middle, right = picture.subplots(
+        1, 3 + len(laws), width_ratios=(1, *(1.6 for _ in laws), 1.6, 1.6)
+    )
+    for law, axes in zip(laws, between, strict=True):
+        draw_curve(axes, law)
+        axes.set_title("\n".join(textwrap.wrap(law.law.words(), 44)), fontsize=10)
+        axes.legend(frameon=False, fontsize=7)
     held = story.as_json()["held_out_error"]
-    bars = left.bar(["rigid", "+ " + "\n+ ".join(story.lesson.adopted)], [held["before"], held["after"]])
+    adopted = "\n+ ".join(story.lesson.adopted) or "nothing"
+    bars = left.bar(["rigid", f"+ {adopted}"], [held["before"], held["after"]])
     left.bar_label(bars, fmt="%.1f")
     bars[0].set_color("#b04a3a")
     bars[1].set_color("#0b6e4f")

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypedDict
+from pathlib import Path
+from typing import Any, TypedDict
 
 import numpy as np
 
 from needle_rig.control.strategy import make_strategy
+from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, nmm, rad
+from needle_rig.workbench.contest import untold_law
 from needle_rig.workbench.contest.strategies_table import Bout, Spread, foretold
 from needle_rig.workbench.learning.learn import Lesson, learn
+from needle_rig.workbench.learning.learn_law import LawLesson, learn_law
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
@@ -44,7 +48,7 @@ class ErrorLeftOut(TypedDict):
     noise_floor: float | None
 
 
-class Learnt(TypedDict):
+class LearntParameter(TypedDict):
     """One parameter of the model that was learnt."""
 
     value: float
@@ -58,8 +62,10 @@ class StoryNumbers(TypedDict):
     target_deg: float
     verdict: str
     adopted: list[str]
+    laws: list[dict[str, Any]]
+    """That were learnt, as `learn --json` has them; none where effects of the library were looked for."""
     found: bool
-    parameters: dict[str, Learnt]
+    parameters: dict[str, LearntParameter]
     held_out_error: ErrorLeftOut
     foretold: str
     reed2008: RunsInShort
@@ -82,7 +88,10 @@ class Story:
 
     @property
     def found(self) -> bool:
-        """Whether exactly the hidden effects were adopted."""
+        """Whether exactly what was hidden was adopted: the effects, or the law by place and variable."""
+        if isinstance(self.lesson, LawLesson):
+            named = [law.law for law in self.lesson.learnt.laws]
+            return named == [untold_law.SLIT] and len(self.lesson.adopted) == 1
         return set(self.hidden) == set(self.lesson.adopted)
 
     def worst_deg(self, runs: tuple[SettledRun, ...]) -> list[float]:
@@ -99,6 +108,7 @@ class Story:
             "target_deg": self.target_deg,
             "verdict": lesson.diagnosis.verdict,
             "adopted": list(lesson.adopted),
+            "laws": [law.as_json() for law in lesson.learnt.laws] if isinstance(lesson, LawLesson) else [],
             "found": self.found,
             "parameters": {
                 name: {"value": value, "uncertainty": lesson.after.uncertainties.get(name)}
@@ -151,11 +161,59 @@ def tell_story(
 
     Raises BadInput, SolverError.
     """
-    noise = Noise(friction_scatter=0.05)
     hidden = tuple(e.name() for e in plant.effects if not e.is_off())
+    return _story(
+        plant,
+        hidden,
+        lambda dataset: learn(dataset, library, work=work, say=say),
+        target_deg=target_deg,
+        runs=runs,
+        seed=seed,
+        say=say,
+    )
+
+
+def tell_law_story(
+    bare: NeedleModel,
+    library: Mapping[str, type[Effect]],
+    draft: Path,
+    *,
+    target_deg: float = 45.0,
+    runs: int = 8,
+    seed: int = 1,
+    workers: Callable[[], Work] = Work,
+    say: Callable[[str], None] = lambda _: None,
+) -> Story:
+    """The same with a law hidden that no library holds, learnt and drafted as an effect file at `draft`.
+
+    Raises BadInput, SolverError.
+    """
+    law = untold_law.slit(bare.layout)
+    return _story(
+        bare.with_effects(law),
+        (untold_law.in_words(law),),
+        lambda dataset: learn_law(dataset, library, draft, workers=workers, say=say),
+        target_deg=target_deg,
+        runs=runs,
+        seed=seed,
+        say=say,
+    )
+
+
+def _story(
+    plant: NeedleModel,
+    hidden: tuple[str, ...],
+    teach: Callable[[Dataset], Lesson],
+    *,
+    target_deg: float,
+    runs: int,
+    seed: int,
+    say: Callable[[str], None],
+) -> Story:
+    noise = Noise(friction_scatter=0.05)
     say("eight runs of the standard protocol with reed2008")
     dataset = simulate_dataset(plant, load_protocol("standard"), seed=seed, noise=noise, name="runs")
-    lesson = learn(dataset, library, work=work, say=say)
+    lesson = teach(dataset)
     bout = Bout(plant, dataset.needle.torsional_rigidity_nm2, noise, lesson.after)
     told = foretold(bout, (target_deg,), ("relaxed",)).sentence
     say(told)
@@ -175,14 +233,13 @@ def in_words(story: Story) -> list[str]:
     """The story as paragraphs."""
     numbers = story.as_json()
     held, plain, planned = numbers["held_out_error"], numbers["reed2008"], numbers["planned"]
-    names = " and ".join(story.lesson.adopted) or "no effect"
     told = [
         f"1. reed2008 on {plain['runs']} fresh needles to {story.target_deg:g}°: the worst place of the shaft"
         f" is {plain['worst_deg']['median']:.1f}° off (95 %: {plain['worst_deg']['q95']:.1f}°), after"
         f" {plain['rotations']:g} rotations and {plain['time_s']:.0f} s.",
         f"2. The model behind it, rigid tissue, foretells runs left out of its fit with an error of"
         f" {held['before']:.1f} × the noise. Something is missing.",
-        f"3. diagnose names {names}; adopting brings that error to {held['after']:.1f} × the noise"
+        f"3. {_named(story.lesson)}; adopting brings that error to {held['after']:.1f} × the noise"
         f" (a perfect model: {held['noise_floor']:.1f}).",
     ]
     known = {
@@ -203,5 +260,18 @@ def in_words(story: Story) -> list[str]:
             f" {planned['time_s']:.0f} s: {numbers['times_better']:.1f} times better."
         )
     said = "It was exactly that." if story.found else "That is not what was hidden."
+    if story.found and isinstance(story.lesson, LawLesson):
+        said = "Nobody had told it."
     told.append(f"Hidden in the rig was {' and '.join(story.hidden) or 'nothing'}. {said}")
     return told
+
+
+def _named(lesson: Lesson) -> str:
+    """What was found, and how."""
+    if not isinstance(lesson, LawLesson):
+        return f"diagnose names {' and '.join(lesson.adopted) or 'no effect'}"
+    found = lesson.learnt
+    if found.verdict != "law":
+        return f"learn says {found.verdict.replace('_', ' ')}: {found.sentence.rstrip('.')}"
+    laws = " and ".join(law.law.words() + (f", {law.formula}" if law.formula else "") for law in found.laws)
+    return f"No effect of the library explains it; learn says that {laws}"

@@ -20,6 +20,7 @@ from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.laws.draft import Origin, Table, formula_text, written
 from needle_rig.workbench.laws.fitting import FormulaLaw, LawFit, Shared, present_score, seen
 from needle_rig.workbench.laws.formulas import Formula
+from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.search import (
     FoundLaw,
@@ -57,7 +58,7 @@ class Curve:
     data: Array
     """How many values of the variable the data have nearest to each vector."""
     halves: tuple[Array, ...]
-    """The same curve from halves of the trials."""
+    """The same curve from halves of the trials; NaN outside the range of their data."""
 
 
 @dataclass(frozen=True)
@@ -299,6 +300,8 @@ class _Learning:
         found, ties = self.found[place]
         formula, parameters = _fitted_formula(current.fit, found)
         curve = self._curve(current, found)
+        shown = where_seen(self.search.problem, found.law, curve.at, curve.halves, seen)
+        curve = dataclasses.replace(curve, halves=shown)
         told = formula or Table(curve.at, curve.value)
         text = None if formula is None else f"{formula.form.name}: {formula_text(formula)}"
         return LearntLaw(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 
 from needle_rig.cli.main import run as command
-from needle_rig.workbench.laws import learn
+from needle_rig.workbench.laws import learn, symbolic
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.formulas import FORMS, Formula
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import Curve, Learnt, LearntLaw
+from needle_rig.workbench.laws.symbolic import SymbolicFormula
 
 SINE = Formula(next(f for f in FORMS if f.name == "sine"), 90.0, -45.0, (0.05, 0.01, 2.0))
 CURVE = Curve(np.arange(3.0), np.zeros(3), np.zeros(3), np.zeros(3), np.ones(3), ())
@@ -101,3 +103,21 @@ def test_the_json_answer_stands_alone_on_stdout(answered: Any, capsys: Any) -> N
     assert told["verdict"] == "law"
     assert told["laws"][0]["tied_with"] == [{"hook": "torque", "place": "tissue", "variable": "angle"}]
     assert isinstance(told["seconds"], float)
+
+
+def test_pysr_is_told_beside_our_formula(answered: Any, monkeypatch: Any, capsys: Any) -> None:
+    other = SymbolicFormula("sin(v + v)", 4, 0.5, radians=True)
+    monkeypatch.setattr(symbolic, "regressor", lambda: object)
+    monkeypatch.setattr(symbolic, "formula_of", lambda *_: other)
+    assert command(["learn", answered, "--pysr"]) == 0
+    assert "  PySR: sin(v + v), v in radians; 0.5 × the curve's uncertainty off\n" in capsys.readouterr().out
+    assert command(["learn", answered, "--pysr", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["laws"][0]["pysr"] == "sin(v + v)"
+
+
+def test_pysr_that_is_not_there_is_said_before_anything_is_computed(monkeypatch: Any, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "pysr", None)
+    assert command(["learn", "no-data", "--pysr"]) == 2
+    said = capsys.readouterr().err
+    assert "pip install 'needle-rig[pysr]'" in said
+    assert len(said.splitlines()) == 1

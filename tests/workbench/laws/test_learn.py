@@ -75,7 +75,9 @@ def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
     assert inside[covered].mean() > 0.9
     assert len(curve.halves) == 2
     for half in curve.halves:
-        assert np.abs(half - truth)[covered].mean() < 0.5
+        there = covered & np.isfinite(half)
+        assert there.sum() > 0.3 * covered.sum()
+        assert np.abs(half - truth)[there].mean() < 0.5
 
 
 def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:

@@ -1,0 +1,60 @@
+"""From a rig's own runs to a model with a law that no library holds: learn it, draft its file, adopt it."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from needle_rig.dataset import Dataset
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.library import load_effect
+from needle_rig.workbench.laws.draft import Origin
+from needle_rig.workbench.laws.learn import Learnt, learn_laws
+from needle_rig.workbench.learning.adopt import Refused, adopt
+from needle_rig.workbench.learning.learn import Lesson, fitted
+from needle_rig.workbench.learning.observations import Traces
+from needle_rig.workbench.parallel import Work
+
+
+@dataclass(frozen=True)
+class LawLesson(Lesson):
+    """What runs taught where laws were looked for, too."""
+
+    learnt: Learnt
+    library: Mapping[str, type[Effect]]
+    """Effects, the drafted ones among them."""
+
+
+def learn_law(
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    draft: Path,
+    *,
+    workers: Callable[[], Work] = Work,
+    say: Callable[[str], None] = lambda _: None,
+) -> LawLesson:
+    """Learn laws from `dataset`, draft effect files at `draft` (.py) and adopt them one after the other.
+
+    What the library holds is adopted in their place, or first. Nothing is adopted where the verdict is
+    `cannot_tell` or `none`, nor what improves no cross-validation. Raises BadInput, SolverError.
+    """
+    observed = Traces(dataset)
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    origin = Origin(dataset.name, observed.sha256(), today)
+    found = learn_laws(dataset, library, origin=origin, workers=workers, say=say)
+    before = fitted(found.diagnosis)
+    if found.verdict not in ("law", "library"):
+        return LawLesson(before, before, found.diagnosis, (), found, library)
+    drafts = {path.stem: load_effect(path) for path in found.write_drafts(draft)}
+    known, saved, adopted = {**library, **drafts}, None, []
+    for name in (*found.library, *drafts):
+        say(f"adopting {name}")
+        try:
+            saved = adopt(observed, name, known, saved, name=dataset.name)
+        except Refused as refusal:
+            say(str(refusal))
+            continue
+        adopted.append(name)
+    return LawLesson(before, saved or before, found.diagnosis, tuple(adopted), found, known)
