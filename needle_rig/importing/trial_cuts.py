@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 
 from needle_rig.dataset.base_path import denoised_base
+from needle_rig.dataset.dominant_turns import dominant_turns
 from needle_rig.errors import BadInput
 from needle_rig.importing.mapping import ChannelPart, Mapping
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.rows import clock_times, column_of
 from needle_rig.importing.si import to_si
 from needle_rig.numerics import Array
-from needle_rig.workbench.observations.earlier_path import dominant_turns
 
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""

@@ -1,8 +1,6 @@
 """The path of the base before a recording: put before a trial, so that the model's shaft starts as it did.
 
-Of a path from a relaxed shaft dry friction remembers its dominant turning points alone: one that is passed
-again is forgotten (wiping-out property of Prandtl-Ishlinskii operators: Mayergoyz, Mathematical models of
-hysteresis, 1991, ch. 1). So the path before a run can be told by a few turns, whatever came before.
+A few turns tell it, whatever came before (see `dataset.dominant_turns`).
 """
 
 from __future__ import annotations
@@ -14,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.dataset.dominant_turns import dominant_turns
 from needle_rig.dataset.samples import AT_REST_DEG
 from needle_rig.errors import NeedleRigError
 from needle_rig.numerics import Array
@@ -26,8 +25,6 @@ TURN_SAMPLES, TURN_S = 6, 2.0
 REST_S = 1.0
 SEEN_S = 0.2
 """At the end of one run and the beginning of the next, that the needle stayed where it was."""
-SMALLEST_TURN_DEG = 0.1
-"""Turns that the encoder's noise makes are none."""
 MOST_RUNS = 20
 """That are looked back through: friction has forgotten what the shaft was before them."""
 
@@ -73,22 +70,6 @@ def with_known_paths(dataset: Dataset) -> Dataset:
     return dataclasses.replace(dataset, trials=tuple(trials))
 
 
-def dominant_turns(path_rad: Array) -> list[float]:
-    """Turning points of a path from 0 that are not passed again, in their order; the last is its end."""
-    if not path_rad.size:
-        return []
-    at = _last_of_largest(np.abs(path_rad))
-    turns, side = [float(path_rad[at])], float(np.sign(path_rad[at]))
-    rest = path_rad[at + 1 :]
-    while rest.size:
-        at = _last_of_largest(-side * rest)
-        if abs(rest[at] - turns[-1]) < rad(SMALLEST_TURN_DEG):
-            break
-        turns.append(float(rest[at]))
-        rest, side = rest[at + 1 :], -side
-    return turns
-
-
 def after_earlier_runs(dataset: Dataset, runs: Sequence[RunFile]) -> Dataset:
     """The dataset of `runs`; a shaft that earlier runs wound starts as they left it, with a sentence.
 
@@ -109,10 +90,6 @@ def after_earlier_runs(dataset: Dataset, runs: Sequence[RunFile]) -> Dataset:
         before = f"the {len(earlier)} runs before it" if len(earlier) > 1 else "the run before it"
         notes.append(f"{trial.file}: begins as {before} left the shaft, after turns of the base to {told}°")
     return dataclasses.replace(dataset, trials=tuple(trials), notes=(*dataset.notes, *notes))
-
-
-def _last_of_largest(values: Array) -> int:
-    return len(values) - 1 - int(np.argmax(values[::-1]))
 
 
 def _earlier(run: RunFile, trial: DatasetTrial, known: dict[Path, DatasetTrial | None]) -> list[DatasetTrial]:

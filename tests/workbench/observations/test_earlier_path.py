@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.dominant_turns import dominant_turns
 from needle_rig.model import load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.recording import RunFile, RunWriter, run_tables
 from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, rad
 from needle_rig.workbench.learning.identify import identify
-from needle_rig.workbench.observations.earlier_path import PHASE, dominant_turns
+from needle_rig.workbench.observations.earlier_path import PHASE
 from needle_rig.workbench.observations.sources import read_measurements
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.recorded_run import write_run
