@@ -30,8 +30,13 @@ TORQUE_UNIT_NM = 1e-4
 class Peer(Protocol):
     """A way of foretelling; fitted once for every command that is left out, and once to all."""
 
-    name: str
-    settings: str
+    @property
+    def name(self) -> str:
+        """As it is called in the table."""
+
+    @property
+    def settings(self) -> str:
+        """How it was asked, in words."""
 
     def fitted(self, trials: Sequence[int]) -> Foretelling:
         """Fitted to trials (their places)."""
@@ -71,7 +76,7 @@ class Data:
 
     def scaled(self, trial: int) -> Array:
         """Bin means (C, K), torques in TORQUE_UNIT_NM."""
-        return self.binned[trial].mean / self.units[:, None]
+        return np.asarray(self.binned[trial].mean / self.units[:, None])
 
     @cached_property
     def units(self) -> Array:

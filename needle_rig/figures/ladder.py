@@ -84,7 +84,8 @@ def _logarithmic(axis: Any, values: np.ndarray[Any, Any]) -> None:
     if not seen.size:
         return
     low, high = float(seen.min()), float(seen.max())
-    room = max(LEAST_SPAN / (high / low), 1.0) ** 0.5 * 1.25
+    # numbers stand above the points
+    room = max(LEAST_SPAN / (high / low), 1.0) ** 0.5 * 1.25 * (high / low) ** 0.1
     low, high = low / room, high * room
     axis.set_yscale("log")
     axis.set_ylim(low, high)

@@ -66,4 +66,5 @@ def slit(layout: Layout) -> SlitTorque:
 
 def in_words(law: SlitTorque) -> str:
     """What was hidden, for a person."""
-    return f"{SLIT.words()}: {-law.sine_nmm_per_100mm:g} · sin(2 · v) N·mm per 100 mm"
+    where = SLIT.words().partition(" depends on ")
+    return f"{where[0]}, {-law.sine_nmm_per_100mm:g} · sin(2 · v) N·mm per 100 mm with v {where[2]}"

@@ -92,7 +92,10 @@ def test_a_law_that_nobody_told_straightens_the_needle(monkeypatch: Any, tmp_pat
     assert words[2].startswith(
         f"3. No effect of the library explains it; learn says that {SLIT.words()}, sine"
     )
-    assert words[-1].endswith("-0.24 · sin(2 · v) N·mm per 100 mm. Nobody had told it.")
+    assert words[-1] == (
+        "Hidden in the rig was a torque in tissue section 3, -0.24 · sin(2 · v) N·mm per 100 mm with v the"
+        " angle of the needle there. Nobody had told it."
+    )
     figure = demo_figure(story)
     assert len(figure.axes) == 4
     assert png(figure)[:4] == b"\x89PNG"
