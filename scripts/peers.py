@@ -81,7 +81,7 @@ class Data:
     @cached_property
     def units(self) -> Array:
         """(C,) that scaled values are multiplied by."""
-        return np.r_[TORQUE_UNIT_NM, np.ones(len(self.channels) - 1)]
+        return np.asarray(np.r_[TORQUE_UNIT_NM, np.ones(len(self.channels) - 1)])
 
     @cached_property
     def noise(self) -> Array:

@@ -25,7 +25,6 @@ class SymbolicFormula:
     """A formula that PySR found, in the unit of the curve."""
 
     text: str
-    complexity: int
     error: float
     """Root mean square difference from the curve, in units of its standard deviation."""
     radians: bool
@@ -82,6 +81,4 @@ def formula_of(make: Callable[..., Any], law: LearntLaw) -> SymbolicFormula:
     model.fit(v[:, None], curve.value[there], weights=sigma**-2, variable_names=["v"])
     best = model.get_best()
     left = (np.asarray(model.predict(v[:, None])).ravel() - curve.value[there]) / sigma
-    return SymbolicFormula(
-        str(best["equation"]), int(best["complexity"]), float(np.sqrt(np.mean(left**2))), angle
-    )
+    return SymbolicFormula(str(best["equation"]), float(np.sqrt(np.mean(left**2))), angle)

@@ -106,7 +106,7 @@ def test_the_json_answer_stands_alone_on_stdout(answered: Any, capsys: Any) -> N
 
 
 def test_pysr_is_told_beside_our_formula(answered: Any, monkeypatch: Any, capsys: Any) -> None:
-    other = SymbolicFormula("sin(v + v)", 4, 0.5, radians=True)
+    other = SymbolicFormula("sin(v + v)", 0.5, radians=True)
     monkeypatch.setattr(symbolic, "regressor", lambda: object)
     monkeypatch.setattr(symbolic, "formula_of", lambda *_: other)
     assert command(["learn", answered, "--pysr"]) == 0

@@ -35,7 +35,7 @@ class Fake:
         return 0.5 * np.sin(2.0 * X[:, 0])
 
     def get_best(self) -> Any:
-        return {"equation": "0.5 * sin(2.0 * v)", "complexity": 6}
+        return {"equation": "0.5 * sin(2.0 * v)"}
 
 
 def law(on: Law, covered: Any) -> LearntLaw:
