@@ -254,8 +254,8 @@ def simulated(data: Data, models: Sequence[SindyModel], trials: Sequence[int]) -
     weights = [sample_weights(each) for each in given]
     return [
         [
-            np.asarray(w @ states[: each.trial.time_s.size, m, t]).T
-            for t, (w, each) in enumerate(zip(weights, given, strict=True))
+            np.array([w @ states[: w.shape[1], m, t, c] for c, w in enumerate(of_trial)])
+            for t, of_trial in enumerate(weights)
         ]
         for m in range(len(models))
     ]

@@ -35,13 +35,13 @@ def test_a_stretch_without_data_is_grey_and_a_short_one_is_not() -> None:
     data = np.ones(121)
     data[10:14] = 0.0
     data[50:70] = 0.0
-    assert _gaps(curve(data)) == [(pytest.approx(-10.5), pytest.approx(9.5))]
+    assert np.array(_gaps(curve(data))) == pytest.approx(np.array([[-10.5, 9.5]]))
 
 
 def test_the_ends_without_data_are_grey_however_short() -> None:
     data = np.ones(121)
     data[:2] = 0.0
-    assert _gaps(curve(data))[0] == (pytest.approx(-60.5), pytest.approx(-58.5))
+    assert np.array(_gaps(curve(data))[0]) == pytest.approx(np.array([-60.5, -58.5]))
 
 
 def test_a_variable_with_few_values_is_shown_by_points() -> None:
