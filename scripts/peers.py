@@ -372,9 +372,10 @@ class Discrepancy:
     data: Data
     name: str = "Gaussian-process discrepancy"
     settings: str = (
-        "friction and rigidity of the null model fitted to the trials given; what it leaves in each channel:"
-        " a Gaussian process over base angle, rate, direction and time (anisotropic squared exponential plus"
-        " white noise, likelihood maximised from two starts on a third of the bins; scikit-learn)"
+        "friction and rigidity of the null model fitted to the trials given; what it leaves in each channel,"
+        " at each trial's own friction: a Gaussian process over base angle, rate, direction and time"
+        " (anisotropic squared exponential plus white noise, likelihood maximised from two starts on a third"
+        " of the bins; scikit-learn)"
     )
 
     INPUTS = ("base", "rate", "direction", "time")
@@ -395,7 +396,9 @@ class Discrepancy:
         inputs = np.vstack([self.inputs(t) for t in trials])
         centre, width = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
         processes = []
-        left = [self._left(model, t) for t in trials]
+        # at each trial's own friction: its scatter is no discrepancy
+        told = problem.predict(calibrated.parameters, calibrated.vector)
+        left = [b.mean - r for b, r in zip(problem.trials, told, strict=True)]
         for channel in range(len(data.channels)):
             wanted = np.concatenate([each[channel] for each in left]) / data.noise[channel]
             rows = np.flatnonzero(np.isfinite(wanted))
@@ -415,9 +418,6 @@ class Discrepancy:
         """(K, 4)."""
         names, values = of_command(self.data.binned[trial])
         return values[:, [names.index(name) for name in self.INPUTS]]
-
-    def _left(self, model: Any, trial: int) -> Array:
-        return self.data.binned[trial].mean - self.data.baseline.problem.readings([model], [trial])[0]
 
 
 @dataclass(frozen=True)
