@@ -163,6 +163,10 @@ def test_the_table_has_a_row_for_each_case_and_says_what_failed() -> None:
     assert "law: a¦b" in text
     assert "(999 characters)" in text
     assert "- **PySINDy**: s" in text
+    assert "stands in its stead" not in text
+    assert "PyOperon stands in its stead" in made.table(
+        [*rows, {**rows[2], "peer": "PyOperon, from the command"}]
+    )
 
 
 def test_the_strategies_table_counts_rigs_and_says_what_was_refused() -> None:
