@@ -62,20 +62,19 @@ def null_model(dataset: Dataset) -> NeedleModel:
     return NeedleModel("null", dataset.layout, dataset.needle.torsional_rigidity_nm2, FRICTIONS_N[2])
 
 
-def judged(dataset: Dataset) -> Dataset:
+def judged(dataset: Dataset, shaft: NeedleModel | None = None) -> Dataset:
     """What a model is held against: trials with an unknown start after a run-in, one command alone in blocks.
 
-    Raises BadInput, SolverError.
+    Starts are found with the model `shaft`, the null model without one. Raises BadInput, SolverError.
     """
-    return in_blocks(in_whole_trials(dataset))
+    return in_blocks(in_whole_trials(dataset, shaft))
 
 
-def in_whole_trials(dataset: Dataset) -> Dataset:
+def in_whole_trials(dataset: Dataset, shaft: NeedleModel | None = None) -> Dataset:
     """Trials after the path that is known before them, or a run-in. Raises BadInput, SolverError."""
-    null = null_model(dataset)
-    return after_run_in(
-        with_known_paths(dataset), dataclasses.replace(null, element_length_m=element_length(null))
-    )
+    shaft = shaft or null_model(dataset)
+    coarse = dataclasses.replace(shaft, layout=dataset.layout, element_length_m=element_length(shaft))
+    return after_run_in(with_known_paths(dataset), coarse)
 
 
 def element_length(model: NeedleModel) -> float:

@@ -23,6 +23,10 @@ is a decade."""
 FINE_FORM_STEPS = (0.1, -0.1)
 """Further, smaller steps of the same where minima lie close together."""
 
+FRICTIONS = (1.4, 0.7, 2.0, 0.5)
+"""Friction, in that of a fit, from which it is restarted, by half octaves: where starts are unknown, what
+these change covers what friction does, and the way from a wrong model's friction is not downhill."""
+
 VALLEY_SIGMAS = (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0)
 """Points along the least certain direction, in its standard deviations, at which the objective is looked
 at."""
@@ -50,6 +54,23 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
             break
         found = again
     return over_forms(problem, found) if excess(problem, found.objective) > 0.0 else found
+
+
+def over_friction(problem: Problem, found: Fit) -> Fit:
+    """A fit that stays above the noise, or the lowest of those from other friction until one reaches it."""
+    best = found
+    for factor in FRICTIONS:
+        if excess(problem, best.objective) == 0.0:
+            break
+        start = dataclasses.replace(
+            found.vector,
+            log_friction=found.vector.log_friction + float(np.log(factor)),
+            trial_friction=np.zeros_like(found.vector.trial_friction),
+        )
+        again = fit(problem, found.effects, start, nuisance=found.nuisance)
+        if again is not None and again.objective < best.objective - OBJECTIVE_TOLERANCE:
+            best = again
+    return best
 
 
 def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS) -> Fit:

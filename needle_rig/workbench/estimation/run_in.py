@@ -53,18 +53,18 @@ WORDS = {
 }
 
 
-def after_run_in(dataset: Dataset, null: NeedleModel) -> Dataset:
+def after_run_in(dataset: Dataset, model: NeedleModel) -> Dataset:
     """The dataset; trials with an unknown start as far as they can be judged, each with a sentence.
 
-    The path of such a trial gets turns before it that wind the shaft as it was found to be. `null` is rigid
-    tissue in the dataset's geometry; its friction is guessed. Raises SolverError, BadInput.
+    The path of such a trial gets turns before it that wind the shaft as it was found to be. `model` has the
+    dataset's geometry; its friction is guessed. Raises SolverError, BadInput.
     """
     if all(t.start == "relaxed" for t in dataset.trials):
         return dataset
     # with a path before it an unknown twist is no rest, whose scatter would count as noise
     rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
     noise = measure_noise(rests, [bin_trial(t) for t in rests])
-    shaft = _guessed(dataset, noise, null)
+    shaft = _guessed(dataset, noise, model)
     trials, notes = [], []
     for given in dataset.trials:
         if given.start == "relaxed":
@@ -84,14 +84,14 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     return with_path_before(trial, [*ends, relaxed_rad])
 
 
-def _guessed(dataset: Dataset, noise: Noise, null: NeedleModel) -> _Shaft:
+def _guessed(dataset: Dataset, noise: Noise, given: NeedleModel) -> _Shaft:
     """The shaft of the friction that fits the trials best, each from the start that fits it best."""
-    rod = build_rod(dataset.layout, null.torsional_rigidity_nm2, 1.0, null.element_length_m)
+    rod = build_rod(dataset.layout, given.torsional_rigidity_nm2, 1.0, given.element_length_m)
     beyond_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1][1:]
     lag_of_newton = max(float((beyond_nm / rod.stiffness_nm_per_rad).sum()), 1e-12)
 
     def of(lag_rad: float) -> _Shaft:
-        model = dataclasses.replace(null, friction_n=lag_rad / lag_of_newton)
+        model = dataclasses.replace(given, friction_n=lag_rad / lag_of_newton)
         return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names))
 
     travelled = sorted(dataset.trials, key=lambda t: -float(np.abs(np.diff(t.trial.base_angle_rad)).sum()))
@@ -106,7 +106,7 @@ def _guessed(dataset: Dataset, noise: Noise, null: NeedleModel) -> _Shaft:
 
 @dataclass(frozen=True)
 class _Shaft:
-    """A needle in rigid tissue, how far its tip lags when all of it slips, and the noise of the readings."""
+    """A needle, how far its tip lags when all of it slips, and the noise of the readings."""
 
     model: NeedleModel
     lag_rad: float

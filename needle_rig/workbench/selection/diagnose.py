@@ -13,7 +13,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline, judged
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
@@ -108,23 +108,33 @@ def diagnose(
     begun_s = time.monotonic()
     baseline = fit_baseline(dataset, model, library)
     fit_s = time.monotonic() - begun_s
-    names = tuple(sorted(set(library) - set(baseline.current.effects)))
     with work or Work() as at:
+        if any(trial.start != "relaxed" for trial in dataset.trials):
+            say("finding the unknown starts with the one effect that explains most")
+            shaft = _fitted(_searched(baseline, library, 1, at, quick=True))
+            if shaft.effects:
+                baseline = fit_baseline(dataset, model, library, lambda given: judged(given, shaft))
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
-        trace = search(
-            baseline.problem,
-            names,
-            baseline.current,
-            baseline.validation,
-            max_effects=max_effects,
-            work=at,
-            quick=quick,
-        )
+        trace = _searched(baseline, library, max_effects, at, quick)
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
         say("testing the answer against the discretisation error")
         found = _conclude(baseline, trace, rivals, dataset.sensor_names)
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
+
+
+def _searched(
+    baseline: Baseline, library: Mapping[str, type[Effect]], max_effects: int, work: Work, quick: bool
+) -> SearchTrace:
+    names = tuple(sorted(set(library) - set(baseline.current.effects)))
+    fits = (baseline.problem, names, baseline.current, baseline.validation)
+    return search(*fits, max_effects=max_effects, work=work, quick=quick)
+
+
+def _fitted(trace: SearchTrace) -> NeedleModel:
+    """The model of the best set of a search."""
+    found, _ = trace.fits[trace.best]
+    return trace.problem.model(found.parameters, found.vector)
 
 
 def expected(fit_s: float, processes: int, quick: bool = False) -> str:

@@ -18,7 +18,11 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit, fit
-from needle_rig.workbench.estimation.multistart import fit_without_derivatives, through_valleys
+from needle_rig.workbench.estimation.multistart import (
+    fit_without_derivatives,
+    over_friction,
+    through_valleys,
+)
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.parallel import Work
@@ -134,6 +138,12 @@ def refit(
     """Fit from a given parameter vector, with its cross-validation."""
     found = fit(problem, names, start)
     return found, cross_validate(problem, found) if found is not None else None
+
+
+def from_other_friction(problem: Problem, found: Fit) -> tuple[Fit, CrossValidation | None]:
+    """The lowest of a fit and those from other friction, with its cross-validation; None where it stays."""
+    best = over_friction(problem, found)
+    return best, cross_validate(problem, best) if best is not found else None
 
 
 def without(found: Fit, effect: str) -> ParameterVector:
@@ -263,12 +273,14 @@ def search(
     if quick:
         trace, options = _forward(trace, work, frontier)
         best = next((key for key in options if trace.named(key)), trace.start)
+        trace = _over_friction(trace, work, best)
         return dataclasses.replace(trace, best=best).stepped("forward")
     while True:
         trace, options = _forward(trace, work, frontier)
         if not options:
             break
         chosen = _chosen(trace, options)
+        trace = _over_friction(trace, work, chosen)
         move, small = next_move(trace, chosen, max_effects)
         if move == "take out":
             trace = take_out(trace, chosen, small)
@@ -284,6 +296,12 @@ def search(
             frontier = _frontier(trace, options, max_effects)
     trace = _back(trace, work)
     return expand(trace, work, trace.best, _least(trace, trace.best))
+
+
+def _over_friction(trace: SearchTrace, work: Work, key: EffectSet) -> SearchTrace:
+    """The search with a set of effects that stays above the noise fitted from other friction, too."""
+    found, validation = work.run(from_other_friction, [(trace.fits[key][0],)])[0]
+    return trace if validation is None else trace.keep(found, validation)
 
 
 def next_move(

@@ -126,6 +126,17 @@ def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does() -> 
     assert deg(hall[3][0]) == pytest.approx(26.0, abs=2.0)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 22])
+def test_where_every_trial_is_wound_the_starts_are_found_with_what_is_missing(seed: int) -> None:
+    whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=seed)
+    late = [begun_late(t, "overshoot" if "overshoot" in t.phase else "step_2", "wound") for t in whole.trials]
+    found = diagnose(dataclasses.replace(whole, trials=tuple(late)), few())
+    assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
+    value = found.ranking[0].values[0]
+    assert value.low < 0.45 < value.high
+
+
 def test_an_effect_is_named_at_its_size_beside_wound_starts() -> None:
     whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
     trials = list(whole.trials)
