@@ -156,10 +156,7 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
     reach, low = _rounded(float(np.abs(v).max())), _rounded(spline.low)
     found = []
     for form in FORMS:
-        if form.periodic and law.variable not in ("angle", "base_angle"):
-            continue
-        # a drive counts from the start of the trial; a constant factor is friction or rigidity
-        if form.has_constant and (law.hook == "drive" or law.place in ("slip_limit", "rigidity")):
+        if not _fits(form, law):
             continue
         best: RankedFormula | None = None
         for shapes in _grid(form, spline):
@@ -174,6 +171,18 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
         if best is not None:
             found.append(best)
     return sorted(found, key=lambda each: each.cost)
+
+
+def _fits(form: Form, law: Law) -> bool:
+    """Whether the form makes sense of the law."""
+    if form.periodic and (law.variable not in ("angle", "base_angle") or law.kind == "play"):
+        return False
+    if law.kind == "gain":
+        return form.name != "constant"  # the library has that
+    # a drive counts from the start of the trial, a play from its middle; a constant factor is friction or
+    # rigidity
+    counted = law.hook == "drive" or law.place in ("slip_limit", "rigidity") or law.kind == "play"
+    return not (form.has_constant and counted)
 
 
 def scaled_size(formula: Formula, name: str) -> float:

@@ -16,7 +16,9 @@ from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.physics.library import find_effects, load_effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.fitting import Shared, candidates, fit_spline, screen
+from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
+from needle_rig.workbench.laws.made import Shared
+from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import learn_laws
 from needle_rig.workbench.learning.adopt import adopt, undo
@@ -146,7 +148,8 @@ def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
     assert here is not None
     assert there is not None
     assert here.gain == pytest.approx(there.gain)
-    fitted = fit_spline(shared, baseline.current, here, whole=False)
+    score = present_score(baseline.problem, baseline.current)
+    fitted = first_fit(shared, Parent(baseline.current, baseline.validation, score), here)
     assert fitted is not None
     assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
 
