@@ -288,7 +288,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         "observe",
         "torque",
         ("torque",),
-        ("dead zone",),
+        ("limited line",),
         _observed("H", _dead_cell),
         lambda s, v: -s * np.clip(v, -0.015, 0.015),
     ),

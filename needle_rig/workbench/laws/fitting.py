@@ -19,7 +19,7 @@ from needle_rig.workbench.estimation.posterior import Objective, excess, start_v
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
-from needle_rig.workbench.laws.screening import Screened, profiled, typical
+from needle_rig.workbench.laws.screening import Screened, beginning, profiled, typical
 from needle_rig.workbench.laws.spline import Quadratic, smoothed
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.selection.search import penalty
@@ -82,15 +82,18 @@ def first_fit(shared: Shared, parent: Parent, screened: Screened) -> LawFit | No
     """The law's curve fitted with all else for a few steps."""
     problem, made = shared.with_made(screened.made), screened.made
     best: Fit | None = None
-    for start in _starts(problem, parent.fit, screened):
-        found = fit(
-            problem,
-            (*parent.fit.effects, made.name),
-            start,
-            nuisance=parent.fit.nuisance,
-            iterations=FIRST_STEPS,
-            tolerance=ROUGH,
-        )
+    for starts in _starts(problem, parent.fit, screened):
+        for start in starts:
+            found = fit(
+                problem,
+                (*parent.fit.effects, made.name),
+                start,
+                nuisance=parent.fit.nuisance,
+                iterations=FIRST_STEPS,
+                tolerance=ROUGH,
+            )
+            if found is not None:
+                break
         if found is not None and (best is None or found.objective < best.objective):
             best = found
     return None if best is None else _scored(problem, parent, made, best)
@@ -142,12 +145,14 @@ def _scored(problem: Problem, parent: Parent, made: SplineLaw, found: Fit) -> La
     )
 
 
-def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[ParameterVector]:
-    """The best share of the linearised curve from where the parent is; where that is far off, also from the
-    stated constants."""
-    parameters = problem.parameters((*parent.effects, screened.made.name))
+def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[list[ParameterVector]]:
+    """Shares of the linearised curve, best first, from where the parent is; where that is far off, also from
+    the stated constants."""
+    made = screened.made
+    parameters = problem.parameters((*parent.effects, made.name))
     state = Objective(problem, parameters)
-    z = screened.made.scaled_values(screened.coefficients)
+    begin = made.scaled_values(beginning(problem, made))
+    further = made.scaled_values(screened.coefficients) - begin
     vectors = [parent.vector]
     if parent.chi2 > FAR * problem.size:
         stated = start_vector(problem, parent.vector.log_friction)
@@ -156,13 +161,14 @@ def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[Parameter
     for vector in vectors:
         rated: list[tuple[float, int, ParameterVector]] = []
         for number, share in enumerate(SHARES):
-            start = dataclasses.replace(vector, scaled_values=np.r_[vector.scaled_values, share * z])
+            z = begin + share * further
+            start = dataclasses.replace(vector, scaled_values=np.r_[vector.scaled_values, z])
             x = state.packed(start, parent.nuisance)
             rows = state.residuals(x)
             if rows is not None:
                 rated.append((sum_of_squares(rows) + state.prior(x), number, start))
         if rated:
-            starts.append(min(rated, key=lambda r: r[:2])[2])
+            starts.append([start for _, _, start in sorted(rated, key=lambda r: r[:2])])
     return starts
 
 

@@ -5,25 +5,22 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from needle_rig.dataset import Dataset
-from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.laws.draft import Origin, Table, formula_text, written
+from needle_rig.workbench.laws.curve import fitted_curve
+from needle_rig.workbench.laws.draft import Origin, Table, formula_text
 from needle_rig.workbench.laws.fitting import Parent, present_score
 from needle_rig.workbench.laws.formulas import Formula
-from needle_rig.workbench.laws.halves import where_seen
-from needle_rig.workbench.laws.law import UNIT, Law
+from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw, Verdict
 from needle_rig.workbench.laws.made import FormulaLaw, Shared
-from needle_rig.workbench.laws.screening import Screened, seen
+from needle_rig.workbench.laws.screening import Screened
 from needle_rig.workbench.laws.search import (
     FoundLaw,
     LawSearch,
@@ -32,7 +29,6 @@ from needle_rig.workbench.laws.search import (
     kept,
     tied,
 )
-from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.design import best_experiment
@@ -40,89 +36,6 @@ from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.selection.rivals import promise_asked
 from needle_rig.workbench.selection.search import Candidate, SearchTrace, expand, score, try_effect
-
-Verdict = Literal["law", "none", "library", "cannot_tell"]
-"""A law that no library holds, nothing at all, effects of the library, or something that these data do not
-tell."""
-BAND_SIGMAS = 1.96
-CURVE_POINTS = 121
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """A fitted curve at points `at` (n,), all in the units of the law."""
-
-    at: Array
-    value: Array
-    low: Array
-    """95 % band."""
-    high: Array
-    data: Array
-    """How many values of the variable the data have nearest to each vector."""
-    halves: tuple[Array, ...]
-    """The same curve from halves of the trials; NaN outside the range of their data."""
-
-
-@dataclass(frozen=True)
-class LearntLaw:
-    """A law that was found, as it is told."""
-
-    law: Law
-    tied_with: tuple[Law, ...]
-    held_out_before: float
-    """Error on commands left out, in units of the noise."""
-    held_out_after: float
-    formula: str | None
-    parameters: tuple[tuple[str, float, float, str], ...]
-    """(name, value, standard deviation, unit) of the formula's."""
-    curve: Curve
-    told: Formula | Table
-    """What the effect file holds."""
-    experiment: NextTrial | None
-
-    def as_json(self) -> dict[str, Any]:
-        """As it stands in the JSON answer."""
-        return {
-            **self.law.as_json(),
-            "tied_with": [law.as_json() for law in self.tied_with],
-            "held_out_before": _plain(self.held_out_before),
-            "held_out_after": _plain(self.held_out_after),
-            "formula": self.formula,
-        }
-
-
-@dataclass(frozen=True)
-class Learnt:
-    """The answer."""
-
-    verdict: Verdict
-    laws: tuple[LearntLaw, ...]
-    library: tuple[str, ...]
-    """Effects of the library that are named: in place of a law, or beside it."""
-    held_out_before: float
-    held_out_after: float
-    sentence: str
-    tried: int
-    """Laws that were tried."""
-    diagnosis: Diagnosis
-    origin: Origin
-
-    def as_json(self, seconds: float) -> dict[str, Any]:
-        """The stated form of the answer."""
-        return {
-            "verdict": self.verdict,
-            "laws": [law.as_json() for law in self.laws],
-            "seconds": round(seconds, 1),
-        }
-
-    def write_drafts(self, path: Path) -> tuple[Path, ...]:
-        """The effect files: the first law's at `path`, those of others numbered beside it."""
-        sections_m = self.diagnosis.baseline.dataset.layout.tissue_sections_m
-        files = []
-        for number, law in enumerate(self.laws, start=1):
-            file = path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")
-            files.append(written(file, law.law, law.told, self.origin, sections_m))
-        return tuple(files)
 
 
 def learn_laws(
@@ -348,9 +261,7 @@ class _Learning:
     def _law(self, current: Parent, place: int) -> LearntLaw:
         found, ties = self.found[place]
         formula, parameters = _fitted_formula(current.fit, found)
-        curve = self._curve(current, found)
-        shown = where_seen(self.search.problem, found.law, curve.at, curve.halves, seen)
-        curve = dataclasses.replace(curve, halves=shown)
+        curve = fitted_curve(self.search.problem, current.fit, found, formula)
         told = formula or Table(curve.at, curve.value)
         text = (
             None
@@ -378,45 +289,6 @@ class _Learning:
         problem = Shared(self.search.problem, found.beside).with_made(found.best.made, other.best.made)
         first, second = found.best.fit, other.best.fit
         return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
-
-    def _curve(self, current: Parent, found: FoundLaw) -> Curve:
-        """The spline's curve with its band, and from halves of the trials."""
-        spline = found.spline
-        assert isinstance(spline.made, SplineLaw)
-        assert spline.coefficients is not None
-        assert spline.covariance is not None
-        coefficients = spline.coefficients
-        if found.formula is None:
-            # as all laws were last fitted together
-            own = [each.effect == spline.made.name for each in current.fit.parameters]
-            coefficients = spline.made.coefficients(current.fit.vector.scaled_values[own])
-        family = spline.made.spline
-        at = np.linspace(family.low, family.high, CURVE_POINTS)
-        basis = family.basis(at)
-        value = basis @ coefficients
-        spread = BAND_SIGMAS * np.sqrt(np.maximum(((basis @ spline.covariance) * basis).sum(axis=1), 0.0))
-        values = seen(self.search.problem, spline.law) / UNIT[spline.law.variable_unit][2]
-        step = at[1] - at[0]
-        data, _ = np.histogram(values, bins=np.r_[at - step / 2, at[-1] + step / 2])
-        halves = [basis @ c for c in self._from_halves(found)]
-        return Curve(at, value, value - spread, value + spread, data, tuple(halves))
-
-    def _from_halves(self, found_law: FoundLaw) -> list[Array]:
-        """The spline's coefficients from every other trial of each command, and from the others."""
-        spline = found_law.spline
-        assert isinstance(spline.made, SplineLaw)
-        problem = Shared(self.search.problem, found_law.beside).with_made(spline.made)
-        count, found = spline.made.spline.count, []
-        for half in (0, 1):
-            trials = [t for t in range(len(problem.trials)) if t % 2 == half]
-            if len(trials) <= 1:
-                continue
-            vector = spline.fit.vector
-            start = dataclasses.replace(vector, trial_friction=vector.trial_friction[trials])
-            again = fit(problem.over([problem.trials[t] for t in trials]), spline.fit.effects, start)
-            if again is not None:
-                found.append(spline.made.coefficients(again.vector.scaled_values[-count:]))
-        return found
 
 
 def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
@@ -479,7 +351,3 @@ def _kind(law: Law, parameters: Sequence[tuple[str, float, float, str]]) -> str:
 def _spread(parameter: FreeParameter, at: float, error: float) -> float:
     low, high = (parameter.value(float(np.clip(at + s * error, *parameter.bounds))) for s in (-1, 1))
     return abs(high - low) / 2
-
-
-def _plain(error: float) -> float | None:
-    return round(error, 4) if math.isfinite(error) else None

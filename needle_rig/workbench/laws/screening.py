@@ -48,6 +48,10 @@ WIDENED = 0.03
 """Share by which a range seen in the data is widened, so that noise does not leave it."""
 SCREENING_STEP = 30.0
 """Times the typical size for a linearised curve: its derivatives then step by a tenth of that size."""
+GIVE_DEG = 1.0
+"""Angle that all tissue gives where a stiffness is linearised."""
+DRAG_SHARE = 0.4
+"""Times the typical size, the drag at the largest rate about which a torque on the rate is linearised."""
 MOST_AMPLITUDE = 8.0
 """Times the typical size that a curve's amplitude may have in its first fit."""
 
@@ -141,17 +145,21 @@ def _finite(values: Array) -> Array:
 
 
 def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
-    """What the law promises: the parent's residuals projected on the coefficients' derivatives."""
+    """What the law promises: the residuals projected on the coefficients' derivatives, where it begins."""
     problem = shared.with_made(made)
     names = (*parent.effects, made.name)
     parameters = problem.parameters(names)
     state = Objective(problem, parameters)
-    scaled_values = np.r_[parent.vector.scaled_values, np.zeros(made.spline.count)]
+    begin = made.scaled_values(beginning(problem, made))
+    scaled_values = np.r_[parent.vector.scaled_values, begin]
     x = state.packed(dataclasses.replace(parent.vector, scaled_values=scaled_values), parent.nuisance)
+    residuals = state.residuals(x) if begin.any() else list(parent.residuals)
+    if residuals is None:
+        return None
     if made.law.hook == "observe":
         columns: list[Array] | None = _reading_columns(problem, parent, made)
     else:
-        columns = _moving_columns(state, x, parent, made.spline.count)
+        columns = _moving_columns(state, x, residuals, made.spline.count)
     if columns is None:
         return None
     known = len(parent.parameters) + 2
@@ -159,7 +167,7 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
         np.column_stack([j[:, :known], c, j[:, known:]])
         for j, c in zip(parent.jacobians, columns, strict=True)
     ]
-    linear = LinearisedFit.at(problem, parameters, x, parent.residuals, jacobians, parent.scatter**-2)
+    linear = LinearisedFit.at(problem, parameters, x, residuals, jacobians, parent.scatter**-2)
     inner = profiled(linear, made.spline.count)
     if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
         return None
@@ -171,9 +179,24 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     return Screened(dataclasses.replace(made, spline=spline), gain, coefficients)
 
 
-def _moving_columns(state: Objective, x: Array, parent: Fit, count: int) -> list[Array] | None:
+def beginning(problem: Problem, made: SplineLaw) -> Array:
+    """Coefficients (K,) about which a law is linearised: none, but of stiffness and of a torque on the rate.
+
+    Tissue cannot give less than nothing, and dry friction with a torque that grows with the rate has no
+    balance: some give, and a drag, leave room for steps to both sides.
+    """
+    if made.law.place == "stiffness":
+        return np.full(made.spline.count, GIVE_DEG)
+    if made.law.hook != "torque" or made.law.variable != "rate":
+        return np.zeros(made.spline.count)
+    centres = made.spline.low + made.spline.spacing * (np.arange(made.spline.count) - 1)
+    largest = max(abs(made.spline.low), abs(made.spline.high))
+    return np.asarray(-DRAG_SHARE * typical(problem, made.law) * centres / largest)
+
+
+def _moving_columns(state: Objective, x: Array, residuals: list[Array], count: int) -> list[Array] | None:
     """Derivatives of the whitened model (n, count) a trial by a law that moves the needle."""
-    rows = np.concatenate(parent.residuals)
+    rows = np.concatenate(residuals)
 
     def left(moved: Array) -> Array | None:
         after = state.residuals(moved)
@@ -183,7 +206,7 @@ def _moving_columns(state: Objective, x: Array, parent: Fit, count: int) -> list
     found = directional_derivatives(left, x, rows, directions, np.full(count, STEP), state.low, state.high)
     if found is None:
         return None
-    return np.split(-found, np.cumsum([r.size for r in parent.residuals])[:-1])
+    return np.split(-found, np.cumsum([r.size for r in residuals])[:-1])
 
 
 def _reading_columns(problem: Problem, parent: Fit, made: SplineLaw) -> list[Array]:

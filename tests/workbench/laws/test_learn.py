@@ -17,10 +17,10 @@ from needle_rig.physics.library import find_effects, load_effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
-from needle_rig.workbench.laws.made import Shared
-from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.made import Shared
+from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.learning.adopt import adopt, undo
 from needle_rig.workbench.learning.observations import Traces
 from tests.values import known
