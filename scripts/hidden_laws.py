@@ -32,7 +32,7 @@ class HiddenLaw:
     forms: tuple[str, ...]
     """Names of formulas that are right."""
     effect: type[Effect]
-    curve: Callable[[float, Array], Array]
+    curve: Callable[[float, Array], Any]
     """The true curve (n,) at a size, at values (n,) of the variable, in the units of a law's axes."""
 
     def at(self, size: float) -> Effect:
