@@ -150,8 +150,8 @@ def _show(found: Learnt, others: Sequence[str]) -> None:
             click.echo(f"  formula {law.formula}")
         for name, value, spread, unit in law.parameters:
             click.echo(f"  {name} = {value:.4g} ± {spread:.2g}" + ("" if unit == "1" else f" {unit}"))
-        for other in others[place : place + 1]:
-            click.echo(f"  {other}")
+        for said in others[place : place + 1]:
+            click.echo(f"  {said}")
         for other in law.tied_with:
             click.echo(f"  cannot be told from: {other.words()}")
         if law.experiment is not None:

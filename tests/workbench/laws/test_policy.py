@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from needle_rig.workbench.laws import search
+from needle_rig.workbench.laws.fitting import Parent
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import goes_on, verdict_of
-from needle_rig.workbench.laws.search import FoundLaw, Parent, asked_of, borne, kept, tied
+from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, kept, tied
 
 NO_PROBLEM: Any = None
 
