@@ -91,7 +91,7 @@ class _Learning:
             if further is None:
                 break
             current, steps = self._revised(further), steps + 1
-        return self._told(current)
+        return self._told(current and self._pruned(current))
 
     def _first(self) -> Parent | None:
         """The fit with the first law; None where there is none."""
@@ -163,6 +163,23 @@ class _Learning:
                 new = dataclasses.replace(old, spline=same[0]) if same else old
             others = [each for each in chosen if each.law != new.law]
             self.found[place] = new, tied((dataclasses.replace(new, at=current.score), *others))
+        return current
+
+    def _pruned(self, current: Parent) -> Parent:
+        """The fit without effects of the library to which the laws have left nothing.
+
+        They were named when a law was still missing that they resemble.
+        """
+        laws = {each.best.made.name for each, _ in self.found}
+        for name in current.fit.effects:
+            if name in laws or name in self.diagnosis.search.start:
+                continue
+            self.search.say(f"looking whether {name} is needed beside the law")
+            rest = self.search.without_effect(current, name)
+            if rest is None or rest.score > current.score + POLICY.search.fewer_named:
+                continue
+            if _reached(rest) or not _reached(current):
+                current = rest
         return current
 
     def _chosen(self, rounds: Sequence[Sequence[FoundLaw]]) -> Sequence[FoundLaw]:

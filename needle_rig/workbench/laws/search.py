@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.units import deg, nmm
+from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
@@ -144,6 +145,16 @@ class LawSearch:
         if at is None:
             return None
         return Parent(at, NOT_HELD_OUT, at.objective + current.price - old.best.price)
+
+    def without_effect(self, current: Parent, name: str) -> Parent | None:
+        """The fit without an effect of the library, with commands left out."""
+        problem = self.whole_problem()
+        effects = tuple(e for e in current.fit.effects if e != name)
+        found = fit(problem, effects, _vector_without(current.fit, name), nuisance=current.fit.nuisance)
+        if found is None:
+            return None
+        saved = penalty(problem) * (current.fit.rank - found.rank)
+        return Parent(found, cross_validate(problem, found), found.objective + current.price - saved)
 
     def in_place_of(self, old: FoundLaw, rest: Parent) -> list[FoundLaw]:
         """The laws that do best on top of a fit that an earlier one was left out of."""
