@@ -34,6 +34,8 @@ class HiddenLaw:
     effect: type[Effect]
     curve: Callable[[float, Array], Any]
     """The true curve (n,) at a size, at values (n,) of the variable, in the units of a law's axes."""
+    held_by: str = ""
+    """The effect of the library that can be this law, too: to name it is no error."""
 
     def at(self, size: float) -> Effect:
         """The effect at a size."""
@@ -243,6 +245,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("cube",),
         _observed("B", _cell_cube),
         lambda s, v: s * 0.01 * (v / 0.1) ** 3,
+        held_by="torque_nonlinearity",
     ),
     HiddenLaw(
         "bearing",
@@ -252,6 +255,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("line",),
         _observed("C", _bearing),
         lambda s, v: s * 0.005 * v / _DEG / 0.785,
+        held_by="bearing_drag",
     ),
     HiddenLaw(
         "cross_talk",
@@ -327,6 +331,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("sine",),
         _observed("L", _two_poles),
         lambda s, v: _DEG * s * 0.02 * np.cos(2.0 * v / _DEG),
+        held_by="hall_harmonics",
     ),
     HiddenLaw(
         "encoder",
@@ -336,6 +341,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("sine",),
         _driven("M", lambda t: 0.035 * (np.sin(t.base_angle_rad + 0.5) - math.sin(0.5))),
         lambda s, v: _DEG * s * 0.035 * np.sin(v / _DEG + 0.5),
+        held_by="encoder_eccentricity",
     ),
     HiddenLaw(
         "gear",
@@ -417,6 +423,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("bump",),
         _limited("Q", lambda x_mm, t: 2.0 * np.exp(-(((x_mm - 253.0) / 7.0) ** 2))),
         lambda s, v: s * 2.0 * np.exp(-(((v - 253.0) / 7.0) ** 2)),
+        held_by="layered_friction",
     ),
     HiddenLaw(
         "soft_section",
