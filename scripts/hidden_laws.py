@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from needle_rig.model import load_parameters
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.rod import Rod
@@ -31,6 +32,10 @@ class HiddenLaw:
     forms: tuple[str, ...]
     """Names of formulas that are right."""
     effect: type[Effect]
+    curve: Callable[[float, Array], Any]
+    """The true curve (n,) at a size, at values (n,) of the variable, in the units of a law's axes."""
+    held_by: str = ""
+    """The effect of the library that can be this law, too: to name it is no error."""
 
     def at(self, size: float) -> Effect:
         """The effect at a size."""
@@ -220,25 +225,114 @@ def _as_dataclass(effect: type[Effect]) -> type[Effect]:
 
 _ANGLES = ("angle", "base_angle")
 _SERIES = ("clock", "trial", "travel")
+_DEG = 180.0 / math.pi
+_FRICTION_N = load_parameters("rig_rigid").friction_n
 LAWS: tuple[HiddenLaw, ...] = (
-    HiddenLaw("hall_2_third", "observe", "hall_2", ("angle",), ("sine",), _observed("A", _hall_2_third)),
-    HiddenLaw("cell_cube", "observe", "torque", ("torque",), ("cube",), _observed("B", _cell_cube)),
-    HiddenLaw("bearing", "observe", "torque", ("rate",), ("line",), _observed("C", _bearing)),
-    HiddenLaw("cross_talk", "observe", "hall_4", ("torque",), ("square",), _observed("D", _cross_talk)),
     HiddenLaw(
-        "hall_3_warms", "observe", "hall_3", ("clock",), ("exponential",), _observed("E", _hall_3_warms)
-    ),
-    HiddenLaw("cable", "observe", "torque", ("base_angle",), ("sine",), _observed("F", _cable)),
-    HiddenLaw("lag", "observe", "hall_1", ("rate",), ("line",), _observed("G", _lag)),
-    HiddenLaw("dead_cell", "observe", "torque", ("torque",), ("dead zone",), _observed("H", _dead_cell)),
-    HiddenLaw(
-        "cell_relaxes", "observe", "torque", ("stop_time",), ("exponential",), _observed("I", _cell_relaxes)
+        "hall_2_third",
+        "observe",
+        "hall_2",
+        ("angle",),
+        ("sine",),
+        _observed("A", _hall_2_third),
+        lambda s, v: _DEG * s * 0.03 * np.sin(3.0 * v / _DEG),
     ),
     HiddenLaw(
-        "cell_sticks", "observe", "torque", ("direction",), ("line", "step"), _observed("J", _cell_sticks)
+        "cell_cube",
+        "observe",
+        "torque",
+        ("torque",),
+        ("cube",),
+        _observed("B", _cell_cube),
+        lambda s, v: s * 0.01 * (v / 0.1) ** 3,
+        held_by="torque_nonlinearity",
     ),
-    HiddenLaw("magnet_turns", "observe", "hall_2", ("travel",), ("line",), _observed("K", _magnet_turns)),
-    HiddenLaw("two_poles", "observe", "halls", ("angle",), ("sine",), _observed("L", _two_poles)),
+    HiddenLaw(
+        "bearing",
+        "observe",
+        "torque",
+        ("rate",),
+        ("line",),
+        _observed("C", _bearing),
+        lambda s, v: s * 0.005 * v / _DEG / 0.785,
+        held_by="bearing_drag",
+    ),
+    HiddenLaw(
+        "cross_talk",
+        "observe",
+        "hall_4",
+        ("torque",),
+        ("square",),
+        _observed("D", _cross_talk),
+        lambda s, v: _DEG * s * 0.03 * (v / 0.1) ** 2,
+    ),
+    HiddenLaw(
+        "hall_3_warms",
+        "observe",
+        "hall_3",
+        ("clock",),
+        ("exponential",),
+        _observed("E", _hall_3_warms),
+        lambda s, v: _DEG * s * 0.05 * (1.0 - np.exp(-v / 100.0)),
+    ),
+    HiddenLaw(
+        "cable",
+        "observe",
+        "torque",
+        ("base_angle",),
+        ("sine",),
+        _observed("F", _cable),
+        lambda s, v: s * 0.008 * np.sin(v / _DEG + 0.6),
+    ),
+    HiddenLaw(
+        "lag", "observe", "hall_1", ("rate",), ("line",), _observed("G", _lag), lambda s, v: -s * 0.04 * v
+    ),
+    HiddenLaw(
+        "dead_cell",
+        "observe",
+        "torque",
+        ("torque",),
+        ("limited line",),
+        _observed("H", _dead_cell),
+        lambda s, v: -s * np.clip(v, -0.015, 0.015),
+    ),
+    HiddenLaw(
+        "cell_relaxes",
+        "observe",
+        "torque",
+        ("stop_time",),
+        ("exponential",),
+        _observed("I", _cell_relaxes),
+        lambda s, v: s * 0.01 * np.exp(-v / 0.8),
+    ),
+    HiddenLaw(
+        "cell_sticks",
+        "observe",
+        "torque",
+        ("direction",),
+        ("line", "step"),
+        _observed("J", _cell_sticks),
+        lambda s, v: s * 0.006 * v,
+    ),
+    HiddenLaw(
+        "magnet_turns",
+        "observe",
+        "hall_2",
+        ("travel",),
+        ("line",),
+        _observed("K", _magnet_turns),
+        lambda s, v: s * 0.015 * v,
+    ),
+    HiddenLaw(
+        "two_poles",
+        "observe",
+        "halls",
+        ("angle",),
+        ("sine",),
+        _observed("L", _two_poles),
+        lambda s, v: _DEG * s * 0.02 * np.cos(2.0 * v / _DEG),
+        held_by="hall_harmonics",
+    ),
     HiddenLaw(
         "encoder",
         "drive",
@@ -246,6 +340,8 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("base_angle",),
         ("sine",),
         _driven("M", lambda t: 0.035 * (np.sin(t.base_angle_rad + 0.5) - math.sin(0.5))),
+        lambda s, v: _DEG * s * 0.035 * np.sin(v / _DEG + 0.5),
+        held_by="encoder_eccentricity",
     ),
     HiddenLaw(
         "gear",
@@ -254,9 +350,16 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("base_angle",),
         ("sine",),
         _driven("N", lambda t: 0.02 * np.sin(3.0 * t.base_angle_rad)),
+        lambda s, v: _DEG * s * 0.02 * np.sin(3.0 * v / _DEG),
     ),
     HiddenLaw(
-        "chuck_creeps", "drive", "base", ("travel",), ("line",), _driven("O", lambda t: -0.01 * _turned(t))
+        "chuck_creeps",
+        "drive",
+        "base",
+        ("travel",),
+        ("line",),
+        _driven("O", lambda t: -0.01 * _turned(t)),
+        lambda s, v: -s * 0.01 * v,
     ),
     HiddenLaw(
         "index_runs",
@@ -265,12 +368,53 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("clock",),
         ("line",),
         _driven("P", lambda t: 0.001 * t.time_s),
+        lambda s, v: _DEG * s * 0.001 * v,
     ),
-    HiddenLaw("slit", "torque", "section_3", _ANGLES[:1], ("sine",), _as_dataclass(Slit)),
-    HiddenLaw("stop", "torque", "tissue", _ANGLES[:1], ("line beyond",), _as_dataclass(Stop)),
-    HiddenLaw("detent", "torque", "tissue", _ANGLES[:1], ("sine",), _as_dataclass(Detent)),
-    HiddenLaw("pull", "torque", "tissue", ("x",), ("bump", "step"), _as_dataclass(Pull)),
-    HiddenLaw("notch", "torque", "section_1", _ANGLES[:1], ("bump",), _as_dataclass(Notch)),
+    HiddenLaw(
+        "slit",
+        "torque",
+        "section_3",
+        _ANGLES[:1],
+        ("sine",),
+        _as_dataclass(Slit),
+        lambda s, v: -s * 0.12 * np.sin(2.0 * v / _DEG),
+    ),
+    HiddenLaw(
+        "stop",
+        "torque",
+        "tissue",
+        _ANGLES[:1],
+        ("line beyond",),
+        _as_dataclass(Stop),
+        lambda s, v: -s * 0.1 * np.maximum(v / _DEG - 0.61, 0.0),
+    ),
+    HiddenLaw(
+        "detent",
+        "torque",
+        "tissue",
+        _ANGLES[:1],
+        ("sine",),
+        _as_dataclass(Detent),
+        lambda s, v: -s * 0.03 * np.sin(4.0 * v / _DEG),
+    ),
+    HiddenLaw(
+        "pull",
+        "torque",
+        "tissue",
+        ("x",),
+        ("bump", "step"),
+        _as_dataclass(Pull),
+        lambda s, v: s * 0.04 * ((v >= 240.0) & (v <= 265.0)),
+    ),
+    HiddenLaw(
+        "notch",
+        "torque",
+        "section_1",
+        _ANGLES[:1],
+        ("bump",),
+        _as_dataclass(Notch),
+        lambda s, v: s * 0.1 * np.exp(-(((v / _DEG - 0.52) / 0.25) ** 2)),
+    ),
     HiddenLaw(
         "scar",
         "shape",
@@ -278,8 +422,26 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("x",),
         ("bump",),
         _limited("Q", lambda x_mm, t: 2.0 * np.exp(-(((x_mm - 253.0) / 7.0) ** 2))),
+        lambda s, v: s * 2.0 * np.exp(-(((v - 253.0) / 7.0) ** 2)),
+        held_by="layered_friction",
     ),
-    HiddenLaw("soft_section", "shape", "stiffness", ("x",), ("bump", "step"), _as_dataclass(SoftSection)),
-    HiddenLaw("kink", "shape", "rigidity", ("x",), ("bump",), _as_dataclass(Kink)),
+    HiddenLaw(
+        "soft_section",
+        "shape",
+        "stiffness",
+        ("x",),
+        ("bump", "step"),
+        _as_dataclass(SoftSection),
+        lambda s, v: _DEG * s * 150.0 * _FRICTION_N * ((v > 300.0) & (v < 335.0)),
+    ),
+    HiddenLaw(
+        "kink",
+        "shape",
+        "rigidity",
+        ("x",),
+        ("bump",),
+        _as_dataclass(Kink),
+        lambda s, v: 1.0 / (1.0 + s * 0.8 * np.exp(-(((v - 280.0) / 40.0) ** 2))) - 1.0,
+    ),
 )
 BY_NAME = {law.name: law for law in LAWS}

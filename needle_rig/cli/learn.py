@@ -28,7 +28,7 @@ from needle_rig.cli._workbench import (
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.laws.learn import Learnt
+    from needle_rig.workbench.laws.learnt import Learnt
 
 
 @click.command("learn")

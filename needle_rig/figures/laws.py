@@ -9,9 +9,10 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from needle_rig.numerics import Array
+from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import formula_text
 from needle_rig.workbench.laws.formulas import Formula
-from needle_rig.workbench.laws.learn import Curve, Learnt, LearntLaw
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw
 
 CURVE, BAND, HALVES, FORMULA, EMPTY = "#0b6e4f", "#cfe3da", ("#8a5a00", "#3d6fb5"), "tab:red", "0.93"
 SHORT = 0.05

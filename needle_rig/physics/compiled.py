@@ -11,6 +11,7 @@ import inspect
 import re
 from collections import namedtuple
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,14 @@ ARGUMENTS = ("angle_rad", "rate_rad_s", "time_s", "position_m")
 def torque_law(effect: Effect, rod: Rod) -> TorqueLaw:
     """The law of `effect`, acting along the tissue of `rod`. Raises BadInput as `compiled_torque`."""
     values = np.array([getattr(effect, field) for field in effect.parameters()], dtype=np.float64)
-    return TorqueLaw(compiled_torque(type(effect)), values, rod.tissue_length_m, _is_steady(effect))
+    kind = type(effect)
+    return TorqueLaw(compiled_torque(kind), values, rod.tissue_length_m, _is_steady(kind))  # type: ignore[arg-type]
 
 
-def _is_steady(effect: Effect) -> bool:
+@cache
+def _is_steady(effect: type[Effect]) -> bool:
     """Whether the `torque` method reads neither its rate nor its time."""
-    code = effect.torque.__func__.__code__  # type: ignore[attr-defined]
+    code = effect.torque.__code__
     _, _, rate, time, _ = code.co_varnames[: 1 + len(ARGUMENTS)]
     read = [i.argval if isinstance(i.argval, tuple) else (i.argval,) for i in dis.get_instructions(code)]
     return not any(rate in names or time in names for names in read)

@@ -25,7 +25,21 @@ def rate_rad_s(trial: Trial) -> Array:
 
 def travel_rad(trial: Trial) -> Array:
     """Sum of |base motion| since the trial began."""
-    return np.asarray(np.cumsum(np.abs(np.diff(trial.base_angle_rad, prepend=trial.base_angle_rad[:1]))))
+    return np.asarray(np.cumsum(np.abs(_moved_rad(trial))))
+
+
+def forward_travel_rad(trial: Trial) -> Array:
+    """The same of counter-clockwise motion alone."""
+    return np.asarray(np.cumsum(np.maximum(_moved_rad(trial), 0.0)))
+
+
+def backward_travel_rad(trial: Trial) -> Array:
+    """The same of clockwise motion alone."""
+    return np.asarray(np.cumsum(np.maximum(-_moved_rad(trial), 0.0)))
+
+
+def _moved_rad(trial: Trial) -> Array:
+    return np.diff(trial.base_angle_rad, prepend=trial.base_angle_rad[:1])
 
 
 def clock_s(trial: Trial) -> Array:
@@ -45,3 +59,17 @@ def direction(trial: Trial) -> Array:
     moves = np.abs(rate) > MOVES_RAD_S
     last = np.maximum.accumulate(np.where(moves, np.arange(rate.size), -1))
     return np.asarray(np.where(last >= 0, np.sign(rate[last]), 0.0))
+
+
+def left_behind_rad(angle_rad: Array, play_rad: float, held_rad: float | None) -> tuple[Array, float | None]:
+    """How far an angle (samples,) is ahead of what follows it with a play, and where that ends.
+
+    The stop operator, which with the play operator adds up to the angle (Brokate, Sprekels, "Hysteresis and
+    phase transitions" (1996), ch. 2). Without `held_rad` what follows begins centred.
+    """
+    half, held = 0.5 * play_rad, held_rad
+    ahead = np.empty_like(angle_rad)
+    for i, angle in enumerate(angle_rad.tolist()):
+        held = angle if held is None else min(max(held, angle - half), angle + half)
+        ahead[i] = angle - held
+    return ahead, held

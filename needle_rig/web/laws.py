@@ -16,7 +16,8 @@ from needle_rig.physics.library import find_effects
 from needle_rig.web.models import finite, kept_document
 from needle_rig.web.worker import Voice
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.learn import LearntLaw, learn_laws
+from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learnt import LearntLaw
 from needle_rig.workbench.learning.adopt import adopt
 from needle_rig.workbench.learning.observations import Traces, read_observations
 from needle_rig.workbench.parallel import workers

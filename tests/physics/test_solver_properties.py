@@ -364,3 +364,21 @@ def test_a_torque_law_turns_the_needle_before_the_base_moves(steady: bool) -> No
     solution = solve(replace(plain, laws=(law,)), time, base)
     assert np.degrees(solution.sensor_rad[1, -1]) < -0.1
     assert solution.sensor_rad[39] == pytest.approx(solution.sensor_rad[1], abs=1e-5)
+
+
+def levels_off(
+    parameters: Any, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float
+) -> float:
+    return float(-parameters[0] * rate_rad_s / (abs(rate_rad_s) + parameters[1]))
+
+
+@pytest.mark.parametrize("scale_rad_s", [0.5, 0.1, 0.02])
+@pytest.mark.parametrize("drag_n", [1e-4, 5e-4])
+def test_a_drag_that_levels_off_beside_dry_friction_is_followed(drag_n: float, scale_rad_s: float) -> None:
+    needle = rod(friction=0.0996, element_length_m=4e-3)
+    law = TorqueLaw(levels_off, np.array([drag_n, scale_rad_s]), needle.tissue_length_m, steady=False)
+    time, base = path([45.0, 0.0, -35.0], settle_s=0.5)
+    dry, dragged = solve(needle, time, base), solve(replace(needle, laws=(law,)), time, base)
+    most_nm = drag_n * needle.tissue_length_m.sum()
+    added = np.abs(dragged.torque_nm - dry.torque_nm).max()
+    assert 0.1 * most_nm < added < 2.1 * most_nm

@@ -47,6 +47,21 @@ class Friction:
 
 
 @dataclass(frozen=True, eq=False)
+class Push:
+    """A torque per length on the needle between two places that depends on its angle there, as a table (n,)
+    over even angles; straight between them, constant beyond."""
+
+    from_m: float
+    to_m: float
+    low_rad: float
+    high_rad: float
+    torque_n: Array
+
+
+NO_PUSH = Push(0.0, 0.0, 0.0, 1.0, np.zeros(2))
+
+
+@dataclass(frozen=True, eq=False)
 class TextbookNeedle:
     """A needle, where its cells stand after the last motion, and what was seen in it.
 
@@ -58,6 +73,7 @@ class TextbookNeedle:
     torsional_rigidity_nm2: float
     friction: Friction
     cell_m: float = 2.5e-3
+    push: Push | None = None
     cells_rad: Array = dataclasses.field(default_factory=lambda: np.empty(0))
     rates_rad_s: Array = dataclasses.field(default_factory=lambda: np.empty(0))
     base_rad: float = 0.0
@@ -71,10 +87,13 @@ class TextbookNeedle:
         cells = self.cells_rad.copy() if self.cells_rad.size else still
         rates = self.rates_rad_s.copy() if self.rates_rad_s.size else np.zeros(len(places))
         springs = self.torsional_rigidity_nm2 / np.diff(np.append(0.0, places))
-        law = self.friction
+        law, push = self.friction, self.push or NO_PUSH
         seen, torque = _follow(
             springs,
             tissue,
+            np.where((places >= push.from_m) & (places <= push.to_m), tissue, 0.0),
+            (push.low_rad, (push.torque_n.size - 1) / (push.high_rad - push.low_rad)),
+            push.torque_n,
             np.full(len(places), self.cell_m) * law.inertia_kgm,
             (law.kinetic_n, law.kinetic_n / law.kinetic_over_static - law.kinetic_n),
             (law.stribeck_rate_rad_s, law.exponent, law.damping_ns),
@@ -182,7 +201,7 @@ def _balance(load: float, slope: float, kinetic: float, fall: float, rate: float
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _follow(  # type: ignore[no-untyped-def]
-    springs, tissue, inertia, limits, law, times, base, step, cells, rates
+    springs, tissue, pushed, axis, pushes, inertia, limits, law, times, base, step, cells, rates
 ):
     """Angles of the cells (samples, cells) and the base torque (samples,); `cells`, `rates` are moved on."""
     n = springs.size
@@ -207,6 +226,10 @@ def _follow(  # type: ignore[no-untyped-def]
                 load[i] = springs[i] * (before - cells[i])
                 if i < n - 1:
                     load[i] += springs[i + 1] * (cells[i + 1] - cells[i])
+                if pushed[i] > 0.0:
+                    place = min(max((cells[i] - axis[0]) * axis[1], 0.0), pushes.size - 1.0)
+                    j = min(int(place), pushes.size - 2)
+                    load[i] += pushed[i] * (pushes[j] + (place - j) * (pushes[j + 1] - pushes[j]))
             for i in range(n):
                 length = tissue[i]
                 push = load[i] + inertia[i] / dt * rates[i]

@@ -306,12 +306,13 @@ def iterate_active_set(rod, has, laws, states, old, new, dt, time, work, counts,
     """
     n = states.shape[2]
     linearise_until = MOST_LINEARISATIONS if attempt > 0 else 0
+    chord = attempt == 2
     fewest = n + 1
     stalled = 0
     newton = 0
     for iteration in range(MOST_LINEARISATIONS + 20 * n):
         if has.laws and iteration < linearise_until:
-            linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, work)
+            linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, chord, work)
         solve_tridiagonal(states, new, has, work)
         counts[SOLVES] += 1
         violations = count_violations(states, new, work)
@@ -319,7 +320,7 @@ def iterate_active_set(rod, has, laws, states, old, new, dt, time, work, counts,
             if not has.laws:
                 return True
             # Newton on the laws: the linearisation must meet the laws at the new angles
-            change = linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, work)
+            change = linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, chord, work)
             largest = 0.0
             for i in range(n):
                 largest = max(largest, abs(work[FORCE, i] + work[SLOPE, i] * states[new, ANGLE, i]))

@@ -70,8 +70,12 @@ borrowed: Any = intrinsic(_borrowed)
 
 
 @compiled
-def linearise_laws(rod, laws, angle, angle_before, dt, time, work):
-    """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`."""
+def linearise_laws(rod, laws, angle, angle_before, dt, time, chord, work):
+    """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`.
+
+    With `chord` a law is as steep against the rate as its chord from rate 0, where that is steeper: a drag
+    that levels off sends Newton's method from one side to the other, while these steps come near from one.
+    """
     change = 0.0
     for i in range(angle.size):
         value = 0.0
@@ -86,6 +90,8 @@ def linearise_laws(rod, laws, angle, angle_before, dt, time, work):
             by_angle = (call_law(a, p, angle[i] + 1e-7, rate, time, x) - here) / 1e-7
             step = 1e-7 * (1.0 + abs(rate))
             by_rate = (call_law(a, p, angle[i], rate + step, time, x) - here) / step
+            if chord and rate != 0.0:
+                by_rate = min(by_rate, (here - call_law(a, p, angle[i], 0.0, time, x)) / rate)
             value += weight * here
             gradient += weight * (by_angle + by_rate / dt)
         change = max(change, abs(work[FORCE, i] + work[SLOPE, i] * angle[i] - value))

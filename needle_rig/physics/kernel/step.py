@@ -115,7 +115,7 @@ def implicit_step(rod, settings, has, laws, states, old, new, guess, dt, base, t
     n = states.shape[2]
     if has.laws:
         copy(states[guess, ANGLE], states[new, ANGLE])
-        linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, work)
+        linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, False, work)
     for i in range(n):
         work[ANCHOR_START, i] = states[old, ANCHOR, i]
     if has.creep:
@@ -193,7 +193,7 @@ def project(rod, has, laws, states, slot, before, elapsed, time, work, counts):
     """
     n = states.shape[2]
     if has.laws:
-        linearise_laws(rod, laws, states[slot, ANGLE], states[before, ANGLE], elapsed, time, work)
+        linearise_laws(rod, laws, states[slot, ANGLE], states[before, ANGLE], elapsed, time, False, work)
     if count_inadmissible(rod, states, slot, work) == 0:
         return True
     set_step_length(rod, has, NO_TIME_S, work)

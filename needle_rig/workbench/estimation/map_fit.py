@@ -77,10 +77,14 @@ def fit(
     start: ParameterVector,
     *,
     nuisance: Array | None = None,
+    jacobians: Sequence[Array] | None = None,
     iterations: int = 25,
     tolerance: float = OBJECTIVE_TOLERANCE,
 ) -> Fit | None:
-    """The nearest minimum from `start`, or None where the model cannot be solved at `start`."""
+    """The nearest minimum from `start`, or None where the model cannot be solved at `start`.
+
+    `jacobians` are the derivatives there, of a fit that is gone on with.
+    """
     parameters = problem.parameters(effects)
     objective = Objective(problem, parameters)
     x = objective.packed(
@@ -90,15 +94,17 @@ def fit(
     if residuals is None:
         return None
     value = sum_of_squares(residuals) + objective.prior(x)
-    damping, jacobians, converged, fresh = FIRST_DAMPING, None, False, False
+    columns = objective.p + (objective.random_effect_column == objective.p)
+    known = None if jacobians is None else [j[:, :columns] for j in jacobians]
+    damping, converged, fresh = FIRST_DAMPING, False, known is not None
     for _ in range(iterations):
-        if jacobians is None:
-            jacobians = objective.derivatives(x, residuals)
+        if known is None:
+            known = objective.derivatives(x, residuals)
             fresh = True
-            if jacobians is None:
+            if known is None:
                 return None
         linear = LinearisedFit.at(
-            problem, parameters, x, residuals, jacobians, objective.random_effect_precision(x)
+            problem, parameters, x, residuals, known, objective.random_effect_precision(x)
         )
         curvature, descent = linear.curvature + linear.level, linear.descent
         improved = False
@@ -117,8 +123,8 @@ def fit(
             )
             if after_residuals is not None and after_value < value:
                 gained = value - after_value
-                jacobians = (
-                    _updated(objective, jacobians, x, after, residuals, after_residuals)
+                known = (
+                    _updated(objective, known, x, after, residuals, after_residuals)
                     if gained > SECANT_SHARE * expected
                     else None
                 )
@@ -130,19 +136,19 @@ def fit(
                 break
             damping = max(damping * HIGHER, FIRST_DAMPING)
         if converged and not fresh:
-            converged, jacobians = False, None
+            converged, known = False, None
             continue
         if converged:
             break
         if not improved:
             if fresh:
                 break
-            jacobians = None
-    if jacobians is None or not fresh:
-        jacobians = objective.derivatives(x, residuals)
-        if jacobians is None:
+            known = None
+    if known is None or not fresh:
+        known = objective.derivatives(x, residuals)
+        if known is None:
             return None
-    return _finish(objective, tuple(effects), x, residuals, value, jacobians, converged)
+    return _finish(objective, tuple(effects), x, residuals, value, known, converged)
 
 
 def _bounded_step(objective: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:

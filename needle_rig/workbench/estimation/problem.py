@@ -106,7 +106,7 @@ class Problem:
         """The model at `vector`, with the friction of a trial (its place) or the common one."""
         effects = make_effects(self.library, parameters, vector.scaled_values)
         if trial is not None:
-            effects = (*effects, FrictionOfTrial(float(np.exp(vector.trial_friction[trial]))))
+            effects = (*effects, _of_trial(vector, trial))
         return dataclasses.replace(
             self.base,
             torsional_rigidity_nm2=float(np.exp(vector.log_rigidity)),
@@ -144,8 +144,14 @@ class Problem:
     ) -> list[Array]:
         """Bin means (C, K; N·m and rad) of every trial at its random effect. Raises SolverError, BadInput."""
         every = range(len(self.trials))
-        return self.readings([self.model(parameters, vector, t) for t in every], every, most_solves)
+        common = self.model(parameters, vector)
+        models = [common.with_effects(_of_trial(vector, t)) for t in every]
+        return self.readings(models, every, most_solves)
 
     def residuals(self, readings: Sequence[Array], trials: Sequence[int]) -> list[Array]:
         """Whitened data minus model (n,) for each reading."""
         return [self.whiteners[t](self.trials[t].mean - r) for r, t in zip(readings, trials, strict=True)]
+
+
+def _of_trial(vector: ParameterVector, trial: int) -> FrictionOfTrial:
+    return FrictionOfTrial(float(np.exp(vector.trial_friction[trial])))

@@ -79,7 +79,7 @@ def source(
     visible: float = 0.1,
 ) -> str:
     """The text of the effect file."""
-    fields = _fields(law, curve, visible)
+    fields = _fields(law, curve, visible) + _play(law)
     body = _hook(law, curve, sections_m)
     constants = _constants(law, curve)
     words = law.words()
@@ -114,6 +114,8 @@ def _law_text(law: Law, curve: Formula | Table) -> str:
         "observe": "reading = truth + f(v)",
         "shape": "value = value without it · (1 + f(v))",
     }[law.hook]
+    if law.kind == "gain":
+        what = "reading = truth · (1 + f(v))"
     if law.place == "stiffness":
         what = "angle from balance to slip = f(v)"
     if isinstance(curve, Table):
@@ -170,6 +172,12 @@ def _fields(law: Law, curve: Formula | Table, visible: float) -> list[Field]:
                 )
             )
     return found
+
+
+def _play(law: Law) -> list[Field]:
+    if law.kind != "play":
+        return []
+    return [Field("play_deg", law.play_deg, law.play_deg / MOST, law.play_deg * MOST, "°", True, 0.0)]
 
 
 def _declared(field: Field) -> str:
@@ -262,6 +270,8 @@ _OF_TRIAL = {
     "base_angle": "{}.base_angle_rad",
     "rate": "rate_rad_s({})",
     "travel": "travel_rad({})",
+    "forward": "forward_travel_rad({})",
+    "backward": "backward_travel_rad({})",
     "stop_time": "stop_time_s({})",
     "clock": "clock_s({})",
     "direction": "direction({})",
@@ -287,39 +297,44 @@ def _method(law: Law, curve: Formula | Table) -> str:
 
 def _observe(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, float]]) -> str:
     del sections_m
+    own = "reading.torque_nm" if law.place == "torque" else "hall_rad[:, k]"
+    v = {
+        "torque": "reading.torque_nm",
+        "angle": own,
+        "twist": "(hall_rad[:, k] - reading.trial.base_angle_rad)",
+    }.get(law.variable) or _of_trial(law, "reading.trial")
+    state = ""
+    before = []
+    if law.kind == "play":
+        before = [f"ahead_rad, held_rad = left_behind_rad({own}, self.play_deg * RAD_PER_DEG, reading.state)"]
+        v, state = "ahead_rad", ", state=held_rad"
+    added = f"self._curve({_shown(v, law.variable_unit)})"
+    added = f"{own} * {added}" if law.kind == "gain" else _in_si(added, law.unit)
     if law.place == "torque":
-        v = (
-            "reading.torque_nm"
-            if law.variable == "torque"
-            else _OF_TRIAL[law.variable].format("reading.trial")
-        )
         told = "Add the error to the torque reading."
-        added = _in_si(f"self._curve({_shown(v, law.variable_unit)})", law.unit)
         lines = [f"added_nm = {added}", "return replace(reading, torque_nm=reading.torque_nm + added_nm)"]
     else:
-        own = {
-            "angle": "hall_rad[:, k]",
-            "twist": "(hall_rad[:, k] - reading.trial.base_angle_rad)",
-            "torque": "reading.torque_nm",
-        }
-        v = own.get(law.variable) or _OF_TRIAL[law.variable].format("reading.trial")
-        added = _in_si(f"self._curve({_shown(v, law.variable_unit)})", law.unit)
         which = "range(hall_rad.shape[1])" if law.number is None else f"({law.number},)"
         told = f"Add the error to the reading of {'every sensor' if law.number is None else law.place}."
         lines = [
             "hall_rad = reading.hall_rad.copy()",
             f"for k in {which}:",
+            *(f"    {line}" for line in before),
             f"    hall_rad[:, k] += {added}",
-            "return replace(reading, hall_rad=hall_rad)",
+            f"return replace(reading, hall_rad=hall_rad{state})",
         ]
     body = textwrap.indent("\n".join(lines), "    ")
     observe = f'def observe(self, reading: Reading) -> Reading:\n    """{told}"""\n{body}'
     return f"{observe}\n\n{_method(law, curve)}\n"
 
 
+def _of_trial(law: Law, trial: str) -> str:
+    return _OF_TRIAL[law.variable if law.kind in ("plain", "gain") else law.kind].format(trial)
+
+
 def _drive(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, float]]) -> str:
     del sections_m
-    v = _shown(_OF_TRIAL[law.variable].format("trial"), law.variable_unit)
+    v = _shown(_of_trial(law, "trial"), law.variable_unit)
     start = "trial.start_s" if law.variable == "clock" else "0.0"
     lines = [
         "def drive(self, trial: Trial) -> Array:",
@@ -388,6 +403,18 @@ def _torque(law: Law, curve: Formula | Table, sections_m: Sequence[tuple[float, 
     return f'def torque({arguments}) -> float:\n    """Torque on the needle."""\n{body}\n'
 
 
+_TOLD = (
+    "backward_travel_rad",
+    "clock_s",
+    "direction",
+    "forward_travel_rad",
+    "left_behind_rad",
+    "rate_rad_s",
+    "stop_time_s",
+    "travel_rad",
+)
+
+
 def _imports(law: Law, curve: Formula | Table, body: str) -> str:
     lines = []
     if "math." in body:
@@ -404,7 +431,7 @@ def _imports(law: Law, curve: Formula | Table, body: str) -> str:
     lines.append(f"from needle_rig.physics.effect import {', '.join(['Effect', *wanted, 'parameter'])}")
     if "Rod" in body:
         lines.append("from needle_rig.physics.rod import Rod")
-    told = [n for n in ("clock_s", "direction", "rate_rad_s", "stop_time_s", "travel_rad") if f"{n}(" in body]
+    told = [name for name in _TOLD if re.search(rf"(?<!\w){name}\(", body)]
     if told:
         lines.append(f"from needle_rig.physics.trial_variables import {', '.join(told)}")
     units = [n for n in ("M_PER_MM", "NM_PER_NMM", "N_PER_NMM_PER_100MM", "RAD_PER_DEG") if _word(n, body)]

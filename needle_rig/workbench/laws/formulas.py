@@ -31,6 +31,8 @@ PLACES = 41
 WIDTHS = np.geomspace(0.02, 1.0, 10)
 """Shares of half the range."""
 TIMES = tuple(range(1, 9))
+ONE_SIDED = 0.05
+"""Share of the largest value by which a variable of one sign may seem to be below 0."""
 SMALL = 0.02
 """Share of the largest coefficient that a coefficient is taken to be at least, when its size sets a scale."""
 
@@ -45,6 +47,8 @@ class Form:
     shapes: tuple[tuple[str, ShapeKind], ...] = ()
     periodic: bool = False
     """For angles alone."""
+    even_or_odd: bool = False
+    """A simpler form, mirrored: the same where the variable has one sign."""
     short: str = ""
     """The expression as a person writes it, where that is shorter."""
 
@@ -66,6 +70,7 @@ class Form:
             ("constant", *self.coefficients),
             self.shapes,
             self.periodic,
+            self.even_or_odd,
             f"constant + {self.text}",
         )
 
@@ -75,8 +80,8 @@ _SIMPLE = (
     Form("line", "line * v / reach", ("line",)),
     Form("square", "square * (v / reach) ** 2", ("square",)),
     Form("cube", "cube * (v / reach) ** 3", ("cube",)),
-    Form("signed square", "square * v * abs(v) / reach**2", ("square",)),
-    Form("absolute value", "size * abs(v) / reach", ("size",)),
+    Form("signed square", "square * v * abs(v) / reach**2", ("square",), even_or_odd=True),
+    Form("absolute value", "size * abs(v) / reach", ("size",), even_or_odd=True),
     Form(
         "sine",
         "sine * sin(times * RAD * v) + cosine * cos(times * RAD * v)",
@@ -94,6 +99,13 @@ _SIMPLE = (
         ("line",),
         (("dead", "width"),),
         short="line * (v - clip(v, -dead, dead)) / reach",
+    ),
+    Form(
+        "limited line",
+        "line * 0.5 * (abs(v + limit) - abs(v - limit)) / reach",
+        ("line",),
+        (("limit", "width"),),
+        short="line * clip(v, -limit, limit) / reach",
     ),
     Form(
         "line beyond",
@@ -156,10 +168,7 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
     reach, low = _rounded(float(np.abs(v).max())), _rounded(spline.low)
     found = []
     for form in FORMS:
-        if form.periodic and law.variable not in ("angle", "base_angle"):
-            continue
-        # a drive counts from the start of the trial; a constant factor is friction or rigidity
-        if form.has_constant and (law.hook == "drive" or law.place in ("slip_limit", "rigidity")):
+        if not _fits(form, law) or (form.even_or_odd and spline.low > -ONE_SIDED * spline.high):
             continue
         best: RankedFormula | None = None
         for shapes in _grid(form, spline):
@@ -174,6 +183,18 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
         if best is not None:
             found.append(best)
     return sorted(found, key=lambda each: each.cost)
+
+
+def _fits(form: Form, law: Law) -> bool:
+    """Whether the form makes sense of the law."""
+    if form.periodic and (law.variable not in ("angle", "base_angle") or law.kind == "play"):
+        return False
+    if law.kind == "gain":
+        return form.name != "constant"  # the library has that
+    # a drive counts from the start of the trial, a play from its middle; a constant factor is friction or
+    # rigidity
+    counted = law.hook == "drive" or law.place in ("slip_limit", "rigidity") or law.kind == "play"
+    return not (form.has_constant and counted)
 
 
 def scaled_size(formula: Formula, name: str) -> float:

@@ -22,6 +22,11 @@ Variable = Literal[
     "trial",
     "direction",
 ]
+Kind = Literal["plain", "gain", "play", "forward", "backward"]
+"""A curve that is added; one that a reading is multiplied by, less 1; of how far a reading stands from where
+its play lets it follow; of the distance turned in one direction alone."""
+PLAYS_DEG = (1.0, 2.0, 4.0, 8.0)
+"""Widths of play that are screened; a fit moves them."""
 
 UNIT: dict[str, tuple[str, str, float]] = {
     "°": ("°", "_deg", RAD_PER_DEG),
@@ -64,21 +69,32 @@ _VARIABLE_WORDS: dict[str, str] = {
 
 @dataclass(frozen=True, order=True)
 class Law:
-    """A place in one of the four hooks of an effect, and a variable; its curve stands apart."""
+    """A place in one of the four hooks of an effect, and a variable; its curve stands apart.
+
+    In the JSON answer laws are told by hook, place and variable; the kind stands in words and formula.
+    """
 
     hook: Hook
     place: str
     """tissue, section_1 …; slip_limit, stiffness, rigidity; base; torque, hall_1 …, halls."""
     variable: Variable
+    kind: Kind = "plain"
+    play_deg: float = 0.0
+    """Width of a play where the fit starts."""
 
     @property
     def name(self) -> str:
         """As an effect may be called."""
-        return f"{self.hook}_{self.place}_{self.variable}"
+        kind = "" if self.kind == "plain" else f"_{self.kind}"
+        return (
+            f"{self.hook}_{self.place}_{self.variable}{kind}{f'_{self.play_deg:g}' if self.play_deg else ''}"
+        )
 
     @property
     def unit(self) -> str:
         """Of the curve: factors are given by what they differ from 1, stiffness by the angle to slip."""
+        if self.kind == "gain":
+            return "1"
         if self.hook == "torque":
             return "N·mm per 100 mm"
         if self.hook == "observe" and self.place == "torque":
@@ -108,18 +124,28 @@ class Law:
             "stiffness": "the angle that the tissue gives before it slips",
             "rigidity": "the torsional rigidity",
             "base": "the angle between encoder and needle",
-            "halls": "an error of every Hall reading",
         }
+        error = "the gain" if self.kind == "gain" else "an error"
         if self.hook == "observe" and self.place == "torque":
-            acts = "an error of the torque reading"
+            acts = f"{error} of the torque reading"
+        elif self.place == "halls":
+            acts = f"{error} of every Hall reading"
         elif self.hook == "observe":
-            acts = where.get(self.place, f"an error of the reading of {self.place}")
+            acts = f"{error} of the reading of {self.place}"
         else:
             acts = where.get(self.place, f"a torque in tissue {self.place.replace('_', ' ')}")
         on = "the reading itself" if self._own else _VARIABLE_WORDS[self.variable]
         if self.hook == "torque" and self.variable == "angle":
             on = "the angle of the needle there"
+        if self.kind == "play":
+            on = "where its own angle stands in a play"
+        if self.kind in ("forward", "backward"):
+            on = f"the distance turned {self.kind}"
         return f"{acts} depends on {on}"
+
+    def same(self, other: Law) -> bool:
+        """Whether the JSON answer tells them alike."""
+        return self.as_json() == other.as_json()
 
     @property
     def _own(self) -> bool:
@@ -135,7 +161,12 @@ def every_law(sensors: int, sections: int) -> tuple[Law, ...]:
     found = [Law("observe", "torque", variable) for variable in ("torque", *of_base)]
     places = [f"hall_{k + 1}" for k in range(sensors)] + (["halls"] if sensors > 1 else [])
     found += [Law("observe", place, variable) for place in places for variable in of_sensor]
+    found += [Law("observe", place, "clock", "gain") for place in ("torque", *places)]
+    found += [
+        Law("observe", f"hall_{k + 1}", "angle", "play", width) for k in range(sensors) for width in PLAYS_DEG
+    ]
     found += [Law("drive", "base", variable) for variable in of_base]
+    found += [Law("drive", "base", "travel", "forward"), Law("drive", "base", "travel", "backward")]
     if sections:
         along: Sequence[Variable] = ("x", "clock", "trial", "travel")
         found += [Law("shape", "slip_limit", variable) for variable in along]

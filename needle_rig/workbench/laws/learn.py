@@ -5,122 +5,37 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from needle_rig.dataset import Dataset
-from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.laws.draft import Origin, Table, formula_text, written
-from needle_rig.workbench.laws.fitting import FormulaLaw, LawFit, Shared, present_score, seen
+from needle_rig.workbench.laws.curve import fitted_curve
+from needle_rig.workbench.laws.draft import Origin, Table, formula_text
+from needle_rig.workbench.laws.fitting import Parent, present_score
 from needle_rig.workbench.laws.formulas import Formula
-from needle_rig.workbench.laws.halves import where_seen
-from needle_rig.workbench.laws.law import UNIT, Law
+from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw, Verdict
+from needle_rig.workbench.laws.made import FormulaLaw, Shared
+from needle_rig.workbench.laws.screening import Screened
 from needle_rig.workbench.laws.search import (
     FoundLaw,
     LawSearch,
-    Parent,
     Say,
     asked_of,
     kept,
     tied,
 )
-from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
-from needle_rig.workbench.selection.search import Candidate, SearchTrace, score, try_effect
-
-Verdict = Literal["law", "none", "library", "cannot_tell"]
-"""A law that no library holds, nothing at all, effects of the library, or something that these data do not
-tell."""
-BAND_SIGMAS = 1.96
-CURVE_POINTS = 121
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """A fitted curve at points `at` (n,), all in the units of the law."""
-
-    at: Array
-    value: Array
-    low: Array
-    """95 % band."""
-    high: Array
-    data: Array
-    """How many values of the variable the data have nearest to each vector."""
-    halves: tuple[Array, ...]
-    """The same curve from halves of the trials; NaN outside the range of their data."""
-
-
-@dataclass(frozen=True)
-class LearntLaw:
-    """A law that was found, as it is told."""
-
-    law: Law
-    tied_with: tuple[Law, ...]
-    held_out_before: float
-    """Error on commands left out, in units of the noise."""
-    held_out_after: float
-    formula: str | None
-    parameters: tuple[tuple[str, float, float, str], ...]
-    """(name, value, standard deviation, unit) of the formula's."""
-    curve: Curve
-    told: Formula | Table
-    """What the effect file holds."""
-    experiment: NextTrial | None
-
-    def as_json(self) -> dict[str, Any]:
-        """As it stands in the JSON answer."""
-        return {
-            **self.law.as_json(),
-            "tied_with": [law.as_json() for law in self.tied_with],
-            "held_out_before": _plain(self.held_out_before),
-            "held_out_after": _plain(self.held_out_after),
-            "formula": self.formula,
-        }
-
-
-@dataclass(frozen=True)
-class Learnt:
-    """The answer."""
-
-    verdict: Verdict
-    laws: tuple[LearntLaw, ...]
-    library: tuple[str, ...]
-    """Effects of the library that are named: in place of a law, or beside it."""
-    held_out_before: float
-    held_out_after: float
-    sentence: str
-    tried: int
-    """Laws that were tried."""
-    diagnosis: Diagnosis
-    origin: Origin
-
-    def as_json(self, seconds: float) -> dict[str, Any]:
-        """The stated form of the answer."""
-        return {
-            "verdict": self.verdict,
-            "laws": [law.as_json() for law in self.laws],
-            "seconds": round(seconds, 1),
-        }
-
-    def write_drafts(self, path: Path) -> tuple[Path, ...]:
-        """The effect files: the first law's at `path`, those of others numbered beside it."""
-        sections_m = self.diagnosis.baseline.dataset.layout.tissue_sections_m
-        files = []
-        for number, law in enumerate(self.laws, start=1):
-            file = path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")
-            files.append(written(file, law.law, law.told, self.origin, sections_m))
-        return tuple(files)
+from needle_rig.workbench.selection.rivals import promise_asked
+from needle_rig.workbench.selection.search import Candidate, SearchTrace, expand, score, try_effect
 
 
 def learn_laws(
@@ -137,7 +52,9 @@ def learn_laws(
 
     Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
     """
-    diagnosis = diagnose(dataset, library, model, max_effects=1, seed=seed, work=workers(), say=say)
+    diagnosis = diagnose(
+        dataset, library, model, max_effects=1, quick=True, seed=seed, work=workers(), say=say
+    )
     with workers() as work, LawSearch(diagnosis.search.problem, work, origin, say) as search:
         return _Learning(diagnosis, search, dataset.sensor_names, origin).answer()
 
@@ -173,62 +90,124 @@ class _Learning:
             further = self._next(current)
             if further is None:
                 break
-            current, steps = further, steps + 1
-        return self._told(current)
+            current, steps = self._revised(further), steps + 1
+        return self._told(current and self._pruned(current))
 
     def _first(self) -> Parent | None:
         """The fit with the first law; None where there is none."""
         search, root, library = self.search, self.root, self.library
         search.say("screening laws that the library does not hold")
-        on_root = search.promises(root)
         alone = library.fit is root.fit
-        on_library = on_root if alone else search.promises(library)
+        on_root: list[Screened] = []
+        on_library: list[Screened] = []
+        if self.diagnosis.verdict != "unknown":
+            on_library = search.promises(library)
+            self.tried = len(on_library)
+            if not on_library or on_library[0].gain <= asked_of(self.tried):
+                return None
+            on_root = on_library if alone else []
+        on_root = on_root or search.promises(root)
         self.tried = len(on_root)
-        best = on_library[0].gain if on_library else 0.0
-        if self.diagnosis.verdict != "unknown" and best <= asked_of(self.tried):
-            return None
         search.say("fitting the leading laws")
         rounds = [search.on_top_of(root, on_root)]
         if not alone and not _better(rounds[0], library):
             search.say("fitting laws beside what the library explains")
-            rounds.append(search.on_top_of(library, on_library))
-        return self._kept(rounds, library)
+            rounds.append(search.on_top_of(library, on_library or search.promises(library)))
+        chosen = self._chosen(rounds)
+        return self._kept(chosen, self._pair(library, chosen[0])) if chosen else None
+
+    def _pair(self, library: Parent, found: FoundLaw) -> Parent:
+        """The library's best with one more effect, where screening promises that it comes near a law."""
+        trace, search = self.diagnosis.search, self.search
+        key = frozenset(library.fit.effects)
+        if key == trace.start:
+            return library
+        search.say("trying pairs of the library's effects")
+        worth = promise_asked(library.score - found.score)
+        search.work.share(trace.problem)
+        trace = expand(trace, search.work, key, worth)
+        return min((_parent(trace, k) for k in _supported(trace)), key=lambda p: p.score)
 
     def _next(self, current: Parent) -> Parent | None:
         """The fit with one more law, which must do better than any library effect in its place."""
         search = self.search
         search.say("looking for what is left")
         promised = search.promises(current)
-        rival = self._with_library(current)
         search.say("fitting the leading laws")
-        rounds = [search.on_top_of(current, promised)]
-        if rival is not current:
-            return self._kept(rounds, rival) or self._beside(current, rival)
-        return self._kept(rounds, rival)
+        chosen = self._chosen([search.on_top_of(current, promised)])
+        rival = self._with_library(current, chosen)
+        kept_law = self._kept(chosen, rival) if chosen else None
+        if kept_law is None and rival is not current:
+            return self._beside(current, rival)
+        return kept_law
 
-    def _kept(self, rounds: Sequence[Sequence[FoundLaw]], rival: Parent) -> Parent | None:
+    def _revised(self, current: Parent) -> Parent:
+        """The fit with each law looked for anew beside what was found after it.
+
+        Its place and its formula were chosen when that was still missing.
+        """
+        search, changed = self.search, len(self.found) == 1
+        for place, (old, _) in enumerate(self.found):
+            if place == len(self.found) - 1 and not changed:
+                break
+            search.say(f"looking again for law {place + 1} beside what was found after it")
+            rest = search.without(current, old)
+            if rest is None:
+                continue
+            chosen = search.in_place_of(old, rest)
+            if chosen and chosen[0].score < current.score:
+                new = dataclasses.replace(chosen[0], parent=old.parent)
+                current, changed = search.put(old, new), True
+            else:
+                same = [each.spline for each in chosen if each.law == old.law and old.formula is not None]
+                new = dataclasses.replace(old, spline=same[0]) if same else old
+            others = [each for each in chosen if each.law != new.law]
+            self.found[place] = new, tied((dataclasses.replace(new, at=current.score), *others))
+        return current
+
+    def _pruned(self, current: Parent) -> Parent:
+        """The fit without effects of the library to which the laws have left nothing.
+
+        They were named when a law was still missing that they resemble.
+        """
+        laws = {each.best.made.name for each, _ in self.found}
+        for name in current.fit.effects:
+            if name in laws or name in self.diagnosis.search.start:
+                continue
+            self.search.say(f"looking whether {name} is needed beside the law")
+            rest = self.search.without_effect(current, name)
+            if rest is None or rest.score > current.score + POLICY.search.fewer_named:
+                continue
+            if _reached(rest) or not _reached(current):
+                current = rest
+        return current
+
+    def _chosen(self, rounds: Sequence[Sequence[FoundLaw]]) -> Sequence[FoundLaw]:
+        """The laws of the best round; an effect of the library beside the law must be worth its name."""
         leading = [found for found in rounds if found]
         if not leading:
-            return None
-        chosen = min(leading, key=lambda found: found[0].score)
+            return ()
+        best = min(leading, key=lambda found: found[0].score)
         first = leading[0]
-        # an effect of the library beside the law must be worth its name
-        if first[0].score < chosen[0].score + POLICY.search.fewer_named:
-            chosen = first
+        return first if first[0].score < best[0].score + POLICY.search.fewer_named else best
+
+    def _kept(self, chosen: Sequence[FoundLaw], rival: Parent) -> Parent | None:
         best = chosen[0]
         if not kept(self.search.whole_problem(), best.parent, rival, best, self.tried):
             return None
         self.found.append((best, tied(chosen)))
         return self.search.add(best)
 
-    def _with_library(self, current: Parent) -> Parent:
-        """The best fit of one library effect on top, or the fit itself."""
+    def _with_library(self, current: Parent, chosen: Sequence[FoundLaw]) -> Parent:
+        """The best fit of one library effect on top, where screening promises that it comes near the chosen
+        law, or the fit itself."""
         problem, search = self.search.whole_problem(), self.search
         search.say("trying the library beside the law")
         trace = self.diagnosis.search
         names = [n for n in trace.names if n not in current.fit.effects]
         search.work.share(Shared(search.problem, search.made))
-        tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n) for n in names])
+        worth = promise_asked(current.score - chosen[0].score) if chosen else -1.0
+        tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n, worth) for n in names])
         known = current.score - score(problem, current.fit)
         fits = [
             Parent(c.fit, c.validation, score(problem, c.fit) + known)
@@ -299,11 +278,13 @@ class _Learning:
     def _law(self, current: Parent, place: int) -> LearntLaw:
         found, ties = self.found[place]
         formula, parameters = _fitted_formula(current.fit, found)
-        curve = self._curve(current, found)
-        shown = where_seen(self.search.problem, found.law, curve.at, curve.halves, seen)
-        curve = dataclasses.replace(curve, halves=shown)
+        curve = fitted_curve(self.search.problem, current.fit, found, formula)
         told = formula or Table(curve.at, curve.value)
-        text = None if formula is None else f"{formula.form.name}: {formula_text(formula)}"
+        text = (
+            None
+            if formula is None
+            else f"{formula.form.name}: {formula_text(formula)}{_kind(found.law, parameters)}"
+        )
         return LearntLaw(
             found.law,
             tuple(each.law for each in ties),
@@ -322,48 +303,9 @@ class _Learning:
             return None
         self.search.say("looking for the experiment that would tell")
         other = ties[0]
-        problem = Shared(self.search.problem, (*self.search.made, other.best.made)).with_made()
+        problem = Shared(self.search.problem, found.beside).with_made(found.best.made, other.best.made)
         first, second = found.best.fit, other.best.fit
         return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
-
-    def _curve(self, current: Parent, found: FoundLaw) -> Curve:
-        """The spline's curve with its band, and from halves of the trials."""
-        spline = found.spline
-        assert isinstance(spline.made, SplineLaw)
-        assert spline.coefficients is not None
-        assert spline.covariance is not None
-        coefficients = spline.coefficients
-        if found.formula is None:
-            # as all laws were last fitted together
-            own = [each.effect == spline.made.name for each in current.fit.parameters]
-            coefficients = spline.made.coefficients(current.fit.vector.scaled_values[own])
-        family = spline.made.spline
-        at = np.linspace(family.low, family.high, CURVE_POINTS)
-        basis = family.basis(at)
-        value = basis @ coefficients
-        spread = BAND_SIGMAS * np.sqrt(np.maximum(((basis @ spline.covariance) * basis).sum(axis=1), 0.0))
-        values = seen(self.search.problem, spline.law) / UNIT[spline.law.variable_unit][2]
-        step = at[1] - at[0]
-        data, _ = np.histogram(values, bins=np.r_[at - step / 2, at[-1] + step / 2])
-        halves = [basis @ c for c in self._from_halves(spline)]
-        return Curve(at, value, value - spread, value + spread, data, tuple(halves))
-
-    def _from_halves(self, spline: LawFit) -> list[Array]:
-        """The spline's coefficients from every other trial of each command, and from the others."""
-        assert isinstance(spline.made, SplineLaw)
-        made = tuple(m for m in self.search.made if m.name != spline.made.name)
-        problem = Shared(self.search.problem, made).with_made(spline.made)
-        count, found = spline.made.spline.count, []
-        for half in (0, 1):
-            trials = [t for t in range(len(problem.trials)) if t % 2 == half]
-            if len(trials) <= 1:
-                continue
-            vector = spline.fit.vector
-            start = dataclasses.replace(vector, trial_friction=vector.trial_friction[trials])
-            again = fit(problem.over([problem.trials[t] for t in trials]), spline.fit.effects, start)
-            if again is not None:
-                found.append(spline.made.coefficients(again.vector.scaled_values[-count:]))
-        return found
 
 
 def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
@@ -372,8 +314,8 @@ def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
     return best is not None and best.score < library.score and best.validation.error <= POLICY.verdict.reached
 
 
-def _try_library(shared: Shared, parent: Fit, effect: str) -> Candidate:
-    return try_effect(shared.with_made(), parent, effect)
+def _try_library(shared: Shared, parent: Fit, effect: str, worth: float) -> Candidate:
+    return try_effect(shared.with_made(), parent, effect, (), worth)
 
 
 def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:
@@ -405,15 +347,24 @@ def _fitted_formula(
         if parameter.effect == best.name:
             spread = _spread(parameter, float(at), float(error))
             rows.append((parameter.field, parameter.value(float(at)), spread))
-    formula = dataclasses.replace(best.formula, values=tuple(value for _, value, _ in rows))
+    count = len(best.formula.values)
+    formula = dataclasses.replace(best.formula, values=tuple(value for _, value, _ in rows[:count]))
     units = {a.field: a.info.unit for a in current.parameters if a.effect == best.name}
     return formula, tuple((field, value, spread, units[field]) for field, value, spread in rows)
+
+
+def _kind(law: Law, parameters: Sequence[tuple[str, float, float, str]]) -> str:
+    """What a formula alone does not say."""
+    play = "".join(f" in a play of {value:.3g}°" for field, value, _, _ in parameters if field == "play_deg")
+    return {
+        "plain": "",
+        "gain": ", times the reading",
+        "play": f", v how far the reading's angle is ahead{play}",
+        "forward": ", v turned forward alone",
+        "backward": ", v turned backward alone",
+    }[law.kind]
 
 
 def _spread(parameter: FreeParameter, at: float, error: float) -> float:
     low, high = (parameter.value(float(np.clip(at + s * error, *parameter.bounds))) for s in (-1, 1))
     return abs(high - low) / 2
-
-
-def _plain(error: float) -> float | None:
-    return round(error, 4) if math.isfinite(error) else None

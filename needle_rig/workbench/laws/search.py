@@ -1,8 +1,8 @@
 """The search for laws: one after the other on top of what the library explains, each judged as an effect.
 
-Every law is screened; the leading ones are fitted inside the solver, those that stay close get formulas,
-which are fitted in the spline's place. A law is kept when it does better than every library effect and than
-chance, also on commands left out, and cannot be our own error.
+Every law is screened; the leading ones are fitted inside the solver, a few steps at a time; those that stay
+close get formulas, which are fitted in the spline's place. A law is kept when it does better than every
+library effect and than chance, also on commands left out, and cannot be our own error.
 """
 
 from __future__ import annotations
@@ -12,28 +12,30 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from needle_rig.units import deg, nmm
-from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.cross_validation import cross_validate
+from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.laws.draft import Origin, written
 from needle_rig.workbench.laws.fitting import (
-    FormulaLaw,
+    NOT_HELD_OUT,
     LawFit,
-    Made,
-    Screened,
-    Shared,
-    candidates,
+    Parent,
+    first_fit,
     fit_formula,
-    fit_spline,
     from_task,
-    screen,
+    further_fit,
+    held_out,
 )
 from needle_rig.workbench.laws.formulas import Formula, ranked
 from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
+from needle_rig.workbench.laws.screening import Screened, candidates, screen
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
@@ -44,21 +46,16 @@ Say = Callable[[str], None]
 
 FIRST_FITS = 10
 """Laws that are fitted for a few steps,"""
+FURTHER_FITS = 6
+"""for some more,"""
 WHOLE_FITS = 4
 """to the end,"""
 WITH_FORMULA = 3
 """and with formulas,"""
 FORMULAS = 4
 """of which so many forms are fitted inside the solver."""
-
-
-@dataclass(frozen=True)
-class Parent:
-    """What laws are added to: a fit with its held-out error, and its score on the scale of laws."""
-
-    fit: Fit
-    validation: CrossValidation
-    score: float
+BEHIND = 100.0
+"""Score behind the best (10σ), above what that misses of the noise, from which a law is left."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +65,10 @@ class FoundLaw:
     spline: LawFit
     formula: LawFit | None
     parent: Parent
+    beside: tuple[Made, ...] = ()
+    """What was made before it and is in its fits."""
+    at: float | None = None
+    """Score as all laws were last fitted together, where that is another."""
 
     @property
     def law(self) -> Law:
@@ -82,7 +83,7 @@ class FoundLaw:
     @property
     def score(self) -> float:
         """Of the better of the two."""
-        return self.best.score
+        return self.best.score if self.at is None else self.at
 
 
 class LawSearch:
@@ -92,7 +93,7 @@ class LawSearch:
         self.problem, self.work, self.origin, self.say = problem, work, origin, say
         self.made: tuple[Made, ...] = ()
         self._folder = tempfile.TemporaryDirectory(prefix="needle-rig-laws-")
-        self._drafts = 0
+        self._drafts, self._rounds = 0, 0
 
     def __enter__(self) -> LawSearch:
         return self
@@ -106,64 +107,118 @@ class LawSearch:
 
     def promises(self, parent: Parent) -> list[Screened]:
         """What each law promises on top of a fit, best first."""
-        self._share()
-        every = candidates(self.problem, f"law{len(self.made) + 1}")
+        self._rounds += 1
+        every = candidates(self.problem, f"law{self._rounds}")
         taken = {each.law for each in self.made}
         tasks = [(parent.fit, made) for made in every if made.law not in taken]
-        found: list[Screened] = from_task(self.work.run(screen, tasks))
+        found: list[Screened] = from_task(self._run(screen, tasks))
         return sorted(found, key=lambda s: -s.gain)
 
     def on_top_of(self, parent: Parent, promised: Sequence[Screened]) -> list[FoundLaw]:
-        """The laws that do best on top of a fit, best first."""
+        """The laws that do best on top of a fit, best first, that with commands left out."""
         asked = asked_of(len(promised))
-        leading = [s for s in promised if s.gain > asked]
-        first = self._fits(parent, _spread(leading), whole=False)
-        chosen = first[:WHOLE_FITS]
-        by_name = {s.made.name: s for s in leading}
-        splines = self._fits(parent, [by_name[f.made.name] for f in chosen], whole=True)
-        found = [FoundLaw(spline, None, parent) for spline in splines]
-        return sorted(self._with_formulas(found), key=lambda each: each.score)
+        raced = self._raced(parent, [s for s in promised if s.gain > asked])
+        found = self._with_formulas([FoundLaw(rough, None, parent, self.made) for rough in raced])
+        leading = self._near(found)
+        whole = self._run(further_fit, [(parent, each.spline, True) for each in leading])
+        judged = []
+        for each, spline in zip(leading, whole, strict=True):
+            formula = borne(each.formula, spline or each.spline)
+            judged.append(dataclasses.replace(each, spline=spline or each.spline, formula=formula))
+        judged = self._with_formulas(sorted(judged, key=lambda each: each.score))
+        judged.sort(key=lambda each: each.score)
+        return [self._held_out(each) if place == 0 else each for place, each in enumerate(judged)]
 
     def add(self, found: FoundLaw) -> Parent:
         """The fit with the law, to add more to."""
         self.made = (*self.made, found.best.made)
         return Parent(found.best.fit, found.best.validation, found.best.score)
 
-    def _share(self) -> None:
+    def without(self, current: Parent, old: FoundLaw) -> Parent | None:
+        """A fit's parameters with a law left out, all others where they are: what a law in its place is added
+        to."""
+        name = old.best.made.name
+        problem = Shared(self.problem, self._others(old)).with_made()
+        effects = tuple(e for e in current.fit.effects if e != name)
+        vector = _vector_without(current.fit, name)
+        at = fit(problem, effects, vector, nuisance=current.fit.nuisance, iterations=0)
+        if at is None:
+            return None
+        return Parent(at, NOT_HELD_OUT, at.objective + current.price - old.best.price)
+
+    def without_effect(self, current: Parent, name: str) -> Parent | None:
+        """The fit without an effect of the library, with commands left out."""
+        problem = self.whole_problem()
+        effects = tuple(e for e in current.fit.effects if e != name)
+        found = fit(problem, effects, _vector_without(current.fit, name), nuisance=current.fit.nuisance)
+        if found is None:
+            return None
+        saved = penalty(problem) * (current.fit.rank - found.rank)
+        return Parent(found, cross_validate(problem, found), found.objective + current.price - saved)
+
+    def in_place_of(self, old: FoundLaw, rest: Parent) -> list[FoundLaw]:
+        """The laws that do best on top of a fit that an earlier one was left out of."""
+        made = self.made
+        self.made = self._others(old)
+        found = self.on_top_of(rest, self.promises(rest))
+        self.made = made
+        return found
+
+    def put(self, old: FoundLaw, new: FoundLaw) -> Parent:
+        """The fit with a law in the place of an earlier one, to add more to."""
+        self.made = self._others(old)
+        return self.add(new)
+
+    def _others(self, old: FoundLaw) -> tuple[Made, ...]:
+        return tuple(each for each in self.made if each.name != old.best.made.name)
+
+    def _run(self, task: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
         self.work.share(Shared(self.problem, self.made))
+        return self.work.run(task, tasks)
 
-    def _fits(self, parent: Parent, promised: Sequence[Screened], *, whole: bool) -> list[LawFit]:
-        self._share()
-        tasks = [(parent.fit, s, whole) for s in promised]
-        found: list[LawFit] = from_task(self.work.run(fit_spline, tasks))
-        return sorted(found, key=lambda f: f.score)
+    def _raced(self, parent: Parent, leading: Sequence[Screened]) -> list[LawFit]:
+        """The laws that lead after a few steps, the others left behind on the way; best first."""
+        first = sorted(
+            from_task(self._run(first_fit, [(parent, s) for s in _spread(leading)])), key=lambda f: f.score
+        )
+        going: list[LawFit] = [f for f in first if not self._far(f.score, first[0])][:FURTHER_FITS]
+        further = self._run(further_fit, [(parent, f, False) for f in going])
+        best = [after or before for after, before in zip(further, going, strict=True)]
+        return sorted(best, key=lambda f: f.score)[:WHOLE_FITS]
 
-    def _with_formulas(self, found: list[FoundLaw]) -> list[FoundLaw]:
-        """The leading laws with the formula that does best, where one does as well as the spline."""
-        price = penalty(self.problem)
-        tasks, owners = [], []
+    def _far(self, score: float, best: LawFit) -> bool:
+        """Whether a score is so far behind that of the best that it does not come near any more."""
+        return score > best.score + BEHIND + excess(self.problem, best.fit.objective)
+
+    def _near(self, found: Sequence[FoundLaw]) -> list[FoundLaw]:
+        best = min(found, key=lambda each: each.score, default=None)
+        return [each for each in found if best is not None and not self._far(each.score, best.best)]
+
+    def _held_out(self, found: FoundLaw) -> FoundLaw:
+        (judged,) = self._run(held_out, [(found.best,)])
+        where = "spline" if found.formula is None else "formula"
+        return dataclasses.replace(found, **{where: judged})
+
+    def _with_formulas(self, found: Sequence[FoundLaw]) -> list[FoundLaw]:
+        """The leading laws, those without a formula with the one that does best, if as well as the spline."""
+        price, told = penalty(self.problem), list(found)
         for place, each in enumerate(found[:WITH_FORMULA]):
+            if each.formula is not None or self._far(each.score, min(told, key=lambda t: t.score).best):
+                continue
             spline = each.spline
             assert isinstance(spline.made, SplineLaw)
             assert spline.quadratic is not None
             starts = _starts_without(spline.fit, spline.made.name, each.parent.fit)
-            for row in ranked(spline.law, spline.made.spline, spline.quadratic, price)[:FORMULAS]:
-                made = self._drafted(spline.law, row.formula)
-                tasks.append((each.parent.fit, starts, made))
-                owners.append(place)
-        self._share()
-        best: dict[int, LawFit] = {}
-        for place, fitted in zip(owners, self.work.run(fit_formula, tasks), strict=True):
-            if fitted is not None and (place not in best or fitted.score < best[place].score):
-                best[place] = fitted
-        return [
-            dataclasses.replace(each, formula=borne(best.get(place), each.spline))
-            for place, each in enumerate(found)
-        ]
+            rows = ranked(spline.law, spline.made.spline, spline.quadratic, price)[:FORMULAS]
+            tasks = [(each.parent, starts, self._drafted(spline.law, row.formula)) for row in rows]
+            fitted: list[LawFit] = from_task(self._run(fit_formula, tasks))
+            best = min(fitted, key=lambda f: f.score, default=None)
+            told[place] = dataclasses.replace(each, formula=borne(best, spline))
+        return told
 
     def _drafted(self, law: Law, formula: Formula) -> FormulaLaw:
         self._drafts += 1
-        path = Path(self._folder.name) / f"law{len(self.made) + 1}_draft_{self._drafts}.py"
+        path = Path(self._folder.name) / f"draft_{self._drafts}.py"
         written(path, law, formula, self.origin, self.problem.base.layout.tissue_sections_m)
         return FormulaLaw(law, path, formula)
 
@@ -215,8 +270,13 @@ def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:
     """The laws that cannot be told from the first."""
     if not found:
         return ()
-    first = found[0]
-    return tuple(each for each in found[1:] if each.score < first.score + POLICY.ties.close)
+    ties, known = [], [found[0].law]
+    for each in found[1:]:
+        # two kinds of one law, as two widths of a play, are told alike
+        if each.score < found[0].score + POLICY.ties.close and not any(each.law.same(k) for k in known):
+            ties.append(each)
+            known.append(each.law)
+    return tuple(ties)
 
 
 def _spread(promised: Sequence[Screened]) -> list[Screened]:
@@ -233,5 +293,9 @@ def _spread(promised: Sequence[Screened]) -> list[Screened]:
 
 def _starts_without(found: Fit, name: str, parent: Fit) -> tuple[ParameterVector, ...]:
     """Where the fit with a law stands, and where its parent does, the law's own parameters left out."""
+    return _vector_without(found, name), parent.vector
+
+
+def _vector_without(found: Fit, name: str) -> ParameterVector:
     keep = [i for i, each in enumerate(found.parameters) if each.effect != name]
-    return dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values[keep]), parent.vector
+    return dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values[keep])

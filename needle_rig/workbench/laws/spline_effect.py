@@ -17,7 +17,17 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.rod import Rod, TorqueLaw
-from needle_rig.physics.trial_variables import clock_s, direction, rate_rad_s, stop_time_s, travel_rad
+from needle_rig.physics.trial_variables import (
+    backward_travel_rad,
+    clock_s,
+    direction,
+    forward_travel_rad,
+    left_behind_rad,
+    rate_rad_s,
+    stop_time_s,
+    travel_rad,
+)
+from needle_rig.units import rad
 from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.spline import Spline
 
@@ -41,7 +51,8 @@ class SplineLaw:
     def on(self, reading: Reading, sensor: int | None) -> Array:
         """Values of the spline's basis (samples, K) at a reading."""
         unit = UNIT[self.law.variable_unit][2]
-        return self.spline.basis(of_reading(self.law.variable, reading, sensor) / unit)
+        basis = self.spline.basis(of_reading(self.law, reading, sensor) / unit)
+        return basis * own(reading, sensor)[:, np.newaxis] if self.law.kind == "gain" else basis
 
     def coefficients(self, scaled_values: Array) -> Array:
         """Of the spline (K,), from the effect's fields."""
@@ -52,28 +63,35 @@ class SplineLaw:
         return np.asarray(self.spline.inverse @ coefficients)
 
 
-def of_trial(variable: str, trial: Trial) -> Array:
-    """A variable of the base's path at each sample (samples,), SI."""
+def of_trial(law: Law, trial: Trial) -> Array:
+    """A law's variable of the base's path at each sample (samples,), SI."""
     told: dict[str, Callable[[Trial], Array]] = {
         "base_angle": lambda t: t.base_angle_rad,
         "rate": rate_rad_s,
-        "travel": travel_rad,
+        "travel": {"forward": forward_travel_rad, "backward": backward_travel_rad}.get(law.kind, travel_rad),
         "stop_time": stop_time_s,
         "clock": clock_s,
         "direction": direction,
     }
-    return told[variable](trial)
+    return told[law.variable](trial)
 
 
-def of_reading(variable: str, reading: Reading, sensor: int | None) -> Array:
-    """A variable of a reading at each sample (samples,), SI; `sensor` is the one that is read."""
-    if variable == "torque":
+def of_reading(law: Law, reading: Reading, sensor: int | None) -> Array:
+    """A law's variable of a reading at each sample (samples,), SI; `sensor` is the one that is read."""
+    if law.kind == "play":
+        return left_behind_rad(own(reading, sensor), rad(law.play_deg), None)[0]
+    if law.variable == "torque":
         return reading.torque_nm
-    if variable == "angle":
-        return np.asarray(reading.hall_rad[:, sensor])
-    if variable == "twist":
-        return np.asarray(reading.hall_rad[:, sensor] - reading.trial.base_angle_rad)
-    return of_trial(variable, reading.trial)
+    if law.variable == "angle":
+        return own(reading, sensor)
+    if law.variable == "twist":
+        return np.asarray(own(reading, sensor) - reading.trial.base_angle_rad)
+    return of_trial(law, reading.trial)
+
+
+def own(reading: Reading, sensor: int | None) -> Array:
+    """What a sensor reads (samples,), the torque cell where there is no number, SI."""
+    return reading.torque_nm if sensor is None else np.asarray(reading.hall_rad[:, sensor])
 
 
 def of_place(variable: str, trial: Trial) -> float:
@@ -130,13 +148,16 @@ def _coefficients(made: SplineLaw, effect: Effect) -> Array:
 def _observe(made: SplineLaw) -> Callable[[Effect, Reading], Reading]:
     curve, law = _curve(made), made.law
 
+    def added(effect: Effect, reading: Reading, sensor: int | None) -> Array:
+        values = curve(effect, of_reading(law, reading, sensor))
+        return values * own(reading, sensor) if law.kind == "gain" else values
+
     def observe(self: Effect, reading: Reading) -> Reading:
         if law.place == "torque":
-            added = curve(self, of_reading(law.variable, reading, None))
-            return dataclasses.replace(reading, torque_nm=reading.torque_nm + added)
+            return dataclasses.replace(reading, torque_nm=reading.torque_nm + added(self, reading, None))
         hall_rad = reading.hall_rad.copy()
         for k in range(hall_rad.shape[1]) if law.number is None else (law.number,):
-            hall_rad[:, k] += curve(self, of_reading(law.variable, reading, k))
+            hall_rad[:, k] += added(self, reading, k)
         return dataclasses.replace(reading, hall_rad=hall_rad)
 
     return observe
@@ -148,7 +169,7 @@ def _drive(made: SplineLaw) -> Callable[[Effect, Trial], Array]:
     def drive(self: Effect, trial: Trial) -> Array:
         # a trial begins relaxed with the base at 0
         start = np.array([trial.start_s if law.variable == "clock" else 0.0])
-        added = curve(self, of_trial(law.variable, trial)) - curve(self, start)
+        added = curve(self, of_trial(law, trial)) - curve(self, start)
         return np.asarray(trial.base_angle_rad + added)
 
     return drive

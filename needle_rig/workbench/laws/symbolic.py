@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.workbench.laws.learn import BAND_SIGMAS, LearntLaw
+from needle_rig.workbench.laws.curve import BAND_SIGMAS
+from needle_rig.workbench.laws.learnt import LearntLaw
 
 BINARY = ("+", "-", "*", "/")
 UNARY = ("sin", "cos", "exp", "abs")

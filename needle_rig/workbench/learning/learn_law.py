@@ -11,7 +11,8 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.learn import Learnt, learn_laws
+from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learnt import Learnt
 from needle_rig.workbench.learning.adopt import Refused, adopt
 from needle_rig.workbench.learning.learn import Lesson, fitted
 from needle_rig.workbench.learning.observations import Traces

@@ -13,10 +13,11 @@ import pytest
 
 from needle_rig.cli.main import run as command
 from needle_rig.workbench.laws import learn, symbolic
+from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.formulas import FORMS, Formula
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import Curve, Learnt, LearntLaw
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw
 from needle_rig.workbench.laws.symbolic import SymbolicFormula
 
 SINE = Formula(next(f for f in FORMS if f.name == "sine"), 90.0, -45.0, (0.05, 0.01, 2.0))

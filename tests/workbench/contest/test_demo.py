@@ -18,9 +18,10 @@ from needle_rig.physics.library import find_effects
 from needle_rig.workbench.contest.demo import Story, in_words, tell_law_story, tell_story
 from needle_rig.workbench.contest.untold_law import SLIT, TYPICAL_NMM_PER_100MM
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.formulas import FORMS, Formula
-from needle_rig.workbench.laws.learn import Curve, Learnt, LearntLaw
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw
 from needle_rig.workbench.learning import learn_law as room
 from tests.values import known
 

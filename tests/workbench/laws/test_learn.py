@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from needle_rig.model import load_model, save_model
-from needle_rig.physics.effect import Effect, Reading, parameter
+from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.library import find_effects, load_effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.fitting import Shared, candidates, fit_spline, screen
+from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.made import Shared
+from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.learning.adopt import adopt, undo
 from needle_rig.workbench.learning.observations import Traces
 from tests.values import known
@@ -123,6 +125,39 @@ def test_an_effect_that_the_library_holds_is_no_law() -> None:
     assert (found.verdict, found.laws, found.library) == ("library", (), ("tissue_elasticity",))
 
 
+@dataclass(frozen=True)
+class RunOut(Effect):
+    """The base's gear errs twice a turn."""
+
+    size_deg: float = parameter(
+        off=0.0, lower=-9.0, upper=9.0, typical=2.0, smallest=0.5, literature=(-9.0, 9.0), unit="°"
+    )
+
+    def drive(self, trial: Trial) -> Any:
+        return trial.base_angle_rad + np.radians(self.size_deg) * np.sin(2.0 * trial.base_angle_rad)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [41, 42])
+def test_a_law_is_found_beside_an_effect_that_the_library_holds(seed: Any) -> None:
+    found = learn_laws(dataset(ELASTIC, ThirdHarmonic(2.0), seed=seed), few(), origin=ORIGIN)
+    assert found.verdict == "law"
+    assert [law.law for law in found.laws] == [Law("observe", "hall_2", "angle")]
+    assert found.library == ("tissue_elasticity",)
+    assert found.held_out_after < 1.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [43, 44])
+def test_two_laws_that_act_apart_are_found_with_their_formulas(seed: Any) -> None:
+    found = learn_laws(dataset(RunOut(2.0), ThirdHarmonic(2.0), seed=seed), few(), origin=ORIGIN)
+    assert found.verdict == "law"
+    told = {law.law: (law.formula or "").partition(":")[0] for law in found.laws}
+    assert told == {Law("observe", "hall_2", "angle"): "sine", Law("drive", "base", "base_angle"): "sine"}
+    assert found.library == ()
+    assert found.held_out_after < 1.1
+
+
 @pytest.fixture(scope="module")
 def baseline(data: Any) -> Any:
     return fit_baseline(data, None, few())
@@ -146,7 +181,8 @@ def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
     assert here is not None
     assert there is not None
     assert here.gain == pytest.approx(there.gain)
-    fitted = fit_spline(shared, baseline.current, here, whole=False)
+    score = present_score(baseline.problem, baseline.current)
+    fitted = first_fit(shared, Parent(baseline.current, baseline.validation, score), here)
     assert fitted is not None
     assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
 

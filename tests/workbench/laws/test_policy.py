@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from needle_rig.workbench.laws import search
+from needle_rig.workbench.laws.fitting import Parent
+from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import goes_on, verdict_of
-from needle_rig.workbench.laws.search import FoundLaw, Parent, asked_of, borne, kept, tied
+from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, kept, tied
 
 NO_PROBLEM: Any = None
 
 
-def fitted(score: Any, loss: Any = 0.0, error: Any = 1.0) -> Any:
+def fitted(score: Any, loss: Any = 0.0, error: Any = 1.0, law: Any = None) -> Any:
     validation = SimpleNamespace(loss=loss, error=error)
     found = SimpleNamespace(pull_rigidity=0.0)
-    return SimpleNamespace(score=score, validation=validation, fit=found, law="law")
+    return SimpleNamespace(score=score, validation=validation, fit=found, law=law)
 
 
 def parent(score: Any, loss: Any = 100.0, error: Any = 3.0) -> Any:
@@ -97,9 +99,21 @@ def test_what_may_be_our_own_error_or_is_too_small_is_no_law(which: Any, monkeyp
 
 def test_laws_within_ten_of_the_first_tie_with_it() -> None:
     before = parent(1000.0)
-    first, near, far = (FoundLaw(fitted(s), None, before) for s in (100.0, 109.9, 110.1))
+    laws = (Law("observe", "torque", v) for v in ("torque", "rate", "travel"))
+    first, near, far = (
+        FoundLaw(fitted(s, law=law), None, before) for s, law in zip((100.0, 109.9, 110.1), laws, strict=True)
+    )
     assert tied((first, near, far)) == (near,)
     assert tied(()) == ()
+
+
+def test_kinds_of_one_law_that_are_told_alike_are_one() -> None:
+    before = parent(1000.0)
+    gain = Law("observe", "torque", "clock", "gain")
+    plays = [Law("observe", "hall_1", "angle", "play", width) for width in (2.0, 4.0)]
+    laws = (gain, Law("observe", "torque", "clock"), *plays)
+    first, same, other, again = (FoundLaw(fitted(100.0, law=law), None, before) for law in laws)
+    assert tied((first, same, other, again)) == (other,)
 
 
 def test_the_formula_is_what_is_added_where_there_is_one() -> None:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from needle_rig.errors import BadInput
+from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.formulas import FORMS, Formula
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import Curve, LearntLaw
+from needle_rig.workbench.laws.learnt import LearntLaw
 from needle_rig.workbench.laws.symbolic import formula_of, regressor
 
 AT = np.linspace(-90.0, 90.0, 19)

@@ -16,10 +16,11 @@ from needle_rig.figures.ladder import ladder_figure
 from needle_rig.model import load_model, save_model
 from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.formulas import FORMS, Formula
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import Curve, Learnt, LearntLaw
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw
 from needle_rig.workbench.learning import learn_law as room
 from needle_rig.workbench.learning.adopt import Refused, undo
 from needle_rig.workbench.learning.history import ladder

@@ -1,0 +1,49 @@
+"""Effects that a search makes, and what all of its tasks need."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.library import load_effect
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.laws.formulas import Formula
+from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.spline_effect import SplineLaw
+
+
+@dataclass(frozen=True)
+class FormulaLaw:
+    """A law with a formula, in an effect file."""
+
+    law: Law
+    path: Path
+    formula: Formula
+    """As it was drafted: a fit moves its numbers."""
+
+    @property
+    def name(self) -> str:
+        """Of the effect: that of the file."""
+        return self.path.stem
+
+    def effect(self) -> type[Effect]:
+        """The effect. Raises BadInput where the file is none."""
+        return load_effect(self.path)
+
+
+Made = SplineLaw | FormulaLaw
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all tasks of a search need; effects that were made are made again where a task runs."""
+
+    problem: Problem
+    made: tuple[Made, ...] = ()
+
+    def with_made(self, *further: Made) -> Problem:
+        """The problem, its library with all effects that were made."""
+        effects = {each.name: each.effect() for each in (*self.made, *further)}
+        return dataclasses.replace(self.problem, library={**self.problem.library, **effects})
