@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from needle_rig.figures.laws import _covered, _gaps, laws_figure
+from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.formulas import FORMS, Formula
 from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import Curve, LearntLaw
+from needle_rig.workbench.laws.learnt import LearntLaw
 
 AT = np.linspace(-60.0, 60.0, 121)
 SINE = Formula(next(f for f in FORMS if f.name == "sine"), 60.0, -60.0, (0.5, 0.0, 2.0))
