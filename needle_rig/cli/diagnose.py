@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 @effects_option
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True)
 @click.option(
-    "--quick", is_flag=True, help="One effect alone, each by itself: a fifth of the time, and no second one."
+    "--quick",
+    is_flag=True,
+    help="One effect alone, each by itself: half the time or less, and no second one.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Diagnosis file to write, for adopt.")
 @seed_option
