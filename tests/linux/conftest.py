@@ -125,7 +125,7 @@ def turned(rig: Rig) -> dict[str, Any]:
 
 def stood_still(told: str) -> bool:
     """Whether the machine was too late for the rig, by what a command said."""
-    return any(word in told for word in ("old", "late", "for 50 ms"))
+    return any(word in told for word in ("old", "late", "was away", "for 50 ms"))
 
 
 class Rig:
