@@ -160,7 +160,9 @@ class _Learning:
                 current, changed = search.put(old, new), True
             else:
                 same = [each.spline for each in chosen if each.law == old.law and old.formula is not None]
-                new = dataclasses.replace(old, spline=same[0]) if same else old
+                # its spline and its ties are now fitted beside the others
+                made = dict.fromkeys((*old.beside, *(m for each in chosen for m in each.beside)))
+                new = dataclasses.replace(old, spline=same[0] if same else old.spline, beside=tuple(made))
             others = [each for each in chosen if each.law != new.law]
             self.found[place] = new, tied((dataclasses.replace(new, at=current.score), *others))
         return current

@@ -133,6 +133,10 @@ class RunOut(Effect):
         off=0.0, lower=-9.0, upper=9.0, typical=2.0, smallest=0.5, literature=(-9.0, 9.0), unit="°"
     )
 
+    @classmethod
+    def name(cls) -> str:
+        return "run_out"
+
     def drive(self, trial: Trial) -> Any:
         return trial.base_angle_rad + np.radians(self.size_deg) * np.sin(2.0 * trial.base_angle_rad)
 
