@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from needle_rig.physics.kernel._compile import compiled
-from needle_rig.physics.kernel.layout import FORCE, POSITION, SLOPE
+from needle_rig.physics.kernel.layout import FORCE, PLAY_TORQUE, POSITION, SLOPE
 
 LAW_SIGNATURE = types.float64(
     types.CPointer(types.float64),
@@ -70,8 +71,28 @@ borrowed: Any = intrinsic(_borrowed)
 
 
 @compiled
+def tip_torque(drive, time):
+    """Torque on the tip at `time`, N·m."""
+    times, tip = drive.time_s, drive.tip_nm
+    row, after = np.intp(0), np.intp(times.size - 1)
+    if time <= times[0] or after == 0:
+        return tip[0]
+    while after - row > 1:
+        middle = (row + after) // 2
+        if times[middle] < time:
+            row = middle
+        else:
+            after = middle
+    fraction = min(1.0, (time - times[row]) / (times[after] - times[row]))
+    return tip[row] + fraction * (tip[after] - tip[row])
+
+
+@compiled
 def linearise_laws(rod, laws, angle, angle_before, dt, time, work):
-    """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`."""
+    """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`.
+
+    FORCE also has what elements with play carry at no twist.
+    """
     change = 0.0
     for i in range(angle.size):
         value = 0.0
@@ -88,7 +109,10 @@ def linearise_laws(rod, laws, angle, angle_before, dt, time, work):
             by_rate = (call_law(a, p, angle[i], rate + step, time, x) - here) / step
             value += weight * here
             gradient += weight * (by_angle + by_rate / dt)
-        change = max(change, abs(work[FORCE, i] + work[SLOPE, i] * angle[i] - value))
-        work[FORCE, i] = value - gradient * angle[i]
+        if i == angle.size - 1 and laws.drive.tip_nm.size > 0:
+            value += tip_torque(laws.drive, time)
+        of_play = (work[PLAY_TORQUE, i - 1] if i > 0 else 0.0) - work[PLAY_TORQUE, i]
+        change = max(change, abs(work[FORCE, i] - of_play + work[SLOPE, i] * angle[i] - value))
+        work[FORCE, i] = value - gradient * angle[i] + of_play
         work[SLOPE, i] = gradient
     return change

@@ -15,6 +15,7 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
+from needle_rig.physics.torque_scale import torque_power
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.linear import LinearisedFit
@@ -155,7 +156,7 @@ def candidates(problem: Problem, prefix: str) -> tuple[SplineLaw, ...]:
 
 def typical(problem: Problem, law: Law) -> float:
     """Size about which the curve's amplitude is sought; in one section a torque needs more to be seen."""
-    size = TYPICAL[law.unit]
+    size = TYPICAL[law.unit] * problem.base.torque_scale ** torque_power(law.unit)
     sections = problem.base.layout.tissue_sections_m
     if law.hook == "torque" and law.number is not None:
         start_m, end_m = sections[law.number]

@@ -1,0 +1,80 @@
+"""What is decided by the size of a shaft's torques."""
+
+import dataclasses
+import math
+
+import pytest
+
+from needle_rig.errors import BadInput
+from needle_rig.model import EXPERIMENT_LAYOUT
+from needle_rig.physics.effects.tip_friction import TipFriction
+from needle_rig.physics.effects.torque_nonlinearity import TorqueNonlinearity
+from needle_rig.physics.library import built_in_effects
+from needle_rig.physics.needle_model import BASE_PARAMETERS, NeedleModel
+from needle_rig.physics.torque_scale import AS_THE_NEEDLE, torque_power, torque_scale
+
+
+@pytest.mark.parametrize(
+    ("unit", "power"),
+    [
+        ("N·mm", 1), ("N·mm per 100 mm", 1), ("N·mm/rad per 100 mm", 1), ("N·mm·s/rad", 1), ("N·mm²", 1),
+        ("N·mm/min", 1), ("g·cm²", 1), ("1/N·mm", -1), ("1/(N·mm)²", -2), ("°/N·mm", -1),
+        ("°", 0), ("1", 0), ("ms", 0), ("1 per 100 mm", 0), ("1/decade", 0), ("mm", 0),
+    ],
+)  # fmt: skip
+def test_torque_enters_a_unit_with_a_power(unit: str, power: int) -> None:
+    assert torque_power(unit) == power
+
+
+def test_every_unit_of_the_library_with_a_torque_is_seen() -> None:
+    infos = [i for e in built_in_effects().values() for i in e.parameters().values()]
+    for info in (*infos, *BASE_PARAMETERS.values()):
+        assert bool(torque_power(info.unit)) == ("N·mm" in info.unit or info.unit == "g·cm²")
+
+
+def test_a_needle_is_a_needle_and_a_machine_a_power_of_ten() -> None:
+    assert torque_scale(2e-4, 1.0) == 1.0
+    assert torque_scale(0.99 * AS_THE_NEEDLE * 2e-4, 1.0) == 1.0
+    assert torque_scale(1.01 * AS_THE_NEEDLE * 2e-4, 1.0) == 100.0
+    assert torque_scale(0.12, 1.0) == 1000.0
+    assert torque_scale(0.99 / AS_THE_NEEDLE * 2e-4, 1.0) == 0.01
+    assert torque_scale(0.0, 0.6) == 10000.0
+    assert torque_scale(0.0, 62.56e-6 / 0.397) == 1.0
+    assert torque_scale(math.nan, math.nan) == 1.0
+
+
+def test_bounds_go_with_the_scale_and_are_the_same_at_one() -> None:
+    info = TipFriction.parameters()["torque_nmm"]
+    assert info.scaled(1.0) is info
+    scaled = info.scaled(1000.0)
+    assert (scaled.upper, scaled.typical, scaled.smallest) == pytest.approx((1000.0, 30.0, 1.4))
+    assert TorqueNonlinearity.parameters()["square_per_nmm"].scaled(10.0).typical == pytest.approx(
+        TorqueNonlinearity.parameters()["square_per_nmm"].typical / 10.0
+    )
+
+
+def test_a_model_holds_its_effects_to_the_bounds_of_its_scale() -> None:
+    needle = NeedleModel("m", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3)
+    with pytest.raises(BadInput, match=r"tip_friction.torque_nmm: 30 N·mm is above 1"):
+        needle.with_effects(TipFriction(torque_nmm=30.0))
+    machine = NeedleModel("m", EXPERIMENT_LAYOUT, 62.56e-3, 1.0, torque_scale=1000.0)
+    heavy = machine.with_effects(TipFriction(torque_nmm=30.0))
+    assert heavy.info("tip_friction.torque_nmm").upper == 1000.0
+    with pytest.raises(BadInput, match="is above 1000"):
+        heavy.replaced({"tip_friction.torque_nmm": 1001.0})
+
+
+def test_a_shaft_with_all_torques_larger_turns_alike() -> None:
+    from tests.effects.common import SHORT
+
+    one = NeedleModel("one", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3, (TipFriction(torque_nmm=0.03),), 4e-3)
+    other = dataclasses.replace(
+        one,
+        torsional_rigidity_nm2=62.56e-3,
+        friction_n=1.0,
+        effects=(TipFriction(torque_nmm=30.0),),
+        torque_scale=1000.0,
+    )
+    small, large = one.predict(SHORT), other.predict(SHORT)
+    assert large.hall_rad == pytest.approx(small.hall_rad, abs=1e-9)
+    assert large.torque_nm == pytest.approx(1000.0 * small.torque_nm, rel=1e-7, abs=1e-10)
