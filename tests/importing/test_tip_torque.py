@@ -74,10 +74,6 @@ def test_it_is_an_input_and_loads_are_commands_of_their_own(tmp_path: Path) -> N
     assert again.replicates.keys() == dataset.replicates.keys()
 
 
-def test_a_base_that_turns_back_without_a_hold_begins_a_motion(tmp_path: Path) -> None:
-    assert {"step_1", "step_2", "step_3"} <= set(imported(recording(tmp_path)).trials[0].phase)
-
-
 def test_the_wrong_sign_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="turn the sign of tip_torque"):
         imported(recording(tmp_path, -1.0))
