@@ -135,8 +135,7 @@ class Dataset:
     def torque_scale(self) -> float:
         """Size of its torques over the needle's, see `physics.torque_scale`."""
         spans = [float(np.ptp(t.torque_nm[t.torque_ok])) for t in self.trials if t.torque_ok.any()]
-        stiffness = self.needle.torsional_rigidity_nm2 / self.layout.needle_length_m
-        return torque_scale(float(np.median(spans)) if spans else 0.0, stiffness)
+        return torque_scale(float(np.median(spans)) if spans else 0.0, self.needle.torsional_rigidity_nm2)
 
     @property
     def replicates(self) -> dict[TrialCommand, tuple[int, ...]]:

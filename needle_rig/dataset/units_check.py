@@ -57,7 +57,7 @@ def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Ne
             " of the torque sensor and a rigidity that is off cannot be told apart"
         )
     spans = [float(np.ptp(t.torque_nm[t.torque_ok])) for t in trials if t.torque_ok.any()]
-    untold_nm2 = UNTOLD_NM2 * (torque_scale(float(np.median(spans)), 0.0) if spans else 1.0)
+    untold_nm2 = UNTOLD_NM2 * (torque_scale(float(np.median(spans)), None) if spans else 1.0)
     return Needle.of_rigidity(untold_nm2, UNKNOWN_SIGMA), (
         f"{said} and no trial has a torque beside an angle of the shaft: {untold_nm2 * 1e6:g} N·mm² stands"
         " for it; angles alone tell friction over rigidity, a torque alone tells them only as far as the"

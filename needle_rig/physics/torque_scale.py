@@ -14,18 +14,25 @@ from functools import cache
 
 TORQUE_SPAN_NM = 2e-4
 """Span of the base torque of the needle in the experiment: ±0.1 N·mm."""
-NEEDLE_STIFFNESS_NM_PER_RAD = 62.56e-6 / 0.397
-"""Of the whole needle: where no torque was measured."""
+RIGIDITY_NM2 = 62.56e-6
+"""Of that needle."""
 AS_THE_NEEDLE = math.sqrt(1000.0)
 """Factor on either side within which a shaft is taken as a needle: bounds reach 50 times the typical size."""
+LEAST_OF_RIGIDITY, MOST_OF_RIGIDITY = 0.2, 10.0
+"""The torque's ratio lies between these times that of the rigidity: a cell that is all noise makes no machine
+of a needle, and bounds of rigidity hold the shaft's own."""
 
 _TORQUE = re.compile(r"(m|µ|u|k)?N·(m|c)?m")
 
 
-def torque_scale(span_nm: float, stiffness_nm_per_rad: float) -> float:
-    """k of a shaft whose base torque spans `span_nm`, or, where that is 0, of its stiffness."""
-    ratio = span_nm / TORQUE_SPAN_NM if span_nm > 0.0 else stiffness_nm_per_rad / NEEDLE_STIFFNESS_NM_PER_RAD
-    if not math.isfinite(ratio) or 1.0 / AS_THE_NEEDLE <= ratio <= AS_THE_NEEDLE:
+def torque_scale(span_nm: float, rigidity_nm2: float | None) -> float:
+    """k of a shaft whose base torque spans `span_nm` (0: not measured), with its torsional rigidity."""
+    ratio = span_nm / TORQUE_SPAN_NM
+    if rigidity_nm2 is not None:
+        stiff = rigidity_nm2 / RIGIDITY_NM2
+        within = min(max(ratio, LEAST_OF_RIGIDITY * stiff), MOST_OF_RIGIDITY * stiff)
+        ratio = within if span_nm > 0.0 else stiff
+    if not (math.isfinite(ratio) and ratio > 0.0) or 1.0 / AS_THE_NEEDLE <= ratio <= AS_THE_NEEDLE:
         return 1.0
     return float(10.0 ** round(math.log10(ratio)))
 

@@ -11,7 +11,7 @@ from needle_rig.physics.effects.tip_friction import TipFriction
 from needle_rig.physics.effects.torque_nonlinearity import TorqueNonlinearity
 from needle_rig.physics.library import built_in_effects
 from needle_rig.physics.needle_model import BASE_PARAMETERS, NeedleModel
-from needle_rig.physics.torque_scale import AS_THE_NEEDLE, torque_power, torque_scale
+from needle_rig.physics.torque_scale import AS_THE_NEEDLE, RIGIDITY_NM2, torque_power, torque_scale
 
 
 @pytest.mark.parametrize(
@@ -33,14 +33,23 @@ def test_every_unit_of_the_library_with_a_torque_is_seen() -> None:
 
 
 def test_a_needle_is_a_needle_and_a_machine_a_power_of_ten() -> None:
-    assert torque_scale(2e-4, 1.0) == 1.0
-    assert torque_scale(0.99 * AS_THE_NEEDLE * 2e-4, 1.0) == 1.0
-    assert torque_scale(1.01 * AS_THE_NEEDLE * 2e-4, 1.0) == 100.0
-    assert torque_scale(0.12, 1.0) == 1000.0
-    assert torque_scale(0.99 / AS_THE_NEEDLE * 2e-4, 1.0) == 0.01
+    assert torque_scale(2e-4, RIGIDITY_NM2) == 1.0
+    assert torque_scale(0.99 * AS_THE_NEEDLE * 2e-4, None) == 1.0
+    assert torque_scale(1.01 * AS_THE_NEEDLE * 2e-4, None) == 100.0
+    assert torque_scale(0.12, 0.4) == 1000.0
+    assert torque_scale(0.99 / AS_THE_NEEDLE * 2e-4, None) == 0.01
     assert torque_scale(0.0, 0.6) == 10000.0
-    assert torque_scale(0.0, 62.56e-6 / 0.397) == 1.0
-    assert torque_scale(math.nan, math.nan) == 1.0
+    assert torque_scale(0.0, RIGIDITY_NM2) == 1.0
+    assert torque_scale(0.0, None) == torque_scale(math.nan, math.nan) == 1.0
+
+
+def test_the_rigidity_holds_the_scale_within_its_own_bounds() -> None:
+    # a needle whose torque cell is noise, and a stiff shaft that bears little
+    assert torque_scale(0.14, RIGIDITY_NM2) == 1.0
+    for span_nm in (1e-7, 1e-4, 1e-1, 1e2):
+        for rigidity_nm2 in (1e-8, 2e-6, 6e-5, 9e-3, 2e-2, 1.0, 50.0):
+            scale = torque_scale(span_nm, rigidity_nm2)
+            assert 1.0 * scale <= rigidity_nm2 * 1e6 <= 1e4 * scale or rigidity_nm2 < 2e-6
 
 
 def test_bounds_go_with_the_scale_and_are_the_same_at_one() -> None:
