@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
 
 from needle_rig.errors import BadInput
-from needle_rig.model import EXPERIMENT_LAYOUT
+from needle_rig.model import EXPERIMENT_LAYOUT, SavedModel, load_model, save_model
 from needle_rig.physics.effects.tip_friction import TipFriction
 from needle_rig.physics.effects.torque_nonlinearity import TorqueNonlinearity
 from needle_rig.physics.library import built_in_effects
@@ -87,3 +88,18 @@ def test_a_shaft_with_all_torques_larger_turns_alike() -> None:
     small, large = one.predict(SHORT), other.predict(SHORT)
     assert large.hall_rad == pytest.approx(small.hall_rad, abs=1e-9)
     assert large.torque_nm == pytest.approx(1000.0 * small.torque_nm, rel=1e-7, abs=1e-10)
+
+
+def test_a_model_file_keeps_its_scale(tmp_path: Path) -> None:
+    machine = NeedleModel(
+        "m", EXPERIMENT_LAYOUT, 62.56e-3, 1.0, (TipFriction(torque_nmm=30.0),), torque_scale=1000.0
+    )
+    save_model(tmp_path / "machine.yaml", SavedModel(machine, "null"))
+    assert load_model(tmp_path / "machine.yaml").model.torque_scale == 1000.0
+    text = (tmp_path / "machine.yaml").read_text()
+    (tmp_path / "machine.yaml").write_text(text.replace("value: 30.0", "value: 3000.0"))
+    with pytest.raises(BadInput, match=r"machine\.yaml:\d+.*3000 N·mm is above 1000"):
+        load_model(tmp_path / "machine.yaml")
+    needle = NeedleModel("n", EXPERIMENT_LAYOUT, 62.56e-6, 1e-3)
+    save_model(tmp_path / "needle.yaml", SavedModel(needle, "null"))
+    assert "torque_scale" not in (tmp_path / "needle.yaml").read_text()
