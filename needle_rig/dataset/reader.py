@@ -119,6 +119,11 @@ def _read_one(path: Path) -> Dataset:
             left_out.append(str(reason))
             notes.append(str(reason))
             continue
+        if layout.tip_clamped and trial.trial.tip_torque_nm is not None:
+            raise BadInput(
+                f"{trial.file}:1: tip_torque acts on a tip that dataset.yaml calls clamped; it can move a"
+                " free tip alone: remove the column or write `tip: free`"
+            )
         end_s = start_s + float(trial.trial.time_s[-1])
         if part.turns_before_deg and part.start != "relaxed":
             raise BadInput(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.rod import Layout
+from needle_rig.physics.torque_scale import torque_scale
 from needle_rig.records import JsonObject
 
 Mask = npt.NDArray[np.bool_]
@@ -82,7 +84,8 @@ class DatasetTrial:
     """
 
     trial: Trial
-    """Input of the model: the base path with the encoder's noise taken out (see `denoised_base`)."""
+    """Input of the model: the base path with the encoder's noise taken out (see `denoised_base`), and the
+    tip's torque as recorded, where one was."""
     base_measured_rad: Array
     """The encoder as recorded, (samples,), NaN where missing."""
     base_residual_rad: float
@@ -127,6 +130,12 @@ class Dataset:
     """What was found wrong and how it was handled, those of the trials included."""
     simulated: bool = False
     """It was recorded on a simulated rig; no real needle was turned."""
+
+    @cached_property
+    def torque_scale(self) -> float:
+        """Size of its torques over the needle's, see `physics.torque_scale`."""
+        spans = [float(np.ptp(t.torque_nm[t.torque_ok])) for t in self.trials if t.torque_ok.any()]
+        return torque_scale(float(np.median(spans)) if spans else 0.0, self.needle.torsional_rigidity_nm2)
 
     @property
     def replicates(self) -> dict[TrialCommand, tuple[int, ...]]:

@@ -44,6 +44,7 @@ def checked_trial(
 ) -> DatasetTrial:
     """A trial of `values` (samples, 3 + sensors): time, base angle, torque, Hall angles; SI, NaN if missing.
 
+    One more column is the torque on the tip.
     `line` says where each sample stands in the file called `shown`; what is handled is added to `notes`,
     which say already of the channels in `absent` that they have no column. Times must not go back. Raises
     LeftOut when the trial has no use.
@@ -76,17 +77,18 @@ def checked_trial(
     base_known = np.isfinite(values[:, 1])
     filled = np.interp(time_s, time_s[base_known], values[base_known, 1])
     path_in = denoised_base(time_s, filled)
+    tip_nm = _tip_torque(values, len(names), line, shown, notes)
     if start == "relaxed":
         _check_rest(time_s, path_in.angle_rad, int(line[0]), shown)
     if not phase[0] and len(set(phase.tolist())) == 1:
         phase = _phases_from_motion(path_in.holding, command.kind)
         notes.append(f"{shown}:1: no column `phase`; motions are told apart by the base's holds")
     return DatasetTrial(
-        trial=Trial(time_s.copy(), path_in.angle_rad, start_s),
+        trial=Trial(time_s.copy(), path_in.angle_rad, start_s, tip_torque_nm=tip_nm),
         base_measured_rad=values[:, 1].copy(),
         base_residual_rad=path_in.residual_rad,
         torque_nm=values[:, 2].copy(),
-        hall_rad=values[:, 3:].copy(),
+        hall_rad=values[:, 3 : 3 + len(sensors)].copy(),
         phase=phase,
         command=command,
         file=shown,
@@ -152,6 +154,27 @@ def _note_gaps(
         notes.append(
             f"{shown}:{int(line[wide[0]])}: {wide.size} gaps in time, the longest {steps[wide].max():.2f} s"
         )
+
+
+def _tip_torque(
+    values: Array, channels: int, line: npt.NDArray[np.int64], shown: str, notes: list[str]
+) -> Array | None:
+    """The torque on the tip at every sample, None without its column."""
+    if values.shape[1] <= 1 + channels:
+        return None
+    time_s, torque_nm = values[:, 0], values[:, 1 + channels]
+    known = np.isfinite(torque_nm)
+    if not known.any():
+        raise LeftOut(
+            f"{shown}:{int(line[0])}", "the torque on the tip, which drives the model, is never known"
+        )
+    missing = np.flatnonzero(~known)
+    if missing.size:
+        notes.append(
+            f"{shown}:{int(line[missing[0]])}: tip_torque is missing in {missing.size} samples; filled along"
+            " a straight line"
+        )
+    return np.interp(time_s, time_s[known], torque_nm[known])
 
 
 def _mask_stuck(

@@ -17,6 +17,7 @@ from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 
 _SI = {"time": 1.0, "angle": math.pi / 180.0, "torque": 1e-3}
+TIP_TORQUE = "tip_torque"
 _DEFAULT_UNIT = {"time": "s", "angle": "deg", "torque": "nmm"}
 
 
@@ -44,8 +45,9 @@ def read_trial(
         raise BadInput(
             f"{shown}:1: neither torque nor any Hall angle is recorded; there is nothing to compare"
         )
+    tip = [_in_si(table, found, TIP_TORQUE, "torque", shown)] if TIP_TORQUE in found else []
     _name_unused(table, found, sensors, shown, notes)
-    values = np.column_stack([time_s, base, torque, *hall])
+    values = np.column_stack([time_s, base, torque, *hall, *tip])
     absent = {name for name in ("base_torque", *sensors) if name not in found}
     return checked_trial(
         values, table.text, table.line, sensors, shown, command, start_s, notes, absent, start
@@ -119,7 +121,7 @@ def _name_unused(
     shown: str,
     notes: list[str],
 ) -> None:
-    used = {"time", "base_angle", "base_torque", *sensors}
+    used = {"time", "base_angle", "base_torque", TIP_TORQUE, *sensors}
     extra = [table.columns[number] for stem, (number, _, _) in found.items() if stem not in used]
     if extra:
         notes.append(f"{shown}:1: not used, no sensor of the dataset has this name: {', '.join(extra)}")

@@ -14,6 +14,7 @@ from needle_rig.dataset.records import UNKNOWN_SIGMA, DatasetTrial, Needle
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
+from needle_rig.physics.torque_scale import torque_scale
 
 LEAST_TWIST_DEG = 3.0
 """Below it the twist is the sensors' noise."""
@@ -55,8 +56,10 @@ def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Ne
             f"{said}: about {rigidity * 1e6:.2g} N·mm² from torque over twist, and learnt from there; a gain"
             " of the torque sensor and a rigidity that is off cannot be told apart"
         )
-    return Needle.of_rigidity(UNTOLD_NM2, UNKNOWN_SIGMA), (
-        f"{said} and no trial has a torque beside an angle of the shaft: {UNTOLD_NM2 * 1e6:g} N·mm² stands"
+    spans = [float(np.ptp(t.torque_nm[t.torque_ok])) for t in trials if t.torque_ok.any()]
+    untold_nm2 = UNTOLD_NM2 * (torque_scale(float(np.median(spans)), None) if spans else 1.0)
+    return Needle.of_rigidity(untold_nm2, UNKNOWN_SIGMA), (
+        f"{said} and no trial has a torque beside an angle of the shaft: {untold_nm2 * 1e6:g} N·mm² stands"
         " for it; angles alone tell friction over rigidity, a torque alone tells them only as far as the"
         " shaft's spring shows at reversals"
     )

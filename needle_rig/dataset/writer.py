@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import os
 from pathlib import Path
@@ -36,7 +37,7 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
             told["start"] = trial.start
         if trial.turns_before_rad:
             told["turns_before_deg"] = [round(math.degrees(turn), 4) for turn in trial.turns_before_rad]
-        trials.append(told | trial.command.file_keys())
+        trials.append(told | trial.command.file_keys() | _other_keys(trial))
     rigidity_nmm2 = _tidy(needle.torsional_rigidity_nm2 * 1e6)
     segments = [
         {
@@ -67,6 +68,17 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
     return target
 
 
+def _other_keys(trial: DatasetTrial) -> JsonObject:
+    """Further keys of the command, from how they were written."""
+    keys: JsonObject = {}
+    for name, written in trial.command.other:
+        try:
+            keys[name] = ast.literal_eval(written)
+        except (ValueError, SyntaxError):
+            keys[name] = written
+    return keys
+
+
 def _constants(needle: Needle) -> JsonObject:
     """The needle as files state it: a rigidity that no wire of its diameter has stands as it is."""
     if not needle.rigidity_is_known:
@@ -85,12 +97,16 @@ def _constants(needle: Needle) -> JsonObject:
 
 
 def _csv(trial: DatasetTrial, sensors: tuple[str, ...]) -> str:
+    tip_nm = trial.trial.tip_torque_nm
+    loaded = [] if tip_nm is None else ["tip_torque_nmm"]
     header = ",".join(
-        ["time_s", "base_angle_deg", "base_torque_nmm", *(f"{s}_deg" for s in sensors), "phase"]
+        ["time_s", "base_angle_deg", "base_torque_nmm", *(f"{s}_deg" for s in sensors), *loaded, "phase"]
     )
     columns = [_texts(trial.trial.time_s, 5), _texts(np.degrees(trial.base_measured_rad), 4)]
     columns.append(_texts(trial.torque_nm * 1e3, 6))
     columns.extend(_texts(np.degrees(trial.hall_rad[:, k]), 4) for k in range(len(sensors)))
+    if tip_nm is not None:
+        columns.append(_texts(tip_nm * 1e3, 6))
     columns.append(trial.phase.tolist())
     return "\n".join([header, *map(",".join, zip(*columns, strict=True)), ""])
 

@@ -14,7 +14,7 @@ from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.importing.commands import commanded
-from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart, Mapping, found_file
+from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart, Mapping, found_file
 from needle_rig.importing.plausibility import impossible
 from needle_rig.importing.reader import Recordings
 from needle_rig.importing.recording import Recording
@@ -115,11 +115,12 @@ def _recording(
             )
     length_s = float(channels[BASE].time_s[-1])
     rows_s = row_times(channels, mapping.rate_hz)
+    loaded = [TIP_TORQUE] if TIP_TORQUE in channels else []
     table = np.column_stack(
         [rows_s]
         + [
             at_rows(channels.get(role), rows_s, channels[BASE], mapping.rate_hz)
-            for role in (BASE, TORQUE, *sensors)
+            for role in (BASE, TORQUE, *sensors, *loaded)
         ]
     )
     parts = {part.role: part for part in mapping.channels}

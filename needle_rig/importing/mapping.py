@@ -15,7 +15,7 @@ from needle_rig.errors import BadInput
 from needle_rig.importing.unit_text import UNITS, Unit, unit_of
 
 FORMAT = "needle-rig-import/1"
-BASE, TORQUE = "base_angle", "base_torque"
+BASE, TORQUE, TIP_TORQUE = "base_angle", "base_torque", "tip_torque"
 
 
 class _Part(BaseModel):
@@ -102,7 +102,7 @@ class Mapping(_Part):
                 found.append(f"clocks.{name}: neither a column with its unit nor rate_hz is known; write one")
         if not any(c.role == BASE for c in self.channels):
             found.append(f"channels: no {BASE}; it drives the model")
-        if all(c.role == BASE for c in self.channels):
+        if all(c.role in (BASE, TIP_TORQUE) for c in self.channels):
             found.append("channels: neither torque nor an angle of the needle; there is nothing to compare")
         if self.rig is None:
             found.append("rig: what the shaft looks like is not known; give --layout FILE or write `rig`")
@@ -157,9 +157,9 @@ def _check(mapping: Mapping, places: Places) -> None:
         if channel.role in roles:
             raise places.error(("channels", k, "role"), f"{channel.role} is given twice; keep one")
         roles.add(channel.role)
-        known_role = channel.role in (BASE, TORQUE) or sensors is None or channel.role in sensors
+        known_role = channel.role in (BASE, TORQUE, TIP_TORQUE) or sensors is None or channel.role in sensors
         if not known_role:
-            choices = ", ".join([BASE, TORQUE, *sorted(sensors or ())])
+            choices = ", ".join([BASE, TORQUE, TIP_TORQUE, *sorted(sensors or ())])
             raise places.error(("channels", k, "role"), f"{channel.role} is none of {choices}")
         if channel.unit is not None:
             _unit(channel.unit, (dimension_of(channel.role),), places, ("channels", k, "unit"))
@@ -173,6 +173,8 @@ def _check(mapping: Mapping, places: Places) -> None:
             raise places.error(
                 ("trials", "times_s", k), f"ends at {end:g} s, not after its begin {begin:g} s"
             )
+    if mapping.rig is not None and mapping.rig.tip == "clamped" and TIP_TORQUE in roles:
+        raise places.error(("channels",), f"{TIP_TORQUE} acts on a tip that `rig` calls clamped; remove one")
     if mapping.rig is not None:
         layout_of(mapping.rig, places)
 
@@ -189,7 +191,7 @@ def _unit(text: str, dimensions: tuple[str, ...], places: Places, path: tuple[st
 
 def dimension_of(role: str) -> str:
     """Dimension of a role: torque or angle."""
-    return "torque" if role == TORQUE else "angle"
+    return "torque" if role in (TORQUE, TIP_TORQUE) else "angle"
 
 
 def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:

@@ -23,6 +23,7 @@ SENSOR = re.compile(
     r".*(hall|tip|distal|\bdist|camera|cam\b|marker|needle|sensor|output|front.?end|shaft|imu|spitze|track|probe|"
     r"h_?\d|mag\d).*"
 )
+TIP = re.compile(r".*(tip|distal|jaw|front.?end|gripper|load.?side|spitze).*")
 COMMAND = re.compile(
     r".*(cmd|command|target|set.?p|setpoint|desired|\bref\b|reference|goal|soll|demand|trajectory|wish).*"
 )

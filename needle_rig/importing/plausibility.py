@@ -19,6 +19,10 @@ LEAST_FOLLOWED, MOST_FOLLOWED = 0.02, 1.3
 """Share of the base's travel that a sensor on the needle sees; above 1 by noise and overshoot alone."""
 SLOWEST_IN_TRIAL_DEG_S = 0.05
 LARGEST_IN_TRIAL_DEG = 3600.0
+MOVING_SHARE = 0.2
+"""Of the largest rate: slower samples are of a reversal, where friction changes."""
+LEAST_CARRIED = 0.3
+"""Share of the torque on the tip by which that at the base rises: a free shaft gives −1."""
 TORQUE_WITHIN = 30.0
 """Factor between the torque and what the twist asks for: friction, a second support and an inexact modulus
 make a few; a wrong prefix makes a thousand, N·cm for N·mm ten, which this cannot tell."""
@@ -38,7 +42,10 @@ def impossible(
     torque = [_from_start(t.torque_nm, b) for t, b in zip(trials, base, strict=True)]
     if any(np.isfinite(x).any() for x in torque):
         work = _weighed([signals.work_share(b, x) for b, x in zip(base, torque, strict=True)], base)
-        if work < -CLEAR_WORK:
+        loaded = any(t.trial.tip_torque_nm is not None for t in trials)
+        if loaded:  # which may drive the base
+            found += _tip_torque(trials)
+        elif work < -CLEAR_WORK:
             found.append(
                 f"base_torque falls while the base winds up: the needle would give {-work:.0%} of the work "
                 "back; turn its sign, or are base_angle and base_torque swapped?"
@@ -66,6 +73,37 @@ def _base(trials: Sequence[DatasetTrial], base: Sequence[Array]) -> Iterator[str
         yield (
             f"base_angle turns at {rate:.2g}°/s at most, limit {SLOWEST_IN_TRIAL_DEG_S:g}°/s: is it in "
             "radians where the mapping says degrees, or its clock in seconds where it counts milliseconds?"
+        )
+
+
+def _tip_torque(trials: Sequence[DatasetTrial]) -> Iterator[str]:
+    """The base carries what pushes the tip: at equal angle and direction the base torque falls by as much.
+
+    Told where the torque on the tip changes the base torque by more than all else that is left.
+    """
+    seen, laws, loads = [], [], []
+    for trial in trials:
+        given = trial.trial
+        if given.tip_torque_nm is None or not trial.torque_ok.any():
+            continue
+        rate = np.gradient(given.base_angle_rad, given.time_s)
+        moving = trial.torque_ok & (np.abs(rate) > MOVING_SHARE * np.abs(rate).max())
+        seen.append(trial.torque_nm[moving])
+        angle = given.base_angle_rad[moving]
+        laws.append(np.column_stack([np.ones_like(angle), np.sign(rate[moving]), angle]))
+        loads.append(given.tip_torque_nm[moving])
+    if not seen:
+        return
+    y, x, load = np.concatenate(seen), np.vstack(laws), np.concatenate(loads)
+    y, load = (v - x @ np.linalg.lstsq(x, v, rcond=None)[0] for v in (y, load))
+    power = float(load @ load)
+    carried = float(load @ y) / power if power > 0.0 else 0.0
+    left = float(((y - carried * load) ** 2).sum())
+    if carried > LEAST_CARRIED and carried**2 * power > left:
+        yield (
+            f"base_torque rises by {carried:.2g} of the torque on the tip, which it carries: the sum of"
+            " both would turn the shaft; turn the sign of tip_torque, which is positive where it turns the"
+            " needle counter-clockwise"
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from needle_rig.importing import signals
-from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart
+from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart
 from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
 
@@ -13,7 +13,7 @@ from needle_rig.numerics import Array
 def to_si(values: Array, parts: dict[str, ChannelPart], sensors: tuple[str, ...]) -> None:
     """Columns of the table from what the file holds to radians and N·m, in place."""
     rest = signals.rest_before_motion(values[:, 1])
-    for k, role in enumerate((BASE, TORQUE, *sensors), start=1):
+    for k, role in enumerate((BASE, TORQUE, *sensors, TIP_TORQUE), start=1):
         part = parts.get(role)
         if part is None:
             continue

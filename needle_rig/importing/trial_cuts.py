@@ -73,7 +73,7 @@ def cuts_of(
         return list(pairwise(edges)), []
     si = table.copy()
     to_si(si, parts, sensors)
-    return at_rests(si)
+    return at_rests(si[:, : 3 + len(sensors)])
 
 
 def turns_before(si: Array, cuts: list[tuple[int, int]]) -> list[tuple[float, ...]]:

@@ -31,6 +31,7 @@ def built_effect(
     places: Places,
     path: tuple[str, ...],
     inner: tuple[str, ...] = (),
+    torque_scale: float = 1.0,
 ) -> Effect:
     """One effect with its values; errors name where they stand in the file."""
     try:
@@ -43,7 +44,7 @@ def built_effect(
             raise places.error((*path, key), f"{name} has no such parameter; it has {', '.join(known)}")
     for key, value in values.items():
         try:
-            effect(**{key: value})
+            effect(**{key: value}).check_for(torque_scale)
         except BadInput as error:
             raise BadInput(f"{places.of((*path, key, *inner))}: {error}") from None
     return effect(**values)

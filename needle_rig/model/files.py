@@ -104,6 +104,7 @@ def model_mapping(saved: SavedModel) -> JsonObject:
         "format": MODEL_FORMAT,
         "name": model.name,
         "starts_from": saved.starts_from,
+        **({} if model.torque_scale == 1.0 else {"torque_scale": model.torque_scale}),
         "layout": {
             "needle_length_mm": _tidy(layout.needle_length_m),
             "tissue_sections_mm": [[_tidy(a), _tidy(b)] for a, b in layout.tissue_sections_m],
@@ -145,7 +146,11 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
     uncertainties = {n: v.uncertainty for n, v in found.base.items() if v.uncertainty is not None}
     for name, fields in found.effects.items():
         values = {key: entry.value for key, entry in fields.items()}
-        made.append(built_effect(library, name, dict(values), places, ("effects", name), inner=("value",)))
+        made.append(
+            built_effect(
+                library, name, dict(values), places, ("effects", name), ("value",), found.torque_scale
+            )
+        )
         for key, entry in fields.items():
             if isinstance(entry, FittedValue):
                 if entry.uncertainty is not None:
@@ -169,6 +174,7 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
             found.base[TORSIONAL_RIGIDITY].value / NMM2_PER_NM2,
             per_length_n(found.base[FRICTION].value),
             tuple(made),
+            torque_scale=found.torque_scale,
         ),
     )
     for number, correlation in enumerate(found.correlations):

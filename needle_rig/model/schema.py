@@ -110,6 +110,7 @@ class ModelFile(Section):
     format: Literal["needle-rig-model/1"]
     name: str
     starts_from: str
+    torque_scale: Annotated[float, Field(gt=0)] = 1.0
     layout: LayoutOfModel
     base: dict[str, FittedValue]
     effects: dict[str, dict[str, Fitted]] = Field(default_factory=dict)

@@ -20,6 +20,7 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.physics.rod import Indices, Rod
+from needle_rig.physics.torque_scale import torque_power
 
 PerItem: TypeAlias = float | tuple[float, ...]
 """Value of a field that has one number for each sensor or section; a single one serves for all."""
@@ -58,6 +59,22 @@ class ParameterInfo:
     prior: float | None = None
     """Relative standard deviation to which it is known before any measurement; None: not known."""
 
+    def scaled(self, torque_scale: float) -> ParameterInfo:
+        """The same of a shaft whose torques are so many times the needle's."""
+        factor = torque_scale ** torque_power(self.unit)
+        if factor == 1.0:
+            return self
+        low, high = self.literature
+        return dataclasses.replace(
+            self,
+            off=self.off * factor,
+            lower=self.lower * factor,
+            upper=self.upper * factor,
+            typical=self.typical * factor,
+            smallest=self.smallest * factor,
+            literature=(low * factor, high * factor),
+        )
+
     def at_strength(self, strength: float) -> float:
         """Value `strength` times as far from off as the typical size (forms stay typical)."""
         if self.shapes:
@@ -78,11 +95,12 @@ class ParameterInfo:
             return math.exp(scaled)
         return (1.0 / scaled if scaled else math.inf) if self.scale == "reciprocal" else scaled
 
-    def check(self, value: object, place: str) -> None:
+    def check(self, value: object, place: str, bounded: bool = True) -> None:
         """Raises BadInput, naming `place`, when `value` is no number or out of bounds (off is inside)."""
         if isinstance(value, bool) or not isinstance(value, int | float | np.number):
             raise BadInput(f"{place}: {value!r} is not a number (unit {self.unit})")
-        if not (value == self.off or self.lower <= float(value) <= self.upper):
+        inside = self.lower <= float(value) <= self.upper if bounded else not math.isnan(value)
+        if not (value == self.off or inside):
             side, limit = ("below", self.lower) if float(value) < self.lower else ("above", self.upper)
             if math.isnan(float(value)):
                 raise BadInput(f"{place}: nan is not a number; allowed are {self.lower:g} to {self.upper:g}")
@@ -102,7 +120,7 @@ def parameter(*, default: float | None = None, **info: Any) -> Any:
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial as the model is driven: the measured base angle over time.
+    """One trial as the model is driven: the measured base angle over time, and the tip's torque if one acts.
 
     `start_s` is its start on the clock of the series, `index` its place in it, `travel_before_rad` the sum of
     |base motion| in the trials before it. Arrays have shape (samples,). `held_rad` is where the effect that
@@ -115,6 +133,9 @@ class Trial:
     index: int = 0
     travel_before_rad: float = 0.0
     held_rad: float | None = None
+    tip_torque_nm: Array | None = None
+    """Measured torque on the tip (samples,), positive where it turns the needle counter-clockwise; None where
+    nothing acts."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +155,8 @@ class Reading:
 class Effect:
     """Base of all effects; see the module's text. Hooks that a subclass does not define are not called.
 
-    Raises BadInput when it is made with a value outside its bounds.
+    Raises BadInput when it is made with a value outside its bounds; those of torques belong to a shaft: the
+    model knows them, and asks `check_for`.
     """
 
     relatives: ClassVar[tuple[str, ...]] = ()
@@ -154,13 +176,21 @@ class Effect:
             given = getattr(self, name)
             values = tuple(given) if isinstance(given, tuple | list) else (given,)
             for value in values:
-                info.check(value, f"{self.name()}.{name}")
+                info.check(value, f"{self.name()}.{name}", bounded=not torque_power(info.unit))
             if isinstance(given, tuple | list):
                 if info.per == "one":
                     raise BadInput(f"{self.name()}.{name}: takes one number, got {len(values)}")
                 object.__setattr__(self, name, tuple(float(v) for v in values))
             else:
                 object.__setattr__(self, name, float(given))
+
+    def check_for(self, torque_scale: float) -> None:
+        """Raises BadInput for a torque out of its bounds on a shaft of that torque scale."""
+        for name, info in self.parameters().items():
+            if torque_power(info.unit):
+                given, known = getattr(self, name), info.scaled(torque_scale)
+                for value in given if isinstance(given, tuple) else (given,):
+                    known.check(value, f"{self.name()}.{name}")
 
     def shape(self, rod: Rod, trial: Trial) -> Rod:
         """The rod with this effect in its coefficients.

@@ -32,7 +32,10 @@ def parse_effects(texts: Iterable[str], library: Mapping[str, type[Effect]]) -> 
             continue
         numbers = [_number(part, text) for part in right.split(",")]
         values |= _fields(effect, field, numbers, text)
-    return tuple(library[name](**values) for name, values in given.items())
+    made = tuple(library[name](**values) for name, values in given.items())
+    for each in made:
+        each.check_for(1.0)
+    return made
 
 
 def effect_called(name: str, library: Mapping[str, type[Effect]]) -> type[Effect]:

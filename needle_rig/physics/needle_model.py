@@ -71,10 +71,14 @@ class NeedleModel:
     effects: tuple[Effect, ...] = ()
     element_length_m: float = 0.5e-3
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD
+    torque_scale: float = 1.0
+    """Size of its torques over the needle's (`physics.torque_scale`): bounds and typical sizes go with it."""
 
     def __post_init__(self) -> None:
         for name, value in self._base_values().items():
-            BASE_PARAMETERS[name].check(value, f"{self.name}.{name}")
+            BASE_PARAMETERS[name].scaled(self.torque_scale).check(value, f"{self.name}.{name}")
+        for effect in self.effects:
+            effect.check_for(self.torque_scale)
         names = [effect.name() for effect in self.effects]
         if twice := {name for name in names if names.count(name) > 1}:
             raise BadInput(f"{self.name}: effect {min(twice)} is listed twice; give it once")
@@ -136,6 +140,7 @@ class NeedleModel:
             self.rod(trial),
             trial.time_s,
             path,
+            trial.tip_torque_nm,
             state=state,
             shaft=shaft,
             tolerance_rad=self.tolerance_rad,
@@ -181,12 +186,12 @@ class NeedleModel:
     def info(self, name: str) -> ParameterInfo:
         """What is known of the parameter called `name` in `values`. Raises BadInput for another name."""
         if name in BASE_PARAMETERS:
-            return BASE_PARAMETERS[name]
+            return BASE_PARAMETERS[name].scaled(self.torque_scale)
         owner, _, field = name.partition(".")
         for effect in self.effects:
             infos = effect.parameters()
             if effect.name() == owner and (bare := field.partition("[")[0]) in infos:
-                return infos[bare]
+                return infos[bare].scaled(self.torque_scale)
         raise BadInput(f"{self.name}: no parameter {name}; it has {', '.join(self.values())}")
 
     def replaced(self, values: Mapping[str, float]) -> NeedleModel:
@@ -238,7 +243,7 @@ def predict_batch(
     paths = [model.held_path(trial)[0] for model, trial in zip(models, trials, strict=True)]
     solutions = solve_batch(
         [model.rod(trial) for model, trial in zip(models, trials, strict=True)],
-        [(trial.time_s, path) for trial, path in zip(trials, paths, strict=True)],
+        [(trial.time_s, path, trial.tip_torque_nm) for trial, path in zip(trials, paths, strict=True)],
         threads=threads,
         tolerance_rad=min((model.tolerance_rad for model in models), default=DEFAULT_TOLERANCE_RAD),
     )
@@ -259,6 +264,8 @@ def _bare_rod(
 def _rod(model: NeedleModel, start_s: float, index: int, travel_before_rad: float) -> Rod:
     place = Trial(_NO_PATH, _NO_PATH, start_s, index, travel_before_rad)
     rod = _bare_rod(model.layout, model.torsional_rigidity_nm2, model.friction_n, model.element_length_m)
+    if model.torque_scale != 1.0:
+        rod = replace(rod, torque_scale=model.torque_scale)
     for effect in model.acting("shape"):
         rod = effect.shape(rod, place)
     laws: Iterable[Effect] = model.acting("torque")

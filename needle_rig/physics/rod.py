@@ -147,6 +147,10 @@ class Rod:
     """Growth of the slip limit, relative to the kinetic one, for each tenfold of contact age."""
     ageing_time_s: float
     """Contact age from which ageing counts."""
+    slip_per_torque: Array
+    """What each N·m that the rod carries at a node adds to its slip limits, in N·m."""
+    play_rad: Array
+    """Play of the element behind each node, towards the tip: twist over which it carries next to nothing."""
     base_compliance_rad_per_nm: float
     """Series spring between the turned base and the needle."""
     base: int
@@ -155,12 +159,14 @@ class Rod:
     tip: int
     sensors: Indices
     laws: tuple[TorqueLaw, ...] = ()
+    torque_scale: float = 1.0
+    """Size of its torques over that of the needle's, to which the solver's tolerance belongs."""
     mount_compliance_rad_per_nm: float = 0.0
     """Turn of everything that touches the needle, as one body, per torque of the base."""
 
     @cached_property
     def coefficients(self) -> Array:
-        """The node arrays, checked, as one (9, nodes) array for the solver; BadInput names a bad one."""
+        """The node arrays, checked, as one (11, nodes) array for the solver; BadInput names a bad one."""
         nodes = len(self.position_m)
         names = (
             "slip_plus_nm",
@@ -172,6 +178,8 @@ class Rod:
             "static_excess",
             "ageing_per_decade",
             "position_m",
+            "slip_per_torque",
+            "play_rad",
         )
         may_be_infinite = names[:2] + names[3:5]
         packed = np.empty((len(names), nodes))
@@ -303,6 +311,8 @@ def build_rod(
         weakening_rad=0.02,
         ageing_per_decade=np.zeros(nodes),
         ageing_time_s=1.0,
+        slip_per_torque=np.zeros(nodes),
+        play_rad=np.zeros(nodes),
         base_compliance_rad_per_nm=0.0,
         base=0,
         entry=entry,

@@ -16,7 +16,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.rod import Rod
 
 if TYPE_CHECKING:
-    from needle_rig.physics.kernel.layout import Laws
+    from needle_rig.physics.kernel.layout import Drive, Laws
 
 DEFAULT_TOLERANCE_RAD = 6e-4
 LONGEST_STEP_S = 60.0
@@ -66,11 +66,10 @@ def relaxed(rod: Rod, angle_rad: float = 0.0) -> RodState:
 
 def _relaxed_rows(rod: Rod, angle_rad: float) -> Array:
     """The rows of `RodState` as one array, shape (6, nodes)."""
-    plus, minus = rod.coefficients[:2]
-    rows = np.zeros((6, len(plus)))
+    rows = np.zeros((6, len(rod.position_m)))
     rows[:2] = angle_rad
     rows[3] = 1.0
-    rows[5, (plus == 0) & (minus == 0)] = 2.0
+    rows[5, _free(rod)] = 2.0
     return rows
 
 
@@ -78,6 +77,7 @@ def solve(
     rod: Rod,
     time_s: Array,
     base_angle_rad: Array,
+    tip_torque_nm: Array | None = None,
     *,
     state: RodState | None = None,
     shaft: bool = False,
@@ -87,28 +87,30 @@ def solve(
 ) -> Solution:
     """Turn the base along the line through (time_s, base_angle_rad), shapes (samples,).
 
+    `tip_torque_nm` (samples,) acts on the tip, positive where it turns the needle counter-clockwise.
     The first sample is the start: `state` (default: relaxed at 0) holds at time_s[0]; a base angle there that
-    differs from the state's is reached within one sample. `tolerance_rad` bounds the error of one time step
-    where slip or creep depend on rate, of all angles and, times 5e-4 N·m/rad, of the base torque; no dry node
-    is ever above its slip limit. A rod without viscosity, creep, slip limits with memory and laws other than
-    steady ones depends on no rate: one implicit step a sample is exact.
+    differs from the state's is reached within one sample, and so is the first torque on the tip.
+    `tolerance_rad` bounds the error of one time step where slip or creep depend on rate, of all angles and,
+    times 5e-4 N·m/rad and the torque scale, of the base torque; no dry node is ever above its slip limit.
+    A rod without viscosity, creep, slip limits with memory and laws other than steady ones depends on no
+    rate: one implicit step a sample is exact.
 
     Raises BadInput before computing anything, and SolverError naming time and node when no solution was
     found, or the time where `most_solves` were spent.
     """
-    time, base = _checked_path(time_s, base_angle_rad)
-    return _run(rod, time, base, state, shaft, tolerance_rad, longest_step_s, most_solves)
+    path = _checked_path(time_s, base_angle_rad, tip_torque_nm)
+    return _run(rod, path, state, shaft, tolerance_rad, longest_step_s, most_solves)
 
 
 def solve_batch(
     rods: Sequence[Rod],
-    inputs: Sequence[tuple[Array, Array]],
+    inputs: Sequence[tuple[Array, Array] | tuple[Array, Array, Array | None]],
     *,
     threads: int | None = None,
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
     most_solves_per_sample: float = math.inf,
 ) -> list[Solution]:
-    """Solve independent trials, one (time_s, base_angle_rad) a rod, on `threads` cores (default all).
+    """Solve independent trials, (time_s, base_angle_rad, tip_torque_nm or none) a rod, on `threads` cores.
 
     One rod or one input serves for all of the others. Same results and errors as `solve`.
     """
@@ -122,10 +124,10 @@ def solve_batch(
         _ = rod.coefficients
     jobs = [(rods[i % len(rods)], paths[i % len(paths)]) for i in range(count)]
 
-    def one(job: tuple[Rod, tuple[Array, Array]]) -> Solution:
-        rod, (time, base) = job
-        most_solves = most_solves_per_sample * time.size
-        return _run(rod, time, base, None, False, tolerance_rad, LONGEST_STEP_S, most_solves)
+    def one(job: tuple[Rod, _Path]) -> Solution:
+        rod, path = job
+        most_solves = most_solves_per_sample * path[0].size
+        return _run(rod, path, None, False, tolerance_rad, LONGEST_STEP_S, most_solves)
 
     workers = min(threads or os.cpu_count() or 1, count)
     if workers == 1:
@@ -136,14 +138,23 @@ def solve_batch(
         return [s for part in pool.map(lambda c: [one(job) for job in c], chunks) for s in part]
 
 
-def _checked_path(time_s: Array, base_angle_rad: Array) -> tuple[Array, Array]:
+_Path = tuple[Array, Array, Array]
+"""Times, base angles and torques on the tip; the last is empty where there is none."""
+
+
+def _checked_path(time_s: Array, base_angle_rad: Array, tip_torque_nm: Array | None = None) -> _Path:
     time = np.ascontiguousarray(time_s, dtype=np.float64)
     base = np.ascontiguousarray(base_angle_rad, dtype=np.float64)
+    tip = np.ascontiguousarray(np.empty(0) if tip_torque_nm is None else tip_torque_nm, dtype=np.float64)
     if time.ndim != 1 or time.shape != base.shape:
         raise BadInput(f"times {time.shape} and base angles {base.shape} must be two rows of the same length")
+    if tip_torque_nm is not None and tip.shape != time.shape:
+        raise BadInput(
+            f"times {time.shape} and torques on the tip {tip.shape} must be rows of the same length"
+        )
     if time.size == 0:
         raise BadInput("the trajectory is empty; give at least the starting time and base angle")
-    for name, values in (("time", time), ("base angle", base)):
+    for name, values in (("time", time), ("base angle", base), ("tip torque", tip)):
         finite = np.isfinite(values)
         if not finite.all():
             sample = int(np.argmin(finite))
@@ -154,13 +165,12 @@ def _checked_path(time_s: Array, base_angle_rad: Array) -> tuple[Array, Array]:
             f"time goes from {time[sample - 1]:g} to {time[sample]:g} s at sample {sample};"
             " times must increase from sample to sample"
         )
-    return time, base
+    return time, base, tip
 
 
 def _run(
     rod: Rod,
-    time: Array,
-    base: Array,
+    path: _Path,
     state: RodState | None,
     shaft: bool,
     tolerance_rad: float,
@@ -171,7 +181,10 @@ def _run(
     from needle_rig.physics.kernel import layout
     from needle_rig.physics.kernel.run import run
 
+    time, base, tip = path
     coefficients = rod.coefficients
+    if tip.size and not np.isfinite(coefficients[:2, -1]).all():
+        raise BadInput("a torque on a tip that is clamped moves nothing; leave one of the two out")
     nodes = coefficients.shape[1]
     if not (np.isfinite(tolerance_rad) and tolerance_rad > 0 and longest_step_s > 0):
         raise BadInput(f"tolerance {tolerance_rad} rad and longest step {longest_step_s} s must be above 0")
@@ -180,11 +193,15 @@ def _run(
     mount = rod.mount_compliance_rad_per_nm
     if mount:
         _turn(packed, -mount * _base_torque_nm(rod, packed))
-    laws, keep = _packed_laws(rod)
+    laws, keep = _packed_laws(rod, layout.Drive(time, base, tip))
     creeps, viscous, memory = rod.depends_on_rate
+    play = bool(coefficients[layout.PLAY].any())
+    loaded = bool(coefficients[layout.PER_TORQUE].any())
     by_rate = creeps or viscous or memory or not all(law.steady for law in rod.laws)
     dry = by_rate and _some_node_is_dry(coefficients)
-    has = layout.Features(creeps, viscous, memory, len(rod.laws) > 0, dry)
+    has = layout.Features(
+        creeps, viscous, memory, loaded, len(rod.laws) > 0 or tip.size > 0 or play, play, dry
+    )
     settings = layout.Settings(
         # seen from the mount, the base stays behind by the mount's turn as by that of a spring of its own
         base_compliance_rad_per_nm=rod.base_compliance_rad_per_nm + mount,
@@ -202,6 +219,7 @@ def _run(
             rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0), LEAST_RESOLVED_SLIP_RAD
         ),
         most_solves=most_solves,
+        torque_scale=rod.torque_scale,
     )
     sensors = np.ascontiguousarray(rod.sensors, dtype=np.int64)
     output = layout.Output(
@@ -219,7 +237,6 @@ def _run(
         has,
         by_rate,
         laws,
-        layout.Drive(time, base),
         sensors,
         states,
         output,
@@ -278,8 +295,16 @@ def _some_node_is_dry(coefficients: Array) -> bool:
     """Whether somewhere friction has no part that grows with the rate."""
     from needle_rig.physics.kernel import layout
 
-    limits = coefficients[[layout.PLUS, layout.MINUS]]
+    limits = coefficients[[layout.PLUS, layout.MINUS, layout.PER_TORQUE]]
     return bool(((coefficients[layout.VISCOUS] == 0) & (limits > 0).any(axis=0)).any())
+
+
+def _free(rod: Rod) -> Array:
+    """Whether nothing resists a turn of each node."""
+    from needle_rig.physics.kernel import layout
+
+    limits = rod.coefficients[[layout.PLUS, layout.MINUS, layout.PER_TORQUE]]
+    return np.asarray((limits == 0).all(axis=0))
 
 
 def _packed_state(rod: Rod, state: RodState) -> Array:
@@ -293,13 +318,11 @@ def _packed_state(rod: Rod, state: RodState) -> Array:
     if not np.isfinite(packed).all():
         raise BadInput("the state holds a value that is not a finite number; start from relaxed(rod)")
     # friction may have been added or taken away since the state was made
-    plus, minus = rod.coefficients[:2]
-    free = (plus == 0) & (minus == 0)
-    packed[5] = np.where(free, 2.0, np.where(np.abs(packed[5]) == 2.0, 0.0, packed[5]))
+    packed[5] = np.where(_free(rod), 2.0, np.where(np.abs(packed[5]) == 2.0, 0.0, packed[5]))
     return packed
 
 
-def _packed_laws(rod: Rod) -> tuple[Laws, list[Array]]:
+def _packed_laws(rod: Rod, drive: Drive) -> tuple[Laws, list[Array]]:
     """The torque laws as addresses and weights, and what must stay alive."""
     from needle_rig.physics.kernel.laws import law_address
     from needle_rig.physics.kernel.layout import Laws
@@ -309,6 +332,7 @@ def _packed_laws(rod: Rod) -> tuple[Laws, list[Array]]:
         addresses=np.zeros(count, dtype=np.int64),
         parameters=np.zeros(count, dtype=np.int64),
         weights_m=np.zeros((count, len(rod.position_m))),
+        drive=drive,
     )
     keep = []
     for row, law in enumerate(rod.laws):

@@ -16,7 +16,7 @@ from needle_rig.errors import BadInput
 from needle_rig.importing import Mapping, Recordings, dataset_of, read_mapping
 from needle_rig.importing import guess as proposed
 from needle_rig.importing.keep import kept
-from needle_rig.importing.mapping import BASE, FORMAT, TORQUE
+from needle_rig.importing.mapping import BASE, FORMAT, TIP_TORQUE, TORQUE
 from needle_rig.importing.preview import preview
 from needle_rig.importing.shaft import read_rig
 from needle_rig.numerics import Array
@@ -108,7 +108,7 @@ def _document(mapping: Mapping, files: list[str], root: Path, recordings: Record
     return {
         "mapping": mapping.model_dump(mode="json"),
         "lacks": mapping.lacks(),
-        "roles": list(dict.fromkeys([BASE, TORQUE, *sensors, *told])),
+        "roles": list(dict.fromkeys([BASE, TORQUE, *sensors, TIP_TORQUE, *told])),
         "shown": [
             {
                 "role": channel.role,

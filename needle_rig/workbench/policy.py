@@ -339,9 +339,10 @@ class SizePolicy:
         2.0, "friction or rigidity off by this", "moves a windup torque of 0.1 N·mm by `largest_nmm`", _RULES
     )
 
-    def small(self, rms: float, unit: str) -> bool:
-        """Whether a change of this root mean square, in °, N·mm or %, does not matter."""
-        return rms <= {"°": self.rms_deg, "N·mm": self.rms_nmm, "%": self.percent}[unit]
+    def small(self, rms: float, unit: str, torque_scale: float = 1.0) -> bool:
+        """Whether a change of this root mean square, in °, N·mm or %, does not matter, of a shaft of this
+        scale of torques."""
+        return rms <= {"°": self.rms_deg, "N·mm": torque_scale * self.rms_nmm, "%": self.percent}[unit]
 
 
 @dataclass(frozen=True)

@@ -218,7 +218,7 @@ def test_values_out_of_bounds_are_refused(effect: type[Effect]) -> None:
             beyond.append(-info.off)
         for value in beyond:
             with pytest.raises(BadInput, match=rf"{effect.name()}\.{name}: "):
-                effect(**{name: value})
+                effect(**{name: value}).check_for(1.0)
 
 
 def _against_finer(model: NeedleModel) -> tuple[float, float]:

@@ -28,9 +28,10 @@ from needle_rig.importing.guess.series import (
     written_dimension,
 )
 from needle_rig.importing.guess.units import base_unit, sensor_unit, torque_unit
-from needle_rig.importing.mapping import BASE, TORQUE, ChannelPart
+from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.signals import CLEAR_WORK
+from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
 
 WEAK = 0.4
@@ -84,6 +85,9 @@ def channels_of(
     torque = torque_among(base, torques or ([] if angles else unnamed), bool(torques))
     if torque is not None and torque not in sensors:
         channels.append(_torque_channel(torque, torques, base, base_si, sensors, channels, rig))
+        at_tip = [s for s in torques if s is not torque and names.says(s.column.name, names.TIP)]
+        if len(at_tip) == 1:
+            channels.append(_tip_torque_channel(at_tip[0]))
     return channels, constant
 
 
@@ -105,6 +109,19 @@ def _sensor(s: Series, role: str, base: Series, base_si: Array | None, why: str,
         zero="start",
         why="; ".join(filter(None, (why, unit.why, turned))),
         doubt="; ".join(filter(None, (doubt, unit.doubt, weak))),
+    )
+
+
+def _tip_torque_channel(s: Series) -> ChannelPart:
+    written = unit_of(s.column.unit) if written_dimension(s.column) == "torque" else None
+    return ChannelPart(
+        role=TIP_TORQUE,
+        clock=s.clock,
+        source=s.column.name,
+        unit=None if written is None else written.text,
+        why="a second torque, called as at the tip",
+        doubt="does it push the needle there, positive counter-clockwise seen from the base? It becomes an"
+        " input of the model; remove the line where the tip is free",
     )
 
 

@@ -40,6 +40,7 @@ from needle_rig.physics.kernel.layout import (
     VALUE,
     VIOLATION,
 )
+from needle_rig.physics.kernel.play import correct_sides, count_wrong_sides
 from needle_rig.physics.kernel.tridiagonal import solve_tridiagonal
 
 BACK_SLIP_RAD = 1e-11
@@ -315,7 +316,8 @@ def iterate_active_set(rod, has, laws, states, old, new, dt, time, work, counts,
             linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, chord, work)
         solve_tridiagonal(states, new, has, work)
         counts[SOLVES] += 1
-        violations = count_violations(states, new, work)
+        nodes = count_violations(states, new, work)
+        violations = nodes + (count_wrong_sides(rod, states, new, work) if has.play else 0)
         if violations == 0:
             if not has.laws:
                 return True
@@ -339,7 +341,13 @@ def iterate_active_set(rod, has, laws, states, old, new, dt, time, work, counts,
             stalled += 1
         if stalled > PATIENCE and attempt < 2:
             return False
-        mark_violations(states, new, work, counts)
+        wrong_sides = violations - nodes
+        if nodes > 0:
+            mark_violations(states, new, work, counts)
+        if wrong_sides > 0:
+            correct_sides(rod, states, new, work, wrong_sides if stalled <= PATIENCE_BEFORE_MURTY else 1)
+            if nodes == 0 or stalled > PATIENCE_BEFORE_MURTY:
+                continue
         if stalled <= PATIENCE_BEFORE_MURTY:
             update_active_set(states[new, ANGLE], states[old, ANGLE], states[new, STATUS], work, counts)
         else:

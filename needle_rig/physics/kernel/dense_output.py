@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from needle_rig.physics.kernel._compile import compiled
 from needle_rig.physics.kernel.laws import call_law
-from needle_rig.physics.kernel.layout import ANGLE, FAILED_SAMPLE, POSITION, SPRING
+from needle_rig.physics.kernel.layout import ANGLE, FAILED_SAMPLE, PLAY_TORQUE, POSITION, SPRING
 from needle_rig.physics.kernel.step import project
 
 
 @compiled
 def store_sample(rod, has, laws, states, slot, time, row, sensors, output, work):
     """Write one sample: the torque that the base exerts on the needle, and angles."""
-    torque = work[SPRING, 0] * (states[slot, ANGLE, 0] - states[slot, ANGLE, 1])
+    torque = work[SPRING, 0] * (states[slot, ANGLE, 0] - states[slot, ANGLE, 1]) + work[PLAY_TORQUE, 0]
     if has.laws:
         for k in range(laws.addresses.size):
             if laws.weights_m[k, 0] != 0.0:

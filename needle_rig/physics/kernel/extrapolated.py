@@ -155,7 +155,7 @@ def follow_extrapolated(rod, settings, has, laws, drive, sensors, states, work, 
                 return NO_SOLUTION
             length = 0.5 * dt
             continue
-        error = embedded_error(states, end, whole, work[SPRING, 0], tolerance)
+        error = embedded_error(states, end, whole, work[SPRING, 0] / settings.torque_scale, tolerance)
         if error > 1.0 and dt > shortest:
             length = max(settings.shortest_step_s, dt * max(0.2, growth_by_error(error)))
             continue

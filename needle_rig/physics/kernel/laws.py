@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from needle_rig.physics.kernel._compile import compiled
-from needle_rig.physics.kernel.layout import FORCE, POSITION, SLOPE
+from needle_rig.physics.kernel.layout import FORCE, PLAY_TORQUE, POSITION, SLOPE
 
 LAW_SIGNATURE = types.float64(
     types.CPointer(types.float64),
@@ -70,11 +71,29 @@ borrowed: Any = intrinsic(_borrowed)
 
 
 @compiled
+def tip_torque(drive, time):
+    """Torque on the tip at `time`, N·m."""
+    times, tip = drive.time_s, drive.tip_nm
+    row, after = np.intp(0), np.intp(times.size - 1)
+    if time <= times[0] or after == 0:
+        return tip[0]
+    while after - row > 1:
+        middle = (row + after) // 2
+        if times[middle] < time:
+            row = middle
+        else:
+            after = middle
+    fraction = min(1.0, (time - times[row]) / (times[after] - times[row]))
+    return tip[row] + fraction * (tip[after] - tip[row])
+
+
+@compiled
 def linearise_laws(rod, laws, angle, angle_before, dt, time, chord, work):
     """Linearise the torque laws about `angle`: FORCE + SLOPE · θ. Returns the largest change at `angle`.
 
     With `chord` a law is as steep against the rate as its chord from rate 0, where that is steeper: a drag
     that levels off sends Newton's method from one side to the other, while these steps come near from one.
+    FORCE also has what elements with play carry at no twist.
     """
     change = 0.0
     for i in range(angle.size):
@@ -94,7 +113,10 @@ def linearise_laws(rod, laws, angle, angle_before, dt, time, chord, work):
                 by_rate = min(by_rate, (here - call_law(a, p, angle[i], 0.0, time, x)) / rate)
             value += weight * here
             gradient += weight * (by_angle + by_rate / dt)
-        change = max(change, abs(work[FORCE, i] + work[SLOPE, i] * angle[i] - value))
-        work[FORCE, i] = value - gradient * angle[i]
+        if i == angle.size - 1 and laws.drive.tip_nm.size > 0:
+            value += tip_torque(laws.drive, time)
+        of_play = (work[PLAY_TORQUE, i - 1] if i > 0 else 0.0) - work[PLAY_TORQUE, i]
+        change = max(change, abs(work[FORCE, i] - of_play + work[SLOPE, i] * angle[i] - value))
+        work[FORCE, i] = value - gradient * angle[i] + of_play
         work[SLOPE, i] = gradient
     return change

@@ -1,7 +1,7 @@
 """What stands where in the arrays that the solver works on, and the records that go with them.
 
-`rod` has shape (9, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as
-a tuple of 28 arrays would be 196 machine words in every call.
+`rod` has shape (11, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as
+a tuple of 33 arrays would be 231 machine words in every call.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 # rows of `rod` (Rod.coefficients)
-PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION = range(9)
+(
+    PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION, PER_TORQUE, PLAY,
+) = range(11)  # fmt: skip
 
 # rows of a state (RodState); STATUS: 0 stuck, ±1 slipping that way, 2 nothing resists a turn
 ANGLE, ANCHOR, CREEP, EXCESS_STATE, AGE, STATUS = range(6)
@@ -55,8 +57,15 @@ SLOTS = 8
     FALL_EXPECTED,
     SLIP_EXPECTED,
     SLIP_RATE,
-) = range(28)
-WORK_ROWS = 28
+    # kinetic slip limits, with what the torque that is carried adds
+    KINETIC_PLUS,
+    KINETIC_MINUS,
+    # elements with play: the side, 0 inside; their stiffness there; what SPRING carries at no twist
+    PLAY_SIDE,
+    STIFFNESS,
+    PLAY_TORQUE,
+) = range(33)
+WORK_ROWS = 33
 
 # places in `counts`
 STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_VIOLATION, LAST_VIOLATION = range(6)
@@ -74,7 +83,11 @@ class Features(NamedTuple):
     viscous: bool
     memory: bool
     """Slip limits that depend on the slip before: static excess or ageing."""
+    loaded: bool
+    """Slip limits that grow with the torque that the rod carries."""
     laws: bool
+    """Torque laws, a torque on the tip, or elements with play."""
+    play: bool
     dry: bool
     """Dry nodes in a rod that depends on rates."""
 
@@ -93,21 +106,31 @@ class Settings(NamedTuple):
     longest_slip_rad: float
     """Turn of the base in a step at most, where slip limits have a memory."""
     most_solves: float
+    torque_scale: float
+    """Torques of the rod over those of the needle, whose torques TORQUE_PER_RAD stands for."""
+
+
+class Drive(NamedTuple):
+    """The base path and the torque on the tip, piecewise linear through samples: shapes (samples,).
+
+    Without a torque on the tip `tip_nm` is empty.
+    """
+
+    time_s: Any
+    base_rad: Any
+    tip_nm: Any
 
 
 class Laws(NamedTuple):
-    """Torque laws: addresses of code and parameters, shapes (laws,); weights in m, shape (laws, nodes)."""
+    """Torque laws: addresses of code and parameters, shapes (laws,); weights in m, shape (laws, nodes).
+
+    The torque on the tip is one more, of time alone, and comes from `drive`.
+    """
 
     addresses: Any
     parameters: Any
     weights_m: Any
-
-
-class Drive(NamedTuple):
-    """The base path, piecewise linear through samples: shapes (samples,)."""
-
-    time_s: Any
-    base_rad: Any
+    drive: Drive
 
 
 class Output(NamedTuple):

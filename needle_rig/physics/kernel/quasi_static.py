@@ -1,10 +1,11 @@
-"""Rods that depend on no rate: one implicit step a sample is exact, none is needed while the base stands."""
+"""Rods that depend on no rate: one implicit step a sample is exact, none is needed while the base
+stands and the torque on the tip stays."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from needle_rig.physics.kernel._compile import compiled, copy_state
+from needle_rig.physics.kernel._compile import compiled, copy, copy_state
 from needle_rig.physics.kernel.dense_output import store_sample
 from needle_rig.physics.kernel.layout import (
     ANCHOR,
@@ -12,20 +13,26 @@ from needle_rig.physics.kernel.layout import (
     FAILED_SAMPLE,
     NO_SOLUTION,
     SOLVES,
+    STATUS,
     TOO_MANY_SOLVES,
 )
 from needle_rig.physics.kernel.step import implicit_step, predict_active_set, set_step_length
+
+MOST_PIECES = 512
+"""Of a step that has no solution in one."""
 
 
 @compiled
 def reach_first_sample(rod, settings, has, laws, drive, sensors, states, work, output, counts):
     """Turn the base to its first angle, where the start has another, as within one sample; store the sample.
 
+    A torque on the tip reaches its first value likewise.
+
     Every slot of `states` holds the start; slot 0 holds the first sample afterwards. False: no solution.
     """
     times, base = drive.time_s, drive.base_rad
     now, before, row = np.intp(0), np.intp(1), np.intp(0)
-    if base[0] != states[now, ANCHOR, 0]:
+    if base[0] != states[now, ANCHOR, 0] or drive.tip_nm.size > 0:
         dt = times[1] - times[0] if times.size > 1 else 1e-3
         set_step_length(rod, has, dt, work)
         if not implicit_step(
@@ -37,12 +44,47 @@ def reach_first_sample(rod, settings, has, laws, drive, sensors, states, work, o
 
 
 @compiled
+def step_in_pieces(rod, settings, has, laws, drive, states, now, new, row, work, counts):
+    """The step from `now` to sample `row` in shorter and shorter pieces, into `new`; False: no solution.
+
+    A base and a tip that are turned at once push slip fronts at each other, farther in a step than an active
+    set may be guessed.
+    """
+    times, base = drive.time_s, drive.base_rad
+    pieces = 1
+    while pieces < MOST_PIECES:
+        pieces *= 8
+        one, other = np.intp(3), np.intp(4)
+        for r in range(states.shape[1]):
+            copy(states[now, r], states[one, r])
+            copy(states[now, r], states[other, r])
+        dt = (times[row] - times[row - 1]) / pieces
+        done = 0
+        for k in range(1, pieces + 1):
+            share = k / pieces
+            angle = base[row] if k == pieces else base[row - 1] + share * (base[row] - base[row - 1])
+            time = times[row] if k == pieces else times[row - 1] + k * dt
+            copy(states[one, STATUS], states[other, STATUS])
+            if not implicit_step(
+                rod, settings, has, laws, states, one, other, one, dt, angle, time, work, counts
+            ):
+                break
+            one, other = other, one
+            done = k
+        if done == pieces:
+            for r in range(states.shape[1]):
+                copy(states[one, r], states[new, r])
+            return True
+    return False
+
+
+@compiled
 def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, output, counts):
     """Follow the base path from slot 0 of `states`; slot 1 holds the state before it. Returns how it ended.
 
     The last state ends up in slot 0.
     """
-    times, base = drive.time_s, drive.base_rad
+    times, base, tip = drive.time_s, drive.base_rad, drive.tip_nm
     now, before, new = np.intp(0), np.intp(1), np.intp(2)
     turned = base[0] - states[before, ANCHOR, 0]
     # torque laws move the needle at a base that stands still, once
@@ -52,12 +94,13 @@ def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, 
             counts[FAILED_SAMPLE] = row - 1
             return TOO_MANY_SOLVES
         turn = base[row] - states[now, ANCHOR, 0]
-        if turn != 0.0 or not at_rest:
+        loaded = tip.size > 0 and tip[row] != tip[row - 1]
+        if turn != 0.0 or loaded or not at_rest:
             predict_active_set(states, before, now, turn / turned if turned != 0.0 else 0.0, new)
             dt = times[row] - times[row - 1]
             if not implicit_step(
                 rod, settings, has, laws, states, now, new, now, dt, base[row], times[row], work, counts
-            ):
+            ) and not step_in_pieces(rod, settings, has, laws, drive, states, now, new, row, work, counts):
                 counts[FAILED_SAMPLE] = row - 1
                 return NO_SOLUTION
             turned = turn

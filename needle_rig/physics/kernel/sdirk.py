@@ -169,14 +169,22 @@ def follow_sdirk(rod, settings, has, laws, drive, sensors, states, work, output,
             length = 0.5 * dt
             continue
         embedded_solution(states, now, stage, middle, end, lower, rate, dt, 3 if has.dry else 1)
-        error = embedded_error(states, end, lower, work[SPRING, 0], tolerance)
+        error = embedded_error(states, end, lower, work[SPRING, 0] / settings.torque_scale, tolerance)
         if error > 1.0 and dt > shortest:
             length = max(settings.shortest_step_s, dt * max(0.2, growth_by_error(error)))
             continue
         growth = min(MOST_GROWTH, growth_by_error(error))
         if target > row + 1 and gap > 0.0:
             missed = dense_output_error(
-                states, now, stage, rate_before, rate, dt, sensors, every_node, work[SPRING, 0]
+                states,
+                now,
+                stage,
+                rate_before,
+                rate,
+                dt,
+                sensors,
+                every_node,
+                work[SPRING, 0] / settings.torque_scale,
             )
             missed /= tolerance
             if missed > 1.0 and interpolates_off_middle(drive, row, target, time + GAMMA * dt, dt):

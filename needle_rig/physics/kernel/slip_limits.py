@@ -1,4 +1,4 @@
-"""Slip limits with a memory: static excess (Stribeck curve) and ageing of the contact, as `Rod` has them."""
+"""Slip limits that change: with the torque that the rod carries, and with a memory, as `Rod` has them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from needle_rig.physics.kernel.layout import (
     AGE,
     AGEING,
     ALGORITHMIC,
+    ANGLE,
     DAMPING,
     EXCESS,
     EXCESS_STATE,
@@ -16,16 +17,49 @@ from needle_rig.physics.kernel.layout import (
     FACTOR_EXPECTED,
     FALL,
     FALL_EXPECTED,
+    FORCE,
+    KINETIC_MINUS,
+    KINETIC_PLUS,
     LIMIT_MINUS,
     LIMIT_PLUS,
     MINUS,
+    PER_TORQUE,
+    PLAY_TORQUE,
     PLUS,
     SLIP,
     SLIP_EXPECTED,
+    SLOPE,
+    SPRING,
     VISCOUS,
 )
 
 PER_DECADE = 1.0 / math.log(10.0)
+
+
+@compiled
+def follow_load(rod, states, slot, work):
+    """Kinetic slip limits for the torque that the rod carries on both sides of a node; their largest change.
+
+    The change is relative to the limit.
+    """
+    last = states.shape[2] - 1
+    largest = 0.0
+    before = abs(work[SPRING, 0] * (states[slot, ANGLE, 0] - states[slot, ANGLE, 1]))
+    for i in range(1, last + 1):
+        if i < last:
+            twist = states[slot, ANGLE, i] - states[slot, ANGLE, i + 1]
+            after = abs(work[SPRING, i] * twist + work[PLAY_TORQUE, i])
+        else:
+            outside = work[FORCE, i] + work[SLOPE, i] * states[slot, ANGLE, i]
+            after = abs(outside - work[PLAY_TORQUE, i - 1])
+        if rod[PER_TORQUE, i] > 0.0:
+            added = 0.5 * rod[PER_TORQUE, i] * (before + after)
+            change = abs(rod[PLUS, i] + added - work[KINETIC_PLUS, i])
+            work[KINETIC_PLUS, i] = rod[PLUS, i] + added
+            work[KINETIC_MINUS, i] = rod[MINUS, i] + added
+            largest = max(largest, change / (work[KINETIC_PLUS, i] + 1e-300))
+        before = after
+    return largest
 
 
 @compiled
@@ -37,8 +71,8 @@ def set_limits(rod, settings, states, one, other, slack, work):
             age = max(states[one, AGE, i], states[other, AGE, i])
             factor += rod[AGEING, i] * PER_DECADE * math.log(1.0 + age / settings.ageing_time_s)
         factor *= slack
-        work[LIMIT_PLUS, i] = rod[PLUS, i] * factor
-        work[LIMIT_MINUS, i] = rod[MINUS, i] * factor
+        work[LIMIT_PLUS, i] = work[KINETIC_PLUS, i] * factor
+        work[LIMIT_MINUS, i] = work[KINETIC_MINUS, i] * factor
 
 
 @compiled
@@ -84,12 +118,12 @@ def linearise_limits(rod, dt, newton, work):
     for i in range(1, rod.shape[1]):
         slip = work[SLIP, i]
         damping, fall = rod[VISCOUS, i] / dt, 0.0
-        steep = work[FALL, i] * (rod[PLUS, i] if slip > 0.0 else rod[MINUS, i])
+        steep = work[FALL, i] * (work[KINETIC_PLUS, i] if slip > 0.0 else work[KINETIC_MINUS, i])
         # tissue whose limit falls faster than it unloads snaps: no slope to go by
         if newton and slip != 0.0 and 1.0 + work[ALGORITHMIC, i] * (damping + steep) > 0.5:
             damping, fall = damping + steep, work[FALL, i]
         factor = work[FACTOR, i] - fall * abs(slip)
         work[FACTOR_EXPECTED, i], work[FALL_EXPECTED, i], work[SLIP_EXPECTED, i] = factor, fall, slip
-        work[LIMIT_PLUS, i] = rod[PLUS, i] * factor
-        work[LIMIT_MINUS, i] = rod[MINUS, i] * factor
+        work[LIMIT_PLUS, i] = work[KINETIC_PLUS, i] * factor
+        work[LIMIT_MINUS, i] = work[KINETIC_MINUS, i] * factor
         work[DAMPING, i] = damping / (1.0 + work[ALGORITHMIC, i] * damping)

@@ -22,6 +22,10 @@ from needle_rig.physics.kernel.layout import (
     CREEP_K,
     DAMPING,
     FREE,
+    KINETIC_MINUS,
+    KINETIC_PLUS,
+    LIMIT_MINUS,
+    LIMIT_PLUS,
     SLIP,
     SLIP_RATE,
     STATUS,
@@ -30,11 +34,12 @@ from needle_rig.physics.kernel.layout import (
     STUCK,
     VISCOUS,
 )
-from needle_rig.physics.kernel.slip_limits import follow_memory, linearise_limits
+from needle_rig.physics.kernel.play import start_sides
+from needle_rig.physics.kernel.slip_limits import follow_load, follow_memory, linearise_limits
 
 NO_TIME_S = 1e-12
 LIMIT_TOLERANCE = 1e-6
-"""To which part a slip limit with memory is found in a step."""
+"""To which part a slip limit that changes is found in a step."""
 MOST_ATTEMPTS = 3
 MOST_LIMIT_ITERATIONS = 60
 MOST_NEWTON_LIMITS = 8
@@ -113,6 +118,8 @@ def implicit_step(rod, settings, has, laws, states, old, new, guess, dt, base, t
     False: no solution. Rows of `new` that this rod does not change (creep, excess state, age) are left alone.
     """
     n = states.shape[2]
+    if has.play:
+        start_sides(rod, states, old, work)
     if has.laws:
         copy(states[guess, ANGLE], states[new, ANGLE])
         linearise_laws(rod, laws, states[new, ANGLE], states[old, ANGLE], dt, time, False, work)
@@ -128,14 +135,25 @@ def implicit_step(rod, settings, has, laws, states, old, new, guess, dt, base, t
         for i in range(1, n):
             work[SLIP, i] = dt * work[SLIP_RATE, i]
         follow_memory(rod, settings, states, old, new, dt, work)
+    if has.loaded:
+        follow_load(rod, states, old, work)
     newton = True
-    for tried in range(MOST_LIMIT_ITERATIONS if has.memory else 1):
+    for tried in range(MOST_LIMIT_ITERATIONS if has.memory or has.loaded else 1):
         if has.memory:
             newton = newton and tried < MOST_NEWTON_LIMITS
             linearise_limits(rod, dt, newton, work)
             attempts = np.intp(1 if newton else MOST_ATTEMPTS)
+        elif has.loaded:
+            for i in range(1, n):
+                work[LIMIT_PLUS, i] = work[KINETIC_PLUS, i]
+                work[LIMIT_MINUS, i] = work[KINETIC_MINUS, i]
         if solve_for_limits(rod, has, laws, states, old, new, guess, dt, time, work, counts, attempts):
-            if not has.memory or follow_memory(rod, settings, states, old, new, dt, work) < LIMIT_TOLERANCE:
+            change = 0.0
+            if has.memory:
+                change = follow_memory(rod, settings, states, old, new, dt, work)
+            if has.loaded:
+                change = max(change, follow_load(rod, states, new, work))
+            if change < LIMIT_TOLERANCE:
                 break
         elif has.memory and newton:
             newton = False

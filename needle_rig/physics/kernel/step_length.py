@@ -25,13 +25,17 @@ def drive_angle(drive, row, time):
 
 @compiled
 def end_of_segment(drive, row):
-    """The sample at which the straight line of the base path that starts at sample `row` ends."""
-    times, base = drive.time_s, drive.base_rad
+    """The sample at which the straight line that starts at sample `row` ends, of base path or tip torque."""
+    times, base, tip = drive.time_s, drive.base_rad, drive.tip_nm
+    if tip.size > 0 and tip[row + 1] != tip[row]:
+        return row + 1
     rate = (base[row + 1] - base[row]) / (times[row + 1] - times[row])
     end = row + 1
     while end < times.size - 1:
         dt = times[end + 1] - times[end]
         if abs((base[end + 1] - base[end]) / dt - rate) * dt > KINK_RAD:
+            break
+        if tip.size > 0 and tip[end + 1] != tip[end]:
             break
         end += 1
     return end

@@ -29,7 +29,7 @@ from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.policy import POLICY
 
 FRICTIONS_N = (2e-4, 5e-4, 1e-3, 2e-3, 4e-3)
-"""Friction at which fits start, N: a decade and more about the shipped needles."""
+"""Friction at which fits start, N, times the torque scale: a decade and more about the shipped needles."""
 COARSE_M = 4e-3
 """Longest element of fits."""
 CELLS_PER_SECTION = 6
@@ -59,7 +59,9 @@ class Baseline:
 
 def null_model(dataset: Dataset) -> NeedleModel:
     """Rigid tissue with uniform Coulomb friction in the dataset's geometry and needle."""
-    return NeedleModel("null", dataset.layout, dataset.needle.torsional_rigidity_nm2, FRICTIONS_N[2])
+    scale = dataset.torque_scale
+    rigidity_nm2 = dataset.needle.torsional_rigidity_nm2
+    return NeedleModel("null", dataset.layout, rigidity_nm2, scale * FRICTIONS_N[2], torque_scale=scale)
 
 
 def judged(dataset: Dataset, shaft: NeedleModel | None = None) -> Dataset:
@@ -108,13 +110,14 @@ def fit_baseline(
             f" {current.name} {len(current.layout.sensor_positions_m)}; give a model made for this rig"
         )
     binned = tuple(bin_trial(t) for t in dataset.trials)
-    noise = measure_noise(dataset.trials, binned)
+    noise = measure_noise(dataset.trials, binned, dataset.torque_scale)
     base = dataclasses.replace(
         current,
         layout=dataset.layout,
         torsional_rigidity_nm2=dataset.needle.torsional_rigidity_nm2,
         effects=(),
         element_length_m=element_length(current),
+        torque_scale=dataset.torque_scale,
     )
     effects = {e.name(): type(e) for e in current.effects}
     problem = Problem(
@@ -170,7 +173,9 @@ def _correlated(dataset: Dataset, problem: Problem, found: Fit) -> Noise:
 
 def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:
     """The current model's best fit from several levels of friction."""
-    levels = FRICTIONS_N if friction_n is None else (friction_n, *FRICTIONS_N)
+    levels = tuple(problem.base.torque_scale * level for level in FRICTIONS_N)
+    if friction_n is not None:
+        levels = (friction_n, *levels)
     parameters = problem.parameters(names)
     best: Fit | None = None
     rated = []

@@ -108,15 +108,16 @@ class FreeParameter:
 
 
 def free_parameters(
-    effects: Mapping[str, type[Effect]], names: Sequence[str], layout: Layout
+    effects: Mapping[str, type[Effect]], names: Sequence[str], layout: Layout, torque_scale: float = 1.0
 ) -> tuple[FreeParameter, ...]:
-    """The free parameters of the named effects, in that order."""
+    """The free parameters of the named effects, in that order, on a shaft of that torque scale."""
     counts = {"sensor": len(layout.sensor_positions_m), "section": len(layout.tissue_sections_m)}
     found = []
     for name in names:
         for field, info in effects[name].parameters().items():
             items = [None] if info.per == "one" else list(range(counts[info.per]))
-            found += [FreeParameter(name, field, item, info) for item in items]
+            scaled = info.scaled(torque_scale)
+            found += [FreeParameter(name, field, item, scaled) for item in items]
     return tuple(found)
 
 

@@ -71,8 +71,9 @@ class Objective:
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
         trial_friction, free = np.full(self.trials, MOST_TRIAL_FRICTION), np.full(self.q, MOST_NUISANCE)
-        self.low = np.r_[np.log(FRICTION_BOUNDS_N[0]), self.stated - reach, low, -trial_friction, -free]
-        self.high = np.r_[np.log(FRICTION_BOUNDS_N[1]), self.stated + reach, high, trial_friction, free]
+        least, most = np.log(np.multiply(self.problem.base.torque_scale, FRICTION_BOUNDS_N))
+        self.low = np.r_[least, self.stated - reach, low, -trial_friction, -free]
+        self.high = np.r_[most, self.stated + reach, high, trial_friction, free]
 
     def unpacked(self, x: Array) -> ParameterVector:
         """The parameter vector in x, without the nuisances."""

@@ -98,7 +98,7 @@ class Problem:
 
     def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
         """Free parameters of the named effects."""
-        return free_parameters(self.library, names, self.base.layout)
+        return free_parameters(self.library, names, self.base.layout, self.base.torque_scale)
 
     def model(
         self, parameters: Sequence[FreeParameter], vector: ParameterVector, trial: int | None = None
@@ -116,15 +116,16 @@ class Problem:
 
     def lumps_friction(self, parameters: Sequence[FreeParameter]) -> bool:
         """Whether some friction among these effects does not grow with that of the tissue."""
+        scale_n = FRICTION_SCALE_N * self.base.torque_scale
         try:
             effects = make_effects(
                 self.library, parameters, np.array([np.clip(1.0, *a.bounds) for a in parameters])
             )
-            model = dataclasses.replace(self.base, friction_n=FRICTION_SCALE_N, effects=effects)
+            model = dataclasses.replace(self.base, friction_n=scale_n, effects=effects)
             rods = [
                 m.rod(self.trials[0].trial)
                 for m in (
-                    dataclasses.replace(model, friction_n=2.0 * FRICTION_SCALE_N),
+                    dataclasses.replace(model, friction_n=2.0 * scale_n),
                     model.with_effects(FrictionOfTrial(2.0)),
                 )
             ]

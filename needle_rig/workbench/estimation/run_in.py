@@ -63,7 +63,7 @@ def after_run_in(dataset: Dataset, model: NeedleModel) -> Dataset:
         return dataset
     # with a path before it an unknown twist is no rest, whose scatter would count as noise
     rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
-    noise = measure_noise(rests, [bin_trial(t) for t in rests])
+    noise = measure_noise(rests, [bin_trial(t) for t in rests], dataset.torque_scale)
     shaft = _guessed(dataset, noise, model)
     trials, notes = [], []
     for given in dataset.trials:

@@ -49,11 +49,11 @@ class Simulator:
             if key not in self._kept:
                 new.setdefault(key, place)
         rods: list[Rod] = []
-        inputs: list[tuple[Array, Array]] = []
+        inputs: list[tuple[Array, Array, Array | None]] = []
         for place in new.values():
             drive = trials[place].trial
             rods.append(models[place].rod(drive))
-            inputs.append((drive.time_s, models[place].held_path(drive)[0]))
+            inputs.append((drive.time_s, models[place].held_path(drive)[0], drive.tip_torque_nm))
         solved = []
         if rods:  # processes share the cores
             solved = solve_batch(rods, inputs, threads=1, most_solves_per_sample=most_solves)

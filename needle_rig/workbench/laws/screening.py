@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needle_rig.numerics import Array
+from needle_rig.physics.torque_scale import torque_power
 from needle_rig.units import rad
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.linear import LinearisedFit
@@ -90,7 +91,7 @@ def candidates(problem: Problem, prefix: str) -> tuple[SplineLaw, ...]:
 
 def typical(problem: Problem, law: Law) -> float:
     """Size about which the curve's amplitude is sought; in one section a torque needs more to be seen."""
-    size = TYPICAL[law.unit]
+    size = TYPICAL[law.unit] * problem.base.torque_scale ** torque_power(law.unit)
     sections = problem.base.layout.tissue_sections_m
     if law.hook == "torque" and law.number is not None:
         start_m, end_m = sections[law.number]

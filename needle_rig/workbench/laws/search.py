@@ -263,7 +263,8 @@ def matters(problem: Problem, parent: Fit, found: FoundLaw) -> bool:
     change = np.hstack([a - b for a, b in zip(after, before, strict=True)])
     largest = np.nanmax(np.abs(change), axis=1)
     size = POLICY.size
-    return bool(nmm(float(largest[0])) > size.largest_nmm or deg(float(largest[1:].max())) > size.largest_deg)
+    most_nmm = problem.base.torque_scale * size.largest_nmm
+    return bool(nmm(float(largest[0])) > most_nmm or deg(float(largest[1:].max())) > size.largest_deg)
 
 
 def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:

@@ -221,7 +221,9 @@ def _stated(baseline: Baseline) -> Gaussian:
     """What is known without any recording: the stated rigidity, and sizes that effects have."""
     problem, parameters = baseline.problem, baseline.current.parameters
     centre = np.r_[
-        np.log(FRICTIONS_N[2]), np.log(problem.base.torsional_rigidity_nm2), np.zeros(len(parameters))
+        np.log(problem.base.torque_scale * FRICTIONS_N[2]),
+        np.log(problem.base.torsional_rigidity_nm2),
+        np.zeros(len(parameters)),
     ]
     widths = np.r_[UNKNOWN_SIGMA, problem.rigidity_prior, [p.prior_sd for p in parameters]]
     return Gaussian(centre, np.diag(widths**2))

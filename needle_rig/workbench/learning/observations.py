@@ -132,7 +132,8 @@ class Traces:
         read = [
             part
             for t in data.trials
-            for part in (t.trial.time_s, t.base_measured_rad, t.torque_nm, t.hall_rad)
+            for part in (t.trial.time_s, t.base_measured_rad, t.torque_nm, t.hall_rad, t.trial.tip_torque_nm)
+            if part is not None
         ]
         return _sha256([stated, told, phases], read)
 

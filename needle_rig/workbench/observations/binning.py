@@ -50,7 +50,7 @@ class BinnedTrial:
     """One trial in bins. K bins, m grid points, C channels (torque, then each Hall sensor)."""
 
     trial: Trial
-    """The grid: times and base angles (m,) that drive the model."""
+    """The grid: times, base angles and torques on the tip (m,) that drive the model."""
     averages: tuple[csr_array, ...]
     """Weights (K, m), a channel each, that take the model on the grid to bin means: where a bin has few
     samples of a channel, to the mean at their times."""
@@ -268,11 +268,15 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
     guards = np.unique([0, *[end - 1 for _, _, end in parts]])
     grid_time = np.r_[block_time, time_s[guards]]
     grid_base = np.r_[block_base, base_rad[guards]]
+    tip_nm = given.trial.tip_torque_nm
+    grid_tip = None if tip_nm is None else np.r_[block_mean(tip_nm), tip_nm[guards]]
     order = np.argsort(grid_time, kind="stable")
     distinct = np.r_[True, np.diff(grid_time[order]) > SAME_TIME_S]
     place = np.empty(order.size, int)
     place[order] = np.cumsum(distinct) - 1
     grid_time, grid_base = grid_time[order][distinct], grid_base[order][distinct]
+    if grid_tip is not None:
+        grid_tip = grid_tip[order][distinct]
     from_start = None
     if given.start_change is not None:
         from_start = np.array(
@@ -321,7 +325,9 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
         span = time_s[high] - edge_time[low[which]]
         rate[which] = (base_rad[high] - edge_base[low[which]]) / span if span > 0 else 0.0
     return BinnedTrial(
-        trial=dataclasses.replace(given.trial, time_s=grid_time, base_angle_rad=grid_base),
+        trial=dataclasses.replace(
+            given.trial, time_s=grid_time, base_angle_rad=grid_base, tip_torque_nm=grid_tip
+        ),
         averages=tuple(averages),
         mean=np.asarray(mean),
         count=np.asarray(count),

@@ -51,7 +51,10 @@ def _blocks(trial: DatasetTrial) -> list[DatasetTrial]:
             dataclasses.replace(
                 trial,
                 trial=dataclasses.replace(
-                    drive, time_s=drive.time_s[:end], base_angle_rad=drive.base_angle_rad[:end]
+                    drive,
+                    time_s=drive.time_s[:end],
+                    base_angle_rad=drive.base_angle_rad[:end],
+                    tip_torque_nm=None if drive.tip_torque_nm is None else drive.tip_torque_nm[:end],
                 ),
                 base_measured_rad=trial.base_measured_rad[:end],
                 torque_nm=np.where(inside, trial.torque_nm[:end], np.nan),

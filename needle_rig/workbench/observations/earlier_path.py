@@ -32,6 +32,7 @@ MOST_RUNS = 20
 def with_path_before(trial: DatasetTrial, corners_rad: Sequence[float]) -> DatasetTrial:
     """The trial after a path of the base from 0 along `corners_rad` to its start; nothing is seen there.
 
+    A torque on the tip is what it is at the start.
     Each turn takes `TURN_S`; the base then rests for `REST_S`.
     """
     base_rad = float(trial.trial.base_angle_rad[0])
@@ -44,10 +45,14 @@ def with_path_before(trial: DatasetTrial, corners_rad: Sequence[float]) -> Datas
     count = len(path)
     unseen = np.full((count, trial.hall_rad.shape[1]), np.nan)
     drive, change = trial.trial, trial.start_change
+    tip_nm = drive.tip_torque_nm
     return dataclasses.replace(
         trial,
         trial=dataclasses.replace(
-            drive, time_s=np.r_[time_s, drive.time_s], base_angle_rad=np.r_[path, drive.base_angle_rad]
+            drive,
+            time_s=np.r_[time_s, drive.time_s],
+            base_angle_rad=np.r_[path, drive.base_angle_rad],
+            tip_torque_nm=None if tip_nm is None else np.pad(tip_nm, (count, 0), mode="edge"),
         ),
         base_measured_rad=np.r_[path, trial.base_measured_rad],
         torque_nm=np.r_[np.full(count, np.nan), trial.torque_nm],

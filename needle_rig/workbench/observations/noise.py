@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
+from scipy.stats import chi2
 
 from needle_rig.dataset import DatasetTrial
 from needle_rig.numerics import Array
@@ -43,6 +44,8 @@ VALID_SHARE = 0.9
 """Of a window's samples: gaps filled in from neighbours would pass for correlation."""
 FEWEST_RESTS = 4
 """Rests from which a trend and a scatter about it can be told; with fewer offsets are the floor."""
+LEAST_HOLDS = 0.25
+"""Share of motions that end in a hold below which replicates tell the noise, where there are any."""
 REST_DEG = 1.0
 """Motion before a rest that leaves it one."""
 
@@ -112,6 +115,9 @@ def _own_samples(given: DatasetTrial, values: Array) -> _Samples:
     stretches = []
     for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
         begin = stop + int(SETTLED_FROM * (end - stop))
+        crept_rad = float(np.ptp(given.trial.base_angle_rad[begin:end])) if end > begin else 0.0
+        if crept_rad > rad(POLICY.noise.floor_deg):
+            continue  # a base that turns back slowly does not hold
         stretches.append((int(np.searchsorted(rows, begin)), int(np.searchsorted(rows, end))))
     return _Samples(time_s[rows], filled, valid, stretches)
 
@@ -174,21 +180,28 @@ def replicate_groups(commands: Sequence[object]) -> list[list[int]]:
     return list(groups.values())
 
 
-def floors(count: int) -> Array:
+def floors(count: int, torque_scale: float = 1.0) -> Array:
     """The solver's accuracy a channel, shape (count,)."""
     policy = POLICY.noise
-    return np.concatenate([[nm(policy.floor_nmm)], np.full(count - 1, rad(policy.floor_deg))])
+    return np.concatenate([[torque_scale * nm(policy.floor_nmm)], np.full(count - 1, rad(policy.floor_deg))])
 
 
-def measure_noise(trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial]) -> Noise:
+def measure_noise(
+    trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial], torque_scale: float = 1.0
+) -> Noise:
     """Noise of a dataset, before any model is held against it."""
     settled = _settled(trials)
     parts = np.array([_split(each.pieces, each.spacing_s) for each in settled])
     parts[:, 0] *= np.sqrt([each.count for each in settled])
-    floor = floors(parts.shape[0])
+    floor = floors(parts.shape[0], torque_scale)
     silent = parts[:, 0] <= 0
     parts[silent, 0] = 10 * floor[silent]
     groups = replicate_groups([t.command for t in trials])
+    if _holds_share(trials) < LEAST_HOLDS:  # a base that hardly rests, as one that follows a sine
+        for c in range(len(parts)):
+            white = _white_of_replicates(binned, groups, c)
+            if white > 0.0:
+                parts[c] = max(white, floor[c]), 0.0, CORRELATION_TIMES_S[0]
     return Noise(
         white=parts[:, 0],
         correlated=parts[:, 1],
@@ -200,6 +213,37 @@ def measure_noise(trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial])
         scatter_dof=POLICY.noise.scatter_dof,
         replicates=sum(len(g) - 1 for g in groups),
     )
+
+
+def _holds_share(trials: Sequence[DatasetTrial]) -> float:
+    """Share of the motions that end in a hold which is long enough to show noise."""
+    found = []
+    for given in trials:
+        for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
+            found.append((1.0 - SETTLED_FROM) * (end - stop) >= SHORTEST_WINDOW)
+    return float(np.mean(found)) if found else 0.0
+
+
+def _white_of_replicates(binned: Sequence[BinnedTrial], groups: list[list[int]], channel: int) -> float:
+    """Standard deviation of a sample that the scatter between bin means of replicates has; 0 without them.
+
+    Of angles it is that of the lag behind the base, whose own bins differ by a sample. By medians: where the
+    base turns back, an instant of difference makes another reading.
+    """
+    found: list[float] = []
+    for group in groups:
+        shared = min((binned[i].mean.shape[1] for i in group), default=0)
+        if len(group) == 1:
+            continue
+        lead = [binned[i].base_rad[:shared] if channel else np.zeros(shared) for i in group]
+        means = np.array(
+            [binned[i].mean[channel, :shared] - base for i, base in zip(group, lead, strict=True)]
+        )
+        counts = np.array([binned[i].count[channel, :shared] for i in group])
+        variance = means.var(axis=0, ddof=1) * counts.mean(axis=0)
+        known = variance[np.isfinite(variance)]
+        found += (known / float(chi2.median(len(group) - 1) / (len(group) - 1))).tolist()
+    return float(np.sqrt(np.median(found))) if found else 0.0
 
 
 def _rest_offsets(binned: Sequence[BinnedTrial], parts: Array, floor: Array) -> Array:

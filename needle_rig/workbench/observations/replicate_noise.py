@@ -21,7 +21,6 @@ from needle_rig.workbench.observations.noise import (
     Places,
     correlation,
     covariance,
-    floors,
 )
 from needle_rig.workbench.policy import POLICY
 
@@ -228,7 +227,7 @@ def with_motion_scatter(
     noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
 ) -> Noise:
     """Noise with the scatter from motion to motion that `groups` of replicates show beyond friction, offset
-    and what is correlated; `residuals` as above."""
+    and what is correlated, no less than it had before; `residuals` as above."""
     channel_count = residuals[0].shape[0]
     total, dof = np.zeros(channel_count), np.zeros(channel_count)
     for group in groups:
@@ -251,7 +250,7 @@ def with_motion_scatter(
             dof += len(group) - 1
     if not dof.any():
         return noise
-    floor = floors(channel_count)
+    floor = noise.motion
     prior_dof = POLICY.noise.motion_dof
     variance = (prior_dof * floor**2 + np.maximum(total, 0.0)) / (prior_dof + dof)
     return dataclasses.replace(noise, motion=np.maximum(floor, np.sqrt(variance)))

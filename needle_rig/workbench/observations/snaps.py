@@ -70,6 +70,8 @@ def _noise(dataset: Dataset) -> Array:
 
 
 def _of_trial(trial: DatasetTrial, names: Sequence[str], noise_rad: Array) -> list[Snap]:
+    if trial.trial.tip_torque_nm is not None:
+        return []  # a load turns the needle without its base
     time_s, base_rad = trial.trial.time_s, trial.trial.base_angle_rad
     sample_s = float(np.median(np.diff(time_s)))
     apart = max(3, round(POLICY.snaps.span_s / sample_s))

@@ -170,7 +170,8 @@ def _conclude(
         explained_fraction = 1.0 if not left.significant else 0.0
     lack = lack_of_fit(problem, best, sensors)
     seen = snaps(baseline.dataset)
-    why = reasons(Findings(tuple(named), left, lack, explained_fraction, validation.error, seen))
+    scale = baseline.dataset.torque_scale
+    why = reasons(Findings(tuple(named), left, lack, explained_fraction, validation.error, seen, scale))
     verdict = judge(named, why)
     ordered = order(search, named)
     ranking = rank(search, ordered, rivals, verdict, best, validation)

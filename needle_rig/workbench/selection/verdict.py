@@ -27,6 +27,7 @@ class Findings:
     held_out_error: float
     """Root mean square error of cross-validation, in units of the noise."""
     snaps: tuple[Snap, ...] = ()
+    torque_scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Reason:
 
 def pattern_matters(found: Findings) -> str | None:
     """A significant pattern in what is left is large enough to matter."""
-    matters = [p for p in found.left.patterns if not POLICY.size.small(p.size, p.unit)]
+    matters = [p for p in found.left.patterns if not POLICY.size.small(p.size, p.unit, found.torque_scale)]
     return f"what is left is large enough to matter: {matters[0].sentence()}" if matters else None
 
 
@@ -100,7 +101,12 @@ def stick_slip(found: Findings) -> str | None:
 def replicates_agree_on_more(found: Findings) -> str | None:
     """Replicates share a misfit that matters, and no effect is named for it."""
     lack = found.lack
-    if found.named or lack is None or not lack.significant or POLICY.size.small(lack.size, lack.unit):
+    if (
+        found.named
+        or lack is None
+        or not lack.significant
+        or POLICY.size.small(lack.size, lack.unit, found.torque_scale)
+    ):
         return None
     return f"replicates share what the model lacks: {lack.sentence()}"
 
