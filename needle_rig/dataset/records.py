@@ -135,7 +135,8 @@ class Dataset:
     def torque_scale(self) -> float:
         """Size of its torques over the needle's, see `physics.torque_scale`."""
         spans = [float(np.ptp(t.torque_nm[t.torque_ok])) for t in self.trials if t.torque_ok.any()]
-        return torque_scale(float(np.median(spans)) if spans else 0.0, self.needle.torsional_rigidity_nm2)
+        told_nm2 = self.needle.torsional_rigidity_nm2 if self.needle.rigidity_is_known else None
+        return torque_scale(float(np.median(spans)) if spans else 0.0, told_nm2)
 
     @property
     def replicates(self) -> dict[TrialCommand, tuple[int, ...]]:
