@@ -64,6 +64,14 @@ def goes_on(steps: int, reached: bool) -> bool:
     return not reached and steps < POLICY.laws.most
 
 
+def reaches(error: float, commands: int) -> bool:
+    """Whether commands left out are foretold to within the noise; one command alone leaves none out.
+
+    The error is infinite where a model cannot be solved with a command left out: that is none.
+    """
+    return commands <= 1 or error <= POLICY.verdict.reached
+
+
 def verdict_of(reached: bool, tied_with: int) -> Verdict:
     """Of laws that were found, whether these reach the noise and how many tie with one of them at most."""
     return "law" if reached and tied_with <= POLICY.laws.ties else "cannot_tell"
@@ -82,11 +90,14 @@ class _Learning:
         self.found: list[tuple[FoundLaw, tuple[FoundLaw, ...]]] = []
         self.tried = 0
 
+    def _reached(self, found: Parent) -> bool:
+        return reaches(found.validation.error, len(self.search.problem.groups))
+
     def answer(self) -> Learnt:
         """The laws, one after the other."""
         current = self._first()
         steps = 1
-        while current is not None and goes_on(steps, _reached(current)):
+        while current is not None and goes_on(steps, self._reached(current)):
             further = self._next(current)
             if further is None:
                 break
@@ -180,7 +191,7 @@ class _Learning:
             rest = self.search.without_effect(current, name)
             if rest is None or rest.score > current.score + POLICY.search.fewer_named:
                 continue
-            if _reached(rest) or not _reached(current):
+            if self._reached(rest) or not self._reached(current):
                 current = rest
         return current
 
@@ -229,16 +240,18 @@ class _Learning:
         if current is None or not self.found:
             return self._without_law(before)
         ties_most = max(len(ties) for _, ties in self.found)
-        reached = _reached(current)
+        reached = self._reached(current)
         verdict = verdict_of(reached, ties_most)
         laws = tuple(self._law(current, place) for place in range(len(self.found)))
         words = " and ".join(law.law.words() for law in laws)
         if verdict == "law":
             sentence = words[0].upper() + words[1:] + "."
         elif not reached:
+            error = current.validation.error
+            left = f"leaves {error:.2f} × the noise on" if math.isfinite(error) else "cannot be solved with"
             sentence = (
-                f"A law is missing, and these data do not say which: the nearest ({words}) leaves"
-                f" {current.validation.error:.2f} × the noise on commands left out."
+                f"A law is missing, and these data do not say which: the nearest ({words}) {left} commands"
+                " left out."
             )
         else:
             sentence = (
@@ -328,11 +341,6 @@ def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:
 def _supported(trace: SearchTrace) -> list[frozenset[str]]:
     """The sets of library effects that do better than what they start from; that itself among them."""
     return [trace.start, *(k for k in trace.fits if k != trace.start and trace.passes(trace.start, k))]
-
-
-def _reached(found: Parent) -> bool:
-    """Whether commands left out are foretold to within the noise; one command alone leaves none out."""
-    return not math.isfinite(found.validation.error) or found.validation.error <= POLICY.verdict.reached
 
 
 def _fitted_formula(

@@ -239,15 +239,20 @@ def asked_of(tried: int) -> float:
 def kept(problem: Problem, parent: Parent, rival: Parent, found: FoundLaw, tried: int) -> bool:
     """Whether a law is there: better than its parent and the best of the library, by what is asked.
 
-    Also at commands left out; and large enough to matter, and not our own error.
+    Also at commands left out; and large enough to matter, and not our own error. A law whose model cannot be
+    solved there, as that of a needle that snaps while its damping is still missing, is judged with what is
+    found beside it: alone it does not reach the noise.
     """
     best = found.best
     asked = asked_of(tried)
+    solved = np.isfinite(best.validation.error)
     for other in (parent, rival):
         if best.score > other.score - asked:
             return False
-        if np.isfinite(other.validation.error) and not improves_cross_validation(
-            other.fit, other.validation, best.fit, best.validation
+        if (
+            solved
+            and np.isfinite(other.validation.error)
+            and not improves_cross_validation(other.fit, other.validation, best.fit, best.validation)
         ):
             return False
     return not within_discretisation_error(problem, parent.fit, best.fit) and matters(

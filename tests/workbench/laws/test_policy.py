@@ -1,6 +1,7 @@
 """A row on either side of the thresholds of laws, and of what a law must do to be said."""
 
 import dataclasses
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,8 +11,9 @@ import pytest
 from needle_rig.workbench.laws import search
 from needle_rig.workbench.laws.fitting import Parent
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import goes_on, verdict_of
+from needle_rig.workbench.laws.learn import goes_on, reaches, verdict_of
 from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, kept, tied
+from needle_rig.workbench.policy import POLICY
 
 NO_PROBLEM: Any = None
 
@@ -82,6 +84,13 @@ def test_a_law_that_foretells_nothing_is_not_kept() -> None:
     assert not kept(NO_PROBLEM, before, before, FoundLaw(fitted(900.0, loss=101.0), None, before), 70)
 
 
+def test_a_law_that_cannot_be_solved_without_a_command_is_kept_until_more_is_found() -> None:
+    before = parent(1000.0)
+    found = FoundLaw(fitted(900.0, loss=math.inf, error=math.inf), None, before)
+    assert kept(NO_PROBLEM, before, before, found, 70)
+    assert not kept(NO_PROBLEM, before, parent(905.0), found, 70)
+
+
 def test_a_law_that_foretells_less_than_the_library_is_not_kept() -> None:
     before = parent(1000.0)
     found = FoundLaw(fitted(900.0, loss=60.0), None, before)
@@ -121,3 +130,10 @@ def test_the_formula_is_what_is_added_where_there_is_one() -> None:
     found = FoundLaw(fitted(100.0), None, before)
     assert found.best.score == 100.0
     assert dataclasses.replace(found, formula=fitted(90.0)).score == 90.0
+
+
+def test_a_model_that_cannot_be_solved_with_commands_left_out_does_not_reach_the_noise() -> None:
+    assert not reaches(math.inf, 6)
+    assert reaches(math.inf, 1)
+    assert reaches(POLICY.verdict.reached, 6)
+    assert not reaches(1.01 * POLICY.verdict.reached, 6)
