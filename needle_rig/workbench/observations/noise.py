@@ -216,11 +216,13 @@ def measure_noise(
 
 
 def _holds_share(trials: Sequence[DatasetTrial]) -> float:
-    """Share of the motions that end in a hold which is long enough to show noise."""
+    """Share of the motions that were seen which end in a hold that is long enough to show noise."""
     found = []
     for given in trials:
-        for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
-            found.append((1.0 - SETTLED_FROM) * (end - stop) >= SHORTEST_WINDOW)
+        seen = np.isfinite(channels(given)).any(axis=0)
+        for begin, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
+            if seen[begin:end].any():
+                found.append((1.0 - SETTLED_FROM) * (end - stop) >= SHORTEST_WINDOW)
     return float(np.mean(found)) if found else 0.0
 
 

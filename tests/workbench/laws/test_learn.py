@@ -142,7 +142,7 @@ class RunOut(Effect):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [41, 42])
+@pytest.mark.parametrize("seed", [41])
 def test_a_law_is_found_beside_an_effect_that_the_library_holds(seed: Any) -> None:
     found = learn_laws(dataset(ELASTIC, ThirdHarmonic(2.0), seed=seed), few(), origin=ORIGIN)
     assert found.verdict == "law"
@@ -152,7 +152,7 @@ def test_a_law_is_found_beside_an_effect_that_the_library_holds(seed: Any) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [43, 44])
+@pytest.mark.parametrize("seed", [43])
 def test_two_laws_that_act_apart_are_found_with_their_formulas(seed: Any) -> None:
     found = learn_laws(dataset(RunOut(2.0), ThirdHarmonic(2.0), seed=seed), few(), origin=ORIGIN)
     assert found.verdict == "law"
