@@ -219,7 +219,7 @@ def _holds_share(trials: Sequence[DatasetTrial]) -> float:
     """Share of the motions that were seen which end in a hold that is long enough to show noise."""
     found = []
     for given in trials:
-        seen = np.isfinite(channels(given)).any(axis=0)
+        seen = np.asarray(np.isfinite(channels(given)).any(axis=0))
         for begin, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
             if seen[begin:end].any():
                 found.append((1.0 - SETTLED_FROM) * (end - stop) >= SHORTEST_WINDOW)
