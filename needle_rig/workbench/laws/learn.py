@@ -242,7 +242,9 @@ class _Learning:
         ties_most = max(len(ties) for _, ties in self.found)
         reached = self._reached(current)
         verdict = verdict_of(reached, ties_most)
-        laws = tuple(self._law(current, place) for place in range(len(self.found)))
+        *earlier, last = (self._law(current, place) for place in range(len(self.found)))
+        # what was found or looked for anew after it has lowered the error, too
+        laws = (*earlier, dataclasses.replace(last, held_out_after=current.validation.error))
         words = " and ".join(law.law.words() for law in laws)
         if verdict == "law":
             sentence = words[0].upper() + words[1:] + "."

@@ -76,6 +76,7 @@ def answered(dataset: Any, library: Any, **_: Any) -> Learnt:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_law_that_nobody_told_straightens_the_needle(monkeypatch: Any, tmp_path: Path) -> None:
     monkeypatch.setattr(room, "learn_laws", answered)
     library = find_effects(effect_directories(()))
