@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from needle_rig.control.brain import Brain
 from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import RigFault
-from needle_rig.service.clock import Clock, SensorClock, TimerClock, VirtualClock
+from needle_rig.service.clock import Clock, TimerClock, VirtualClock
 from needle_rig.service.daemon import Daemon, Parts
 from needle_rig.service.logbook import Logbook
 from needle_rig.service.notify import Notify
@@ -67,32 +67,15 @@ def _real_parts(
     # imported now: looking for strategies within a run would hold up the tick
     find_strategies()
     thinker = Thinker()
-    following = SensorClock(period_s) if config.tick_follows == "torque" else None
-
-    def make_rig(raw: RawReadings) -> Rig:
-        heard = raw if following is None else _heard_by(following, raw)
-        return _real_rig(config, heard, resident=resident)
-
     return Parts(
         config,
         Brain(config, model, thinker, trust),
-        make_rig,
-        make_clock=lambda _: following or TimerClock(period_s),
+        make_rig=lambda raw: _real_rig(config, raw, resident=resident),
+        make_clock=lambda _: TimerClock(period_s),
         make_steady=make_steady,
         simulated=config.kind == "simulated",
         close=thinker.close,
     )
-
-
-def _heard_by(clock: SensorClock, raw: RawReadings) -> RawReadings:
-    """`raw`, and the clock hears of every torque."""
-
-    def received(source: str, row: tuple[float, ...]) -> None:
-        raw(source, row)
-        if source == "torque":
-            clock.heard(row[0])
-
-    return received
 
 
 def _virtual_parts(

@@ -278,8 +278,6 @@ class RigConfig(Section):
     name: str
     kind: Literal["simulated", "hardware"]
     tick_hz: Annotated[float, Field(ge=50, le=1000)] = 200
-    tick_follows: Literal["timer", "torque"] = "timer"
-    """`torque`: a tick begins with the torque reading nearest to its time, and answers it at once."""
     needle: NeedleSection
     layout: LayoutSection
     links: LinksSection

@@ -1,17 +1,19 @@
-"""When the tick comes: by the kernel's timer, with a sensor's readings, or in virtual time."""
+"""When the tick comes: a kernel timer with absolute deadlines, or virtual time."""
 
 from __future__ import annotations
 
 import asyncio
+import ctypes
+import os
+import struct
+import sys
 import time
 from collections.abc import Callable
 from typing import Protocol
 
-from needle_rig.service.kernel_timer import KernelTimer
-
+_CLOEXEC_NONBLOCK = os.O_CLOEXEC | os.O_NONBLOCK
+_ABSOLUTE = 1
 _YIELD_EVERY_S = 0.002
-_TICKS_AVERAGED = 16
-"""For the interval between readings: some come in pairs, and a pause brings many at once."""
 
 
 class Clock(Protocol):
@@ -38,27 +40,33 @@ class Clock(Protocol):
 
 
 class TimerClock:
-    """Ticks at absolute times start + n · period on the monotonic clock. Needs a running asyncio loop."""
+    """Ticks of a Linux timerfd on the monotonic clock, at absolute times start + n · period.
+
+    Needs a running asyncio loop.
+    """
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
         self.lateness_s = 0.0
         self._period_ns = round(period_s * 1e9)
         self._deadline_ns = time.monotonic_ns() + self._period_ns
+        self._fd = _timerfd(self._deadline_ns, self._period_ns)
         self._loop = asyncio.get_running_loop()
-        self._waiting: asyncio.Future[None] | None = None
+        self._waiting: asyncio.Future[int] | None = None
         self._expired = 0
-        self._timer = KernelTimer(self._on_expiry)
-        self._timer.set(self._deadline_ns, self._period_ns)
+        self._loop.add_reader(self._fd, self._on_expiry)
 
     def now_s(self) -> float:
         """Seconds of the system's monotonic clock."""
         return time.monotonic_ns() * 1e-9
 
-    def _on_expiry(self, times: int) -> None:
-        self._expired += times
+    def _on_expiry(self) -> None:
+        try:
+            self._expired += struct.unpack("=Q", os.read(self._fd, 8))[0]
+        except BlockingIOError:
+            return
         if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_result(None)
+            self._waiting.set_result(self._expired)
 
     async def tick(self, busy: bool) -> int:  # noqa: ARG002 see Clock
         """Wait for the timer; see `Clock.tick`. Real time never stands still."""
@@ -81,108 +89,10 @@ class TimerClock:
 
     def close(self) -> None:
         """Close the timer; safe to call twice."""
-        self._timer.close()
-
-
-class Pace:
-    """Which readings of a sensor ticks begin with, in ns of any clock.
-
-    A tick begins with the reading nearest to its deadline, at most half the interval between readings before
-    or after it; without one, at `latest_ns`, the end of that. The next deadline comes a period after a
-    reading that was followed, so that ticks keep the sensor's pace; without readings they keep their own.
-    """
-
-    def __init__(self, period_ns: int, now_ns: int) -> None:
-        self._period_ns = period_ns
-        self._deadline_ns = now_ns + period_ns
-        self._begun_ns = now_ns
-        self._interval_ns = float(period_ns)
-        self._readings = 0
-        self.followed_ns: int | None = None
-        """When the reading came with which the next tick begins; None while there is none."""
-
-    @property
-    def _tolerance_ns(self) -> int:
-        return int(min(self._interval_ns, self._period_ns) / 2)
-
-    @property
-    def latest_ns(self) -> int:
-        """When the next tick begins without a reading."""
-        return self._deadline_ns + self._tolerance_ns
-
-    def heard(self, at_ns: int) -> bool:
-        """A reading came; whether the next tick begins with it."""
-        self._readings += 1
-        if self.followed_ns is not None or at_ns < self._deadline_ns - self._tolerance_ns:
-            return False
-        self.followed_ns = at_ns
-        return True
-
-    def begin(self, now_ns: int) -> tuple[int, int]:
-        """A tick begins: by how much too late, and how many ticks were skipped before it."""
-        skipped = max(now_ns - self.latest_ns, 0) // self._period_ns
-        paced_ns = self._deadline_ns
-        due_ns = self.latest_ns + skipped * self._period_ns
-        if self.followed_ns is not None:
-            paced_ns = due_ns = self.followed_ns
-        passed = 1 + max(now_ns - paced_ns - self._tolerance_ns, 0) // self._period_ns
-        self._deadline_ns = paced_ns + passed * self._period_ns
-        if self._readings:
-            interval_ns = (now_ns - self._begun_ns) / self._readings
-            self._interval_ns += (interval_ns - self._interval_ns) / _TICKS_AVERAGED
-        self._begun_ns, self._readings, self.followed_ns = now_ns, 0, None
-        return now_ns - due_ns, skipped
-
-
-class SensorClock:
-    """Ticks that follow a sensor's readings (see `Pace`): one is answered as it comes, not a period later."""
-
-    def __init__(self, period_s: float) -> None:
-        self.period_s = period_s
-        self.lateness_s = 0.0
-        self._pace: Pace | None = None
-        self._timer: KernelTimer | None = None
-        self._waiting: asyncio.Future[None] | None = None
-
-    def now_s(self) -> float:
-        """Seconds of the system's monotonic clock."""
-        return time.monotonic_ns() * 1e-9
-
-    def heard(self, at_s: float) -> None:
-        """A reading came at `at_s` of `now_s`."""
-        if self._pace is not None and self._pace.heard(round(at_s * 1e9)):
-            self._go_on()
-
-    async def tick(self, busy: bool) -> int:  # noqa: ARG002 see Clock
-        """Wait for the reading, or until it is too late for one; see `Clock.tick`."""
-        if self._pace is None or self._timer is None:
-            self._pace = Pace(round(self.period_s * 1e9), time.monotonic_ns())
-            self._timer = KernelTimer(lambda _: self._go_on())
-        if self._pace.followed_ns is None and time.monotonic_ns() < self._pace.latest_ns:
-            self._timer.set(self._pace.latest_ns)
-            self._waiting = asyncio.get_running_loop().create_future()
-            try:
-                await self._waiting
-            finally:
-                self._waiting = None
-        else:
-            await asyncio.sleep(0)
-        late_ns, skipped = self._pace.begin(time.monotonic_ns())
-        self.lateness_s = late_ns * 1e-9
-        return skipped
-
-    def overrun(self) -> bool:
-        """Whether the next tick should have begun."""
-        return self._pace is not None and time.monotonic_ns() > self._pace.latest_ns
-
-    def close(self) -> None:
-        """Close the timer; safe to call twice."""
-        if self._timer is not None:
-            self._timer.close()
-
-    def _go_on(self) -> None:
-        if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_result(None)
+        if self._fd >= 0:
+            self._loop.remove_reader(self._fd)
+            os.close(self._fd)
+            self._fd = -1
 
 
 class VirtualClock:
@@ -221,3 +131,18 @@ class VirtualClock:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+def _timerfd(first_ns: int, period_ns: int) -> int:
+    """A timer file descriptor whose first expiry is at `first_ns` on the monotonic clock."""
+    if sys.version_info >= (3, 13):
+        fd: int = os.timerfd_create(time.CLOCK_MONOTONIC, flags=_CLOEXEC_NONBLOCK)
+        os.timerfd_settime_ns(fd, flags=_ABSOLUTE, initial=first_ns, interval=period_ns)
+        return fd
+    libc = ctypes.CDLL(None, use_errno=True)
+    fd = int(libc.timerfd_create(time.CLOCK_MONOTONIC, _CLOEXEC_NONBLOCK))
+    times = (ctypes.c_long * 4)(*divmod(period_ns, 10**9), *divmod(first_ns, 10**9))
+    if fd < 0 or libc.timerfd_settime(fd, _ABSOLUTE, ctypes.byref(times), None) < 0:
+        error = ctypes.get_errno()
+        raise OSError(error, f"cannot make a timer: {os.strerror(error)}")
+    return fd

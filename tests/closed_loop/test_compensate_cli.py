@@ -100,15 +100,7 @@ def test_a_miss_is_explained_and_can_be_required_not_to_be(shell: Shell) -> None
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("follows", ["timer", pytest.param("torque", marks=pytest.mark.slow)])
-def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell, follows: str) -> None:
-    (shell.folder / "config").mkdir()
-    text = (
-        (ROOT / "config/rig.yaml")
-        .read_text()
-        .replace("tick_hz: 200", f"tick_hz: 200\ntick_follows: {follows}")
-    )
-    (shell.folder / "config/rig.yaml").write_text(text)
+def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell) -> None:
     fast = shell.compensate("--fast", "--settle", "0.5")
     real = shell.compensate("--settle", "0.5")
     for virtual, driven in zip(fast["motions"], real["motions"], strict=True):
