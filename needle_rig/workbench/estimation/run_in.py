@@ -35,6 +35,9 @@ FINER = (0.6, 0.8, 1.0, 1.25, 1.6)
 TURNS = (-2.0, -1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 2.0)
 """Turns from a relaxed shaft to the start that are tried, in lags of the tip: the whole shaft slips in the
 outermost, whatever the friction."""
+BETTER = 1.0
+"""χ² by which a smaller turn must fit better. With the friction that is guessed all beyond one lag do alike;
+with more, which a fit may find, the whole shaft slips in the outermost alone."""
 FEW_TURNS = (-2.0, -0.5, 0.5, 2.0)
 """Those of them that friction is guessed with,"""
 GUESSED_FROM = 2
@@ -119,7 +122,8 @@ class _Shaft:
         if given.start == "relaxed":
             return 0.0, self._chi2(bin_trial(given))
         tried = {turn: self._chi2(self._from(given, turn * self.lag_rad)) for turn in turns}
-        best = min(tried, key=lambda turn: tried[turn])
+        least = min(tried.values())
+        best = max((turn for turn in tried if tried[turn] <= least + BETTER), key=abs)
         return best * self.lag_rad, tried[best]
 
     def _finer(self, given: DatasetTrial) -> float:
@@ -139,7 +143,8 @@ class _Shaft:
         binned = bin_trial(trial)
         before = ((0, 0), (0, 0), (int((binned.time_s < given.trial.time_s[0]).sum()), 0))
         turns_rad = [turn * self.lag_rad for turn in TURNS]
-        others = np.pad(self._recorded(given, [turn_rad, *turns_rad], 1.0), before)
+        seen = self._recorded(given, [turn_rad, *turns_rad], 1.0)
+        others = np.pad(seen, before)
         harder = np.pad(self._recorded(given, [turn_rad, *(BEYOND * t for t in turns_rad)], BEYOND), before)
         half = 0.5 * (harder[-1] - harder[1])
         away = np.concatenate([others[1:] - others[0], harder[1:] - harder[0]])
@@ -154,6 +159,11 @@ class _Shaft:
         if given.start == "zeroed":
             first = of_sample[np.flatnonzero(trial.phase != PHASE)[0]]
             changes += [np.where(place[:, None], half[:, [first]], 0.0) for place in np.eye(len(half))]
+            # about what the start that was found shows: zero itself would be far off in every trial alike
+            torque_nm, *hall_rad = seen[0, :, 0]
+            trial = dataclasses.replace(
+                trial, torque_nm=trial.torque_nm + torque_nm, hall_rad=trial.hall_rad + hall_rad
+            )
         changed = np.array([np.broadcast_to(c, half.shape)[:, of_sample] for c in changes])
         trial = dataclasses.replace(trial, start_change=changed)
         if share < POLICY.noise.start_free_share:

@@ -1,6 +1,7 @@
 """Shafts that were wound when the recording began."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.observations.earlier_path import PHASE
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
 
@@ -102,8 +104,13 @@ def test_a_start_that_is_never_forgotten_is_fitted(start: Start) -> None:
     assert len(said) == 5
     assert "turn of -" in said[2]
     assert not any("turn of -" in said[k] for k in (0, 1, 4))
+    # turned by 45° the whole shaft slips: told as a turn in which it does so with more friction, too
+    turned = [abs(int(found[1])) for note in said if (found := re.search(r"turn of (-?\d+)°", note))]
+    assert min(turned[k] for k in (0, 1, 2, 4)) >= 40
     assert baseline.validation.error < 1.15
     assert np.exp(baseline.current.vector.log_friction) * 100 == pytest.approx(0.0983, rel=0.02)
+    # neither of a shaft that slips whole with the guessed friction alone, nor of where readings were zeroed
+    assert not find_residual_patterns(baseline.problem, baseline.current, given.sensor_names).patterns
 
 
 def test_a_path_before_a_trial_winds_the_shaft_as_a_turn_from_relaxed_does() -> None:
