@@ -44,7 +44,8 @@ def fitted_curve(problem: Problem, current: Fit, found: FoundLaw, formula: Formu
     """The curve of a law of a fit with its band, and the spline's from halves of the trials.
 
     It is the spline's, which takes no form for granted; where the data see that a spline is not sharp
-    enough for the law, the formula's.
+    enough for the law, the formula's. A spline is smoothed at a kink and an edge, and a formula is one form
+    of several that the data bear: with a formula the band is the envelope of both curves' 95 % bands.
     """
     spline = found.spline
     assert isinstance(spline.made, SplineLaw)
@@ -53,22 +54,25 @@ def fitted_curve(problem: Problem, current: Fit, found: FoundLaw, formula: Formu
     family = spline.made.spline
     at = np.linspace(family.low, family.high, CURVE_POINTS)
     basis = family.basis(at)
-    if formula is not None and bent(spline, found.best):
-        value, spread = formula.at(at), _formula_spread(current, found.best.made.name, formula, at)
-    else:
-        coefficients = spline.coefficients
-        if formula is None:
-            # as all laws were last fitted together
-            own = [each.effect == spline.made.name for each in current.parameters]
-            coefficients = spline.made.coefficients(current.vector.scaled_values[own])
-        value, spread = basis @ coefficients, np.sqrt(((basis @ spline.covariance) * basis).sum(axis=1))
-    band = BAND_SIGMAS * np.nan_to_num(spread)
+    coefficients = spline.coefficients
+    if formula is None:
+        # as all laws were last fitted together
+        own = [each.effect == spline.made.name for each in current.parameters]
+        coefficients = spline.made.coefficients(current.vector.scaled_values[own])
+    value, spread = basis @ coefficients, np.sqrt(((basis @ spline.covariance) * basis).sum(axis=1))
+    low, high = _band(value, spread)
+    if formula is not None:
+        stated = formula.at(at)
+        spread = _formula_spread(current, found.best.made.name, formula, at)
+        lower, upper = _band(stated, spread)
+        low, high = np.minimum(low, lower), np.maximum(high, upper)
+        value = stated if bent(spline, found.best) else value
     values = seen(problem, spline.law) / UNIT[spline.law.variable_unit][2]
     step = at[1] - at[0]
     data, _ = np.histogram(values, bins=np.r_[at - step / 2, at[-1] + step / 2])
     halves = [basis @ c for c in _from_halves(problem, found)]
     shown = where_seen(problem, spline.law, at, halves, seen)
-    return Curve(at, value, value - band, value + band, data, shown)
+    return Curve(at, value, low, high, data, shown)
 
 
 def _from_halves(given: Problem, found_law: FoundLaw) -> list[Array]:
@@ -87,6 +91,12 @@ def _from_halves(given: Problem, found_law: FoundLaw) -> list[Array]:
         if again is not None:
             found.append(spline.made.coefficients(again.vector.scaled_values[-count:]))
     return found
+
+
+def _band(value: Array, spread: Array) -> tuple[Array, Array]:
+    """95 % of a curve (n,), of its standard deviation (n,)."""
+    half = BAND_SIGMAS * np.nan_to_num(spread)
+    return value - half, value + half
 
 
 def _formula_spread(found: Fit, name: str, formula: Formula, at: Array) -> Array:
