@@ -58,6 +58,14 @@ class NoisePolicy:
     floor_nmm: float = _threshold(
         1.5e-4, "the same of the base torque", "0.03° over 220 mm of the shipped needle", _NOISE
     )
+    held_share: float = _threshold(
+        0.1,
+        "share of a recording in which the base has settled; below it a hold may be the turning point of a"
+        " base that does not rest, and replicates tell the noise",
+        "0.03 in a recording that follows a sine (config/recordings/davinci.yaml); 0.25 and more of steps,"
+        " turns to and fro that relax the shaft between them counted",
+        _NOISE,
+    )
     correlation_gain: float = _threshold(
         25.0,
         "fall of the misfit of the autocovariance, in its own variances, that shows correlated noise (5σ)",

@@ -44,10 +44,8 @@ VALID_SHARE = 0.9
 """Of a window's samples: gaps filled in from neighbours would pass for correlation."""
 FEWEST_RESTS = 4
 """Rests from which a trend and a scatter about it can be told; with fewer offsets are the floor."""
-LEAST_HOLDS = 0.25
-"""Share of motions that end in a hold below which replicates tell the noise, where there are any."""
 REST_DEG = 1.0
-"""Motion before a rest that leaves it one."""
+"""Motion before a rest that leaves it one, and what the bases of replicates may differ by."""
 
 
 @dataclass(frozen=True)
@@ -112,14 +110,20 @@ def _own_samples(given: DatasetTrial, values: Array) -> _Samples:
     time_s, read = given.trial.time_s, np.isfinite(values)
     rows = np.flatnonzero(read) if is_slow(read) else np.arange(values.size)
     filled, valid, _ = set_aside(values[rows])
-    stretches = []
-    for _, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
-        begin = stop + int(SETTLED_FROM * (end - stop))
-        crept_rad = float(np.ptp(given.trial.base_angle_rad[begin:end])) if end > begin else 0.0
-        if crept_rad > rad(POLICY.noise.floor_deg):
-            continue  # a base that turns back slowly does not hold
-        stretches.append((int(np.searchsorted(rows, begin)), int(np.searchsorted(rows, end))))
+    holds = _holds(given)
+    stretches = [(int(np.searchsorted(rows, at)), int(np.searchsorted(rows, end))) for at, end in holds]
     return _Samples(time_s[rows], filled, valid, stretches)
+
+
+def _holds(given: DatasetTrial) -> list[tuple[int, int]]:
+    """First and end row of what is settled of each hold of the base."""
+    base_rad, found = given.trial.base_angle_rad, []
+    for _, stop, end in motions_of(base_rad, np.asarray(given.phase)):
+        begin = stop + int(SETTLED_FROM * (end - stop))
+        crept_rad = float(np.ptp(base_rad[begin:end])) if end > begin else 0.0
+        if crept_rad <= rad(POLICY.noise.floor_deg):  # a base that turns back slowly does not hold
+            found.append((begin, end))
+    return found
 
 
 def _windows(own: _Samples, count: int) -> list[Array]:
@@ -197,7 +201,7 @@ def measure_noise(
     silent = parts[:, 0] <= 0
     parts[silent, 0] = 10 * floor[silent]
     groups = replicate_groups([t.command for t in trials])
-    if _holds_share(trials) < LEAST_HOLDS:  # a base that hardly rests, as one that follows a sine
+    if _held_share(trials) < POLICY.noise.held_share:
         for c in range(len(parts)):
             white = _white_of_replicates(binned, groups, c)
             if white > 0.0:
@@ -215,35 +219,39 @@ def measure_noise(
     )
 
 
-def _holds_share(trials: Sequence[DatasetTrial]) -> float:
-    """Share of the motions that were seen which end in a hold that is long enough to show noise."""
-    found = []
+def _held_share(trials: Sequence[DatasetTrial]) -> float:
+    """Share of the time from the first to the last reading of each trial in which the base had settled."""
+    held_s = seen_s = 0.0
     for given in trials:
-        seen = np.asarray(np.isfinite(channels(given)).any(axis=0))
-        for begin, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase)):
-            if seen[begin:end].any():
-                found.append((1.0 - SETTLED_FROM) * (end - stop) >= SHORTEST_WINDOW)
-    return float(np.mean(found)) if found else 0.0
+        time_s = given.trial.time_s
+        seen = np.flatnonzero(np.isfinite(channels(given)).any(axis=0))
+        if seen.size:
+            seen_s += float(time_s[seen[-1]] - time_s[seen[0]])
+            holds = [(begin, end) for begin, end in _holds(given) if end > begin >= seen[0]]
+            held_s += float(sum(time_s[end - 1] - time_s[begin] for begin, end in holds))
+    return held_s / seen_s if seen_s > 0.0 else 0.0
 
 
 def _white_of_replicates(binned: Sequence[BinnedTrial], groups: list[list[int]], channel: int) -> float:
     """Standard deviation of a sample that the scatter between bin means of replicates has; 0 without them.
 
     Of angles it is that of the lag behind the base, whose own bins differ by a sample. By medians: where the
-    base turns back, an instant of difference makes another reading.
+    base turns back, an instant of difference makes another reading. Bins in which the bases are farther
+    apart than that show no noise.
     """
     found: list[float] = []
     for group in groups:
         shared = min((binned[i].mean.shape[1] for i in group), default=0)
         if len(group) == 1:
             continue
-        lead = [binned[i].base_rad[:shared] if channel else np.zeros(shared) for i in group]
+        bases = np.array([binned[i].base_rad[:shared] for i in group])
+        lead = bases if channel else np.zeros(bases.shape)
         means = np.array(
             [binned[i].mean[channel, :shared] - base for i, base in zip(group, lead, strict=True)]
         )
         counts = np.array([binned[i].count[channel, :shared] for i in group])
         variance = means.var(axis=0, ddof=1) * counts.mean(axis=0)
-        known = variance[np.isfinite(variance)]
+        known = variance[np.isfinite(variance) & (np.ptp(bases, axis=0) < rad(REST_DEG))]
         found += (known / float(chi2.median(len(group) - 1) / (len(group) - 1))).tolist()
     return float(np.sqrt(np.median(found))) if found else 0.0
 

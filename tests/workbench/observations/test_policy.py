@@ -51,6 +51,33 @@ def test_a_motion_of_half_a_degree_has_no_direction(move_rad: float, direction: 
     assert direction_of(np.array([move_rad])) == [direction]
 
 
+@pytest.mark.parametrize(("held", "from_replicates"), [(0.085, True), (0.115, False)])
+def test_a_base_that_holds_for_a_tenth_of_the_time_shows_noise_itself(
+    held: float, from_replicates: bool
+) -> None:
+    # it turns to and fro with noise of 0.4°, then holds, with 0.1°; 0.4 of a hold is not settled yet
+    time_s = np.arange(4000) / 50.0
+    holds = np.arange(4000) >= 4000 * (1.0 - held / 0.6)
+    base_rad = np.where(holds, 0.0, rad(30.0) * np.sin(2 * np.pi * time_s / 8.0))
+    random, first = np.random.default_rng(2), dataset().trials[0]
+    trials = []
+    for _ in range(4):
+        noise_rad = rad(np.where(holds, 0.1, 0.4))[:, None] * random.standard_normal((4000, 4))
+        driven = dataclasses.replace(first.trial, time_s=time_s, base_angle_rad=base_rad)
+        trials.append(
+            dataclasses.replace(
+                first,
+                trial=driven,
+                base_measured_rad=base_rad,
+                phase=np.full(4000, "sweep"),
+                torque_nm=noise_rad[:, 0],
+                hall_rad=base_rad[:, None] + noise_rad,
+            )
+        )
+    found = measure_noise(trials, [bin_trial(t) for t in trials])
+    assert deg(found.white[1:]) == pytest.approx(0.4 if from_replicates else 0.1, rel=0.2)
+
+
 def test_with_few_rests_the_offset_is_seven_tenths_of_the_floor(binned: tuple[BinnedTrial, ...]) -> None:
     assert _rest_offsets(binned[:2], np.tile([1.0, 0.0, 0.1], (5, 1)), np.full(5, 2.0)) == pytest.approx(1.4)
 
