@@ -35,6 +35,8 @@ class Simulator:
     def __reduce__(self) -> tuple[type[Simulator], tuple[()]]:
         return Simulator, ()
 
+    # a law far out may overflow: values that are not finite are refused where they are used, in words
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def readings(
         self, models: Sequence[NeedleModel], trials: Sequence[BinnedTrial], most_solves: float = math.inf
     ) -> list[Array]:

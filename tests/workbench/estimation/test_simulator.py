@@ -1,6 +1,7 @@
 import dataclasses
 import pickle
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import SolverError
+from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solver import Solution, solve_batch
 from needle_rig.workbench.estimation import simulator as simulator_module
@@ -110,3 +112,23 @@ def test_a_needle_that_takes_too_many_solves_is_not_followed_even_when_it_is_kno
     problem.predict((), vector)
     with pytest.raises(SolverError, match="too many balances"):
         problem.predict((), vector, most_solves=0.01)
+
+
+@dataclass(frozen=True)
+class FarOut(Effect):
+    """A reading that overflows."""
+
+    size: float = parameter(
+        off=0.0, lower=-10.0, upper=10.0, typical=1.0, smallest=0.1, literature=(-10.0, 10.0), unit="1"
+    )
+
+    def observe(self, reading: Reading) -> Reading:
+        return dataclasses.replace(reading, torque_nm=np.exp(self.size * 1e4 * np.abs(reading.trial.time_s)))
+
+
+def test_a_law_that_overflows_gives_readings_that_are_not_finite_and_no_warning() -> None:
+    problem = problem_of(dataset())
+    given = problem.trials[0]
+    (reading,) = Simulator().readings([problem.base.with_effects(FarOut(1.0))], [given])
+    assert not np.isfinite(reading[0]).all()
+    assert np.isfinite(reading[1:]).all()
