@@ -101,6 +101,7 @@ def test_planned_without_a_model_is_a_refusal_in_the_table() -> None:
     assert "worst_deg" not in table.rows()[0]
 
 
+@pytest.mark.slow
 def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
     told = foretold(_bout("rig_rigid", "rig_rigid"), (45.0,), ("relaxed",))
     assert told.planned_deg <= told.q95_deg < told.reed2008_deg < 3.0
