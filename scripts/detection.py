@@ -13,30 +13,13 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.baseline import Baseline
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.estimation.parameters import FreeParameter, at_strength
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.selection.screening import forms
 
 EXPECTED_GAIN = 16.0
 """Fall of the objective (4σ) at which an effect is found in most datasets."""
 STRONGEST = 30.0
 WEAKEST = 1e-4
-
-
-def at_strength(parameters: Sequence[FreeParameter], strength: float, turn: float = 1.0) -> Array:
-    """Scaled values (k,) of one effect's parameters at `strength` typical sizes; forms stay typical.
-
-    What may have either sign takes that of `turn`, items of a field alternate; bounds cut.
-    """
-    scaled_values = forms(parameters)[0].copy()
-    for k, parameter in enumerate(parameters):
-        if parameter.info.shapes:
-            continue
-        low, high = parameter.bounds
-        odd = parameter.item is not None and parameter.item % 2 == 1
-        sign = (-turn if odd else turn) if low < 0 < high else 1.0 if high > 0 else -1.0
-        scaled_values[k] = min(max(sign * strength, low), high)
-    return scaled_values
 
 
 def smallest_strength(parameters: Sequence[FreeParameter]) -> float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import NotRequired, TypedDict
 
 import numpy as np
-from detection import at_strength, detection_limit, smallest_strength
+from detection import detection_limit, smallest_strength
 from scipy.stats import f as f_distribution
 
 from needle_rig.dataset import Dataset
@@ -27,6 +27,7 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import (
     FreeParameter,
     against_mean,
+    at_strength,
     free_parameters,
     make_effects,
 )

@@ -93,7 +93,7 @@ class Bench:
         self.tick(command, round(seconds / _STEP_S / _STEPS_A_TICK))
 
     async def set_up(self) -> None:
-        """Set the device up, while its twin goes on at the clock's pace: it may wait in a thread for an answer."""
+        """Set the device up, while its twin goes on at the pace of a clock: it may wait in a thread."""
         self.host.pages = _Pages(self.twin)
         task = asyncio.create_task(self.device.set_up())
         for _ in range(_GIVE_UP_STEPS):

@@ -67,16 +67,17 @@ def null_model(dataset: Dataset) -> NeedleModel:
 def judged(dataset: Dataset, shaft: NeedleModel | None = None) -> Dataset:
     """What a model is held against: trials with an unknown start after a run-in, one command alone in blocks.
 
-    Starts are found with the model `shaft`, the null model without one. Raises BadInput, SolverError.
+    Starts are found with the fitted model `shaft`; without one with the null model, its friction guessed.
+    Raises BadInput, SolverError.
     """
     return in_blocks(in_whole_trials(dataset, shaft))
 
 
 def in_whole_trials(dataset: Dataset, shaft: NeedleModel | None = None) -> Dataset:
     """Trials after the path that is known before them, or a run-in. Raises BadInput, SolverError."""
-    shaft = shaft or null_model(dataset)
-    coarse = dataclasses.replace(shaft, layout=dataset.layout, element_length_m=element_length(shaft))
-    return after_run_in(with_known_paths(dataset), coarse)
+    model = shaft or null_model(dataset)
+    coarse = dataclasses.replace(model, layout=dataset.layout, element_length_m=element_length(model))
+    return after_run_in(with_known_paths(dataset), coarse, friction_known=shaft is not None)
 
 
 def element_length(model: NeedleModel) -> float:

@@ -121,6 +121,22 @@ def free_parameters(
     return tuple(found)
 
 
+def at_strength(parameters: Sequence[FreeParameter], strength: float, turn: float = 1.0) -> Array:
+    """Scaled values (k,) of one effect's parameters at `strength` typical sizes; forms stay typical.
+
+    What may have either sign takes that of `turn`, items of a field alternate; bounds cut.
+    """
+    scaled_values = np.zeros(len(parameters))
+    for k, parameter in enumerate(parameters):
+        if parameter.info.shapes:
+            continue
+        low, high = parameter.bounds
+        odd = parameter.item is not None and parameter.item % 2 == 1
+        sign = (-turn if odd else turn) if low < 0 < high else 1.0 if high > 0 else -1.0
+        scaled_values[k] = min(max(sign * strength, low), high)
+    return scaled_values
+
+
 def constrained_means(parameters: Sequence[FreeParameter]) -> list[Array]:
     """Places of the items whose mean is constrained, an array for each such field."""
     fields: dict[tuple[str, str], list[int]] = {}

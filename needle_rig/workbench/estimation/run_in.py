@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.numerics import Array
@@ -42,8 +43,8 @@ FEW_TURNS = (-2.0, -0.5, 0.5, 2.0)
 """Those of them that friction is guessed with,"""
 GUESSED_FROM = 2
 """from the trials whose base turns farthest."""
-FINER_TURNS = (0.125, 0.0625)
-"""Steps about the best, in lags."""
+EXACT = 0.01
+"""To which the turn is found, in lags: a quarter of a degree where friction lets the tip lag 25°."""
 BEYOND = 1.5
 """Of the guessed friction, which the extreme starts have: effects that are not in the model yet hold a shaft
 harder. An elastic tissue of 0.35 N·mm/rad per 100 mm lets the tip lag 1.6 times as far before all slips."""
@@ -56,18 +57,18 @@ WORDS = {
 }
 
 
-def after_run_in(dataset: Dataset, model: NeedleModel) -> Dataset:
+def after_run_in(dataset: Dataset, model: NeedleModel, *, friction_known: bool) -> Dataset:
     """The dataset; trials with an unknown start as far as they can be judged, each with a sentence.
 
     The path of such a trial gets turns before it that wind the shaft as it was found to be. `model` has the
-    dataset's geometry; its friction is guessed. Raises SolverError, BadInput.
+    dataset's geometry; its friction is guessed where it is not known. Raises SolverError, BadInput.
     """
     if all(t.start == "relaxed" for t in dataset.trials):
         return dataset
     # with a path before it an unknown twist is no rest, whose scatter would count as noise
     rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
     noise = measure_noise(rests, [bin_trial(t) for t in rests], dataset.torque_scale)
-    shaft = _guessed(dataset, noise, model)
+    shaft = _guessed(dataset, noise, model, friction_known)
     trials, notes = [], []
     for given in dataset.trials:
         if given.start == "relaxed":
@@ -87,7 +88,7 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     return with_path_before(trial, [*ends, relaxed_rad])
 
 
-def _guessed(dataset: Dataset, noise: Noise, given: NeedleModel) -> _Shaft:
+def _guessed(dataset: Dataset, noise: Noise, given: NeedleModel, friction_known: bool) -> _Shaft:
     """The shaft of the friction that fits the trials best, each from the start that fits it best."""
     rod = build_rod(dataset.layout, given.torsional_rigidity_nm2, 1.0, given.element_length_m)
     beyond_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1][1:]
@@ -97,6 +98,8 @@ def _guessed(dataset: Dataset, noise: Noise, given: NeedleModel) -> _Shaft:
         model = dataclasses.replace(given, friction_n=lag_rad / lag_of_newton)
         return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names))
 
+    if friction_known:
+        return of(given.friction_n * lag_of_newton)
     travelled = sorted(dataset.trials, key=lambda t: -float(np.abs(np.diff(t.trial.base_angle_rad)).sum()))
     told = travelled[:GUESSED_FROM]
 
@@ -127,14 +130,19 @@ class _Shaft:
         return best * self.lag_rad, tried[best]
 
     def _finer(self, given: DatasetTrial) -> float:
-        """The turn that fits best, between those of `start`."""
+        """The turn that fits best, between those beside the best of `start`."""
         best_rad, least = self.start(given)
-        for step in FINER_TURNS:
-            for turn_rad in (best_rad - step * self.lag_rad, best_rad + step * self.lag_rad):
-                chi2 = self._chi2(self._from(given, turn_rad))
-                if chi2 < least:
-                    best_rad, least = turn_rad, chi2
-        return best_rad
+        place = int(np.argmin(np.abs(np.array(TURNS) * self.lag_rad - best_rad)))
+        if place in (0, len(TURNS) - 1):
+            return best_rad
+        ends = (TURNS[place - 1] * self.lag_rad, TURNS[place + 1] * self.lag_rad)
+        found = minimize_scalar(
+            lambda turn_rad: self._chi2(self._from(given, float(turn_rad))),
+            bounds=ends,
+            method="bounded",
+            options={"xatol": EXACT * self.lag_rad},
+        )
+        return float(found.x) if found.fun < least else best_rad
 
     def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, str]:
         """The trial without readings that depend on its start, or with these uncertain; and what was done."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline, judged
+from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
@@ -30,6 +31,7 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
+from needle_rig.workbench.selection.unknown_starts import from_found_starts
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
@@ -107,15 +109,14 @@ def diagnose(
     say("measuring the noise, fitting the current model")
     begun_s = time.monotonic()
     baseline = fit_baseline(dataset, model, library)
+    known: Fit | None = None
     fit_s = time.monotonic() - begun_s
     with work or Work() as at:
         if any(trial.start != "relaxed" for trial in dataset.trials):
-            say("finding the unknown starts with the one effect that explains most")
-            shaft = _fitted(_searched(baseline, library, 1, at, quick=True))
-            if shaft.effects:
-                baseline = fit_baseline(dataset, model, library, lambda given: judged(given, shaft))
+            say("finding the unknown starts with each effect that may hold them")
+            baseline, known = from_found_starts(dataset, model, library, baseline, at)
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
-        trace = _searched(baseline, library, max_effects, at, quick)
+        trace = _searched(baseline, library, max_effects, at, quick, known)
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
         say("testing the answer against the discretisation error")
@@ -124,17 +125,16 @@ def diagnose(
 
 
 def _searched(
-    baseline: Baseline, library: Mapping[str, type[Effect]], max_effects: int, work: Work, quick: bool
+    baseline: Baseline,
+    library: Mapping[str, type[Effect]],
+    max_effects: int,
+    work: Work,
+    quick: bool,
+    known: Fit | None = None,
 ) -> SearchTrace:
     names = tuple(sorted(set(library) - set(baseline.current.effects)))
     fits = (baseline.problem, names, baseline.current, baseline.validation)
-    return search(*fits, max_effects=max_effects, work=work, quick=quick)
-
-
-def _fitted(trace: SearchTrace) -> NeedleModel:
-    """The model of the best set of a search."""
-    found, _ = trace.fits[trace.best]
-    return trace.problem.model(found.parameters, found.vector)
+    return search(*fits, max_effects=max_effects, work=work, quick=quick, known=known)
 
 
 def expected(fit_s: float, processes: int, quick: bool = False) -> str:
@@ -171,7 +171,10 @@ def _conclude(
     lack = lack_of_fit(problem, best, sensors)
     seen = snaps(baseline.dataset)
     scale = baseline.dataset.torque_scale
-    why = reasons(Findings(tuple(named), left, lack, explained_fraction, validation.error, seen, scale))
+    fitted_error = math.sqrt(best.chi2 / problem.size)
+    why = reasons(
+        Findings(tuple(named), left, lack, explained_fraction, validation.error, seen, scale, fitted_error)
+    )
     verdict = judge(named, why)
     ordered = order(search, named)
     ranking = rank(search, ordered, rivals, verdict, best, validation)

@@ -262,13 +262,17 @@ def search(
     max_effects: int,
     work: Work,
     quick: bool = False,
+    known: Fit | None = None,
 ) -> SearchTrace:
     """Search among `names` on top of `root`, until nothing more passes or more would be named.
 
-    `quick` ends with the best single effect that is large enough to matter.
+    `quick` ends with the best single effect that is large enough to matter; `known` is a fit to the same
+    problem with one effect more than `root`, in a valley that this one's signature may not lead to.
     """
     work.share(problem)
     trace = SearchTrace.begin(problem, names, root, root_validation)
+    if known is not None:
+        trace = trace.keep(known, cross_validate(problem, known))
     frontier = [trace.start]
     if quick:
         trace, options = _forward(trace, work, frontier)

@@ -28,6 +28,8 @@ class Findings:
     """Root mean square error of cross-validation, in units of the noise."""
     snaps: tuple[Snap, ...] = ()
     torque_scale: float = 1.0
+    fitted_error: float = 1.0
+    """Root mean square of what is left in the trials that were fitted, in units of the noise."""
 
 
 @dataclass(frozen=True)
@@ -76,15 +78,18 @@ def noise_not_reached(found: Findings) -> str | None:
     """Commands left out are not foretold to within the noise.
 
     Effects that are named are held to it where what they leave shows a pattern: without one it is the few
-    commands that leave their sizes open. Where nothing is named and no pattern is seen, the noise itself may
-    be known badly.
+    commands that leave their sizes open, but then the trials that were fitted are met to within the noise.
+    Where nothing is named and no pattern is seen, the noise itself may be known badly.
     """
-    limit = POLICY.verdict.reached if found.left.significant else POLICY.verdict.reached_without_pattern
-    if not above_noise(found.held_out_error, limit) or (found.named and not found.left.significant):
+    policy = POLICY.verdict
+    limit = policy.reached if found.left.significant else policy.reached_without_pattern
+    open_sizes = found.named and not found.left.significant
+    error = found.fitted_error if open_sizes else found.held_out_error
+    if not above_noise(error, limit):
         return None
     model = f"with {' and '.join(found.named)}" if found.named else "with no effect named"
-    error = f"{found.held_out_error:.2f} × the noise"
-    return f"{model} the error on commands left out is {error}, more than {limit:g}"
+    where = "the trials that were fitted" if open_sizes else "commands left out"
+    return f"{model} the error on {where} is {error:.2f} × the noise, more than {limit:g}"
 
 
 def stick_slip(found: Findings) -> str | None:

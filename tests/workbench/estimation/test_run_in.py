@@ -144,6 +144,19 @@ def test_where_every_trial_is_wound_the_starts_are_found_with_what_is_missing(se
     assert value.low < 0.45 < value.high
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("start", ["wound", "zeroed"])
+def test_friction_at_the_tip_is_not_taken_for_less_wound_starts(start: Start) -> None:
+    whole = dataset(effect("tip_friction", torque_nmm=0.03), seed=23)
+    late = [begun_late(t, "overshoot" if "overshoot" in t.phase else "step_2", start) for t in whole.trials]
+    library = few("tip_friction", "platform_friction", "bending_torque", "hall_gain", "tissue_elasticity")
+    found = diagnose(dataclasses.replace(whole, trials=tuple(late)), library)
+    assert (found.verdict, found.effects) == ("effect", ("tip_friction",))
+    value = found.ranking[0].values[0]
+    assert value.value == pytest.approx(0.03, rel=0.1)
+    assert found.held_out_error_after < 1.1
+
+
 def test_an_effect_is_named_at_its_size_beside_wound_starts() -> None:
     whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
     trials = list(whole.trials)

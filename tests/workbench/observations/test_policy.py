@@ -157,7 +157,7 @@ def test_a_run_in_leaves_half_of_the_readings(steps_deg: tuple[float, ...], runs
     protocol = Protocol("late", (staircase(steps_deg, 45.0, 1.0),))
     data = simulate_dataset(load_parameters("rig_rigid"), protocol, 5)
     trial = dataclasses.replace(data.trials[0], start="wound")
-    found = after_run_in(dataclasses.replace(data, trials=(trial,)), null_model(data))
+    found = after_run_in(dataclasses.replace(data, trials=(trial,)), null_model(data), friction_known=False)
     assert ("after a run-in" in found.notes[-1]) is runs_in
     assert ("too few for a run-in (limit 50%)" in found.notes[-1]) is not runs_in
 
@@ -176,7 +176,7 @@ def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_sta
         return "after a run-in 100%" in shaft.judged(trial)[1]
 
     noise = measure_noise(data.trials, [bin_trial(t) for t in data.trials])
-    shaft = _guessed(data, noise, null_model(data))
+    shaft = _guessed(data, noise, null_model(data), friction_known=False)
     binned = bin_trial(wound(trial, shaft._finer(trial), shaft.lag_rad))
     one_sigma = np.full(binned.mean.shape, np.nan)
     for c in range(len(one_sigma)):

@@ -3,9 +3,10 @@
 import math
 
 import pytest
-from detection import at_strength, detection_limit, smallest_strength
+from detection import detection_limit, smallest_strength
 
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.parameters import at_strength
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, few
 

@@ -294,6 +294,8 @@ def lack(p: float = 1e-6, size: float = 1.0) -> LackOfFit:
     [
         (Findings((), NOTHING_LEFT, None, 1.0, 1.0), []),
         (Findings(("a",), NOTHING_LEFT, None, 0.1, 9.0), []),
+        (Findings(("a",), NOTHING_LEFT, None, 0.1, 9.0, fitted_error=1.27), []),
+        (Findings(("a",), NOTHING_LEFT, None, 0.1, 9.0, fitted_error=1.33), ["noise_not_reached"]),
         (Findings((), left(0.09), None, 0.0, 1.0), []),
         (Findings((), left(0.16), None, 0.0, 1.0), ["pattern_matters"]),
         (Findings((), left(0.0006, "N·mm"), None, 0.0, 1.0), []),

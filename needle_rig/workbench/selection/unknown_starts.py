@@ -1,0 +1,150 @@
+"""Shafts that were wound when the recording began: their starts, found with the effect that holds them.
+
+Starts that are found without an effect can hide it: friction at the tip is taken for shafts that are wound
+less. Starts that are found with an effect favour it. They are found with each of the effects that screening
+promises most of, and where commands left out are then not foretold to within the noise, with each that can
+hold a shaft, at its typical size, as it need not show in other starts; the effect with which they are
+foretold best is kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from needle_rig.dataset import Dataset
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, judged
+from needle_rig.workbench.estimation.cross_validation import cross_validate
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
+from needle_rig.workbench.estimation.parameters import at_strength
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.observations.binning import bin_trial
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.screening import beside, screen
+
+ROUNDS = 4
+"""Most times that starts are found with the fit to those before."""
+MOST_PROMISING = 3
+"""Effects of which screening promises most that are tried."""
+BETTER = 0.99
+"""Share of its error at which a round is worth another."""
+STRENGTHS = (1.4, 0.7, 2.0, 0.5)
+"""Strength of an effect, in that of a fit, from which it is restarted, by half octaves: a node that friction
+holds, or just not, in one hold makes a valley of its own."""
+HOLDING = ("shape", "torque")
+"""Hooks of an effect that can hold twist in a shaft at rest."""
+
+
+Task = tuple[tuple[str, ...], ParameterVector]
+"""Effects and where their fit starts."""
+
+
+@dataclass(frozen=True)
+class Holder:
+    """An effect with the starts that it holds."""
+
+    shaft: NeedleModel
+    """With which the starts were found."""
+    fit: Fit
+    error: float
+    """On commands left out, in units of the noise; on those fitted where there is one alone."""
+
+
+def from_found_starts(
+    dataset: Dataset,
+    model: NeedleModel | None,
+    library: Mapping[str, type[Effect]],
+    baseline: Baseline,
+    work: Work,
+) -> tuple[Baseline, Fit | None]:
+    """The baseline with starts as one more effect holds them, and the fit of that effect on it.
+
+    `baseline` has the starts of the current model. Where no effect foretells more than that, it stays.
+    Raises SolverError.
+    """
+    problem, current = baseline.problem, baseline.current
+    others = sorted(set(library) - set(current.effects))
+    least = _error(baseline.validation.error, current, problem)
+    work.share(problem)
+    ahead = work.run(screen, [(current, name) for name in others])
+    ahead = sorted((s for s in ahead if s.starts and s.gain > 0.0), key=lambda s: -s.gain)
+    starts = [_start(problem, current, s.effect, s.starts[0].scaled_values) for s in ahead[:MOST_PROMISING]]
+    work.share((dataset, problem))
+    holders = [h for h in work.run(held, [(*start, least) for start in starts]) if h is not None]
+    below = min((least, *(h.error for h in holders)))
+    if below > POLICY.verdict.reached:
+        holding = [name for name in others if any(library[name].has(hook) for hook in HOLDING)]
+        tasks = [(*start, below) for name in holding for start in _typical(problem, current, name)]
+        holders += [h for h in work.run(held, tasks) if h is not None]
+    best = min(holders, key=lambda h: h.error, default=None)
+    if best is None or best.error >= least:
+        return baseline, None
+    renewed = fit_baseline(dataset, model, library, lambda given: judged(given, best.shaft))
+    return renewed, _over_strength(renewed.problem, best.fit.effects, best.fit.vector)
+
+
+def held(
+    shared: tuple[Dataset, Problem], names: tuple[str, ...], vector: ParameterVector, below: float
+) -> Holder | None:
+    """Starts found with these effects at `vector`, effects fitted to them, and so on while the error falls.
+
+    Only the first round where it does not come `below`. None where the model cannot be solved.
+    """
+    dataset, problem = shared
+    parameters = problem.parameters(names)
+    best: Holder | None = None
+    for _ in range(ROUNDS):
+        try:
+            shaft = problem.model(parameters, vector)
+            here = problem.over([bin_trial(t) for t in judged(dataset, shaft).trials])
+            found = _over_strength(here, names, vector)
+        except (BadInput, SolverError):
+            break
+        if found is None:
+            break
+        error = _error(cross_validate(here, found).error, found, here)
+        last, best = best, Holder(shaft, found, error) if best is None or error < best.error else best
+        if error > below or (last is not None and error > BETTER * last.error):
+            break
+        vector = found.vector
+    return best
+
+
+def _start(problem: Problem, current: Fit, name: str, scaled_values: Array) -> Task:
+    """The current model with one more effect."""
+    parameters = (*current.parameters, *problem.parameters([name]))
+    return (*current.effects, name), beside(problem, current, parameters, scaled_values)
+
+
+def _typical(problem: Problem, current: Fit, name: str) -> list[Task]:
+    """An effect beside the current ones at its typical size, either way where it has two."""
+    added = problem.parameters([name])
+    ways = [at_strength(added, 1.0, turn) for turn in (1.0, -1.0)]
+    return [_start(problem, current, name, w) for w in ways[: 1 if (ways[0] == ways[1]).all() else 2]]
+
+
+def _over_strength(problem: Problem, names: tuple[str, ...], vector: ParameterVector) -> Fit | None:
+    """The lowest of fits from several strengths of the last effect."""
+    strengths = [a.effect == names[-1] and not a.info.shapes for a in problem.parameters(names)]
+    best = fit(problem, names, vector)
+    if best is None:
+        return None
+    for factor in STRENGTHS:
+        values = np.where(strengths, factor, 1.0) * best.vector.scaled_values
+        again = fit(problem, names, dataclasses.replace(best.vector, scaled_values=values))
+        if again is not None and again.objective < best.objective - OBJECTIVE_TOLERANCE:
+            best = again
+    return best
+
+
+def _error(held_out: float, found: Fit, problem: Problem) -> float:
+    return held_out if math.isfinite(held_out) else math.sqrt(found.chi2 / problem.size)
