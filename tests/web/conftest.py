@@ -11,6 +11,7 @@ from needle_rig.notebook import simulate
 from tests.closed_loop.shell import Shell, all_gone
 from tests.web.looking import CHROMIUM, EVIL, PATIENCE_MS, WIDE, Open
 from tests.web.served import Served
+from tests.workbench.hidden import PROTOCOL
 
 
 def started(shell: Shell, *arguments: str) -> Iterator[Served]:
@@ -49,8 +50,9 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def data(shell: Shell) -> Path:
-    """A practice set with a hidden effect, and one whose every name is an attack."""
-    simulate({"tissue_elasticity": 0.35}, seed=1, name="mine", out=shell.folder / "data" / "mine")
+    """A short series with a hidden effect, and one whose every name is an attack."""
+    mine = shell.folder / "data" / "mine"
+    simulate({"tissue_elasticity": 0.35}, protocol=PROTOCOL, seed=1, name="mine", out=mine)
     simulate({}, seed=2, name=EVIL, out=shell.folder / "data" / "names")
     description = shell.folder / "data" / "names" / "dataset.yaml"
     text = description.read_text().replace("hall_1", "'<i onclick=evil()>hall'", 1)
