@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 
+from needle_rig.errors import BadInput
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.estimation.parameters import FreeParameter, make_effects
 from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
 from needle_rig.workbench.selection.evidence import adjusted_p, is_negligible
@@ -20,7 +23,8 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
     """What the best set of a search says of every effect of the library.
 
     While the answer's error on commands left out is above the noise, what stands for the rest of it may hide
-    any effect: none is absent or negligible then, and no limit holds.
+    any effect: none is absent or negligible then, and no limit holds. Nor does that of an effect that
+    `may_snap`.
     """
     best = search.fits[search.best][0]
     by_name = {c.effect: c for c in search.children.get(search.best, ())}
@@ -33,9 +37,31 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
             decisions[name] = _decision(name, search.negligible[name], "negligible")
         else:
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
-    if decisions_stand(named, held_out_error):
-        return decisions
-    return {n: d if d.decision == "present" else _left_open(d) for n, d in decisions.items()}
+    stand = decisions_stand(named, held_out_error)
+    for name, decision in decisions.items():
+        if decision.decision != "present" and not (stand and not may_snap(search.problem, best, name)):
+            decisions[name] = _left_open(decision)
+    return decisions
+
+
+def may_snap(problem: Problem, found: Fit, effect: str) -> bool:
+    """Whether the fitted needle with an effect, at the smallest size that matters, snaps in one of its forms.
+
+    A model without inertia gives neither the instant of a snap nor where it ends, so a fit stays with the
+    forms that do not snap, and its size says nothing of the others.
+    """
+    kept = [e for e in problem.model(found.parameters, found.vector).effects if e.name() != effect]
+    bare = dataclasses.replace(problem.model(found.parameters, found.vector), effects=tuple(kept))
+    added = problem.parameters([effect])
+    extremes = [a.bounds if a.info.shapes else (float(np.clip(a.smallest, *a.bounds)),) for a in added]
+    for scaled_values in itertools.product(*extremes):
+        model = bare.with_effects(*make_effects(problem.library, added, np.array(scaled_values)))
+        try:
+            if model.rod(problem.trials[0].trial).snaps:
+                return True
+        except BadInput:
+            continue
+    return False
 
 
 def _left_open(decision: Decision) -> Decision:

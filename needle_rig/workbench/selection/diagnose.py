@@ -22,7 +22,7 @@ from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
-from needle_rig.workbench.selection.decisions import decide
+from needle_rig.workbench.selection.decisions import decide, may_snap
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
@@ -276,5 +276,11 @@ def _negligible_notes(search: SearchTrace) -> list[str]:
     notes = []
     for name, found in search.negligible.items():
         said = ", ".join(f"{v.name} = {v.value:.3g} {v.unit}" for v in values_of(found, name))
-        notes.append(f"{name} is seen, but too small to matter ({said}).")
+        if may_snap(search.problem, search.fits[search.best][0], name):
+            notes.append(
+                f"{name} is seen ({said}), and how much there is of it cannot be told: with an excess that is"
+                " lost within less slip the needle snaps, and what a snap leaves looks like less of it."
+            )
+        else:
+            notes.append(f"{name} is seen, but too small to matter ({said}).")
     return notes

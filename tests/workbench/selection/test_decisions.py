@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from needle_rig.workbench.selection.decisions import decide
+from needle_rig.workbench.selection.decisions import decide, may_snap
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.search import SearchTrace
 from tests.workbench.hidden import dataset, few
@@ -51,3 +51,14 @@ def test_what_is_present_stays_so_while_commands_left_out_are_missed(nothing_fou
     assert decisions["torque_bias"].decision == "present"
     assert decisions["torque_bias"].limit is not None
     assert decisions["tissue_elasticity"].decision == "cannot_tell"
+
+
+def test_of_friction_that_may_let_the_needle_snap_no_size_is_ruled_out() -> None:
+    """Another code's needle whose excess of 0.25 is lost within no slip was fitted by 0.02 over 1.9°."""
+    found = diagnose(dataset(seed=24), few("stribeck", "torque_bias"))
+    assert found.verdict == "none"
+    assert found.decisions["torque_bias"].decision == "absent"
+    told = found.decisions["stribeck"]
+    assert (told.decision, told.limit) == ("cannot_tell", None)
+    search = found.search
+    assert not may_snap(search.problem, search.root, "torque_bias")
