@@ -102,7 +102,7 @@ class _Learning:
             if further is None:
                 break
             current, steps = self._revised(further), steps + 1
-        return self._told(current and self._pruned(current))
+        return self._told(current and self._pruned(self._library_in_place(current)))
 
     def _first(self) -> Parent | None:
         """The fit with the first law; None where there is none."""
@@ -146,7 +146,8 @@ class _Learning:
         promised = search.promises(current)
         search.say("fitting the leading laws")
         chosen = self._chosen([search.on_top_of(current, promised)])
-        rival = self._with_library(current, chosen)
+        worth = promise_asked(current.score - chosen[0].score) if chosen else -1.0
+        rival = self._with_library(current, worth)
         kept_law = self._kept(chosen, rival) if chosen else None
         if kept_law is None and rival is not current:
             return self._beside(current, rival)
@@ -176,6 +177,24 @@ class _Learning:
                 new = dataclasses.replace(old, spline=same[0] if same else old.spline, beside=tuple(made))
             others = [each for each in chosen if each.law != new.law]
             self.found[place] = new, tied((dataclasses.replace(new, at=current.score), *others))
+        return current
+
+    def _library_in_place(self, current: Parent) -> Parent:
+        """The fit with an effect of the library for each of several laws that it does as well as.
+
+        When that law was kept, another was still missing.
+        """
+        for old, _ in list(self.found):
+            rest = self.search.without(current, old) if len(self.found) > 1 else None
+            if rest is None:
+                continue
+            made = self.search.leave(old)
+            rival = self._with_library(rest, promise_asked(rest.score - current.score))
+            if rival is not rest and rival.score < current.score + asked_of(self.tried):
+                self.found = [each for each in self.found if each[0] is not old]
+                current = rival
+            else:
+                self.search.made = made
         return current
 
     def _pruned(self, current: Parent) -> Parent:
@@ -211,15 +230,13 @@ class _Learning:
         self.found.append((best, tied(chosen)))
         return self.search.add(best)
 
-    def _with_library(self, current: Parent, chosen: Sequence[FoundLaw]) -> Parent:
-        """The best fit of one library effect on top, where screening promises that it comes near the chosen
-        law, or the fit itself."""
+    def _with_library(self, current: Parent, worth: float) -> Parent:
+        """The best fit of one library effect on top where screening promises that much, or the fit."""
         problem, search = self.search.whole_problem(), self.search
         search.say("trying the library beside the law")
         trace = self.diagnosis.search
         names = [n for n in trace.names if n not in current.fit.effects]
         search.work.share(Shared(search.problem, search.made))
-        worth = promise_asked(current.score - chosen[0].score) if chosen else -1.0
         tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n, worth) for n in names])
         known = current.score - score(problem, current.fit)
         fits = [

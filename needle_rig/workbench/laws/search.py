@@ -158,8 +158,7 @@ class LawSearch:
 
     def in_place_of(self, old: FoundLaw, rest: Parent) -> list[FoundLaw]:
         """The laws that do best on top of a fit that an earlier one was left out of."""
-        made = self.made
-        self.made = self._others(old)
+        made = self.leave(old)
         found = self.on_top_of(rest, self.promises(rest))
         self.made = made
         return found
@@ -168,6 +167,11 @@ class LawSearch:
         """The fit with a law in the place of an earlier one, to add more to."""
         self.made = self._others(old)
         return self.add(new)
+
+    def leave(self, old: FoundLaw) -> tuple[Made, ...]:
+        """Go on without a law; what was made before, to go back to."""
+        made, self.made = self.made, self._others(old)
+        return made
 
     def _others(self, old: FoundLaw) -> tuple[Made, ...]:
         return tuple(each for each in self.made if each.name != old.best.made.name)

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 from needle_rig.workbench.laws import search
 from needle_rig.workbench.laws.fitting import Parent
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import goes_on, reaches, verdict_of
+from needle_rig.workbench.laws.learn import _Learning, goes_on, reaches, verdict_of
 from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, kept, tied
 from needle_rig.workbench.policy import POLICY
 
@@ -137,3 +137,28 @@ def test_a_model_that_cannot_be_solved_with_commands_left_out_does_not_reach_the
     assert reaches(math.inf, 1)
     assert reaches(POLICY.verdict.reached, 6)
     assert not reaches(1.01 * POLICY.verdict.reached, 6)
+
+
+@pytest.mark.parametrize(
+    ("laws", "behind", "left"),
+    [(2, -5.0, [1]), (2, asked_of(70) - 0.1, [1]), (2, asked_of(70) + 0.1, [0, 1]), (1, -5.0, [0])],
+)
+def test_a_law_that_an_effect_does_as_well_as_once_all_is_found_is_the_effect(
+    laws: int, behind: float, left: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A law is kept while another is missing, as damping was beside a gear's error."""
+    found: list[Any] = [(FoundLaw(fitted(100.0), None, parent(200.0)), ()) for _ in range(laws)]
+    every = list(found)
+    asked = SimpleNamespace(
+        without=lambda _, old: parent(500.0 if old is every[0][0] else 700.0), leave=lambda _: (), made=()
+    )
+    learning = object.__new__(_Learning)
+    learning.found, learning.search, learning.tried = found, cast(Any, asked), 70
+    # the first alone has a rival near it
+    monkeypatch.setattr(
+        learning, "_with_library", lambda rest, _: parent(100.0 + behind) if rest.score == 500.0 else rest
+    )
+    current = learning._library_in_place(parent(100.0))
+    kept_laws = {id(each[0]) for each in learning.found}
+    assert [place for place, each in enumerate(every) if id(each[0]) in kept_laws] == left
+    assert current.score == (100.0 if len(left) == laws else 100.0 + behind)
