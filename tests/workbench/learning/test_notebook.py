@@ -30,7 +30,6 @@ def shown(value: Any) -> str:
     return repr(value)
 
 
-@pytest.fixture(scope="module")
 def circle() -> tuple[dict[str, Any], list[str]]:
     """The names that the notebook's cells leave behind, and what each shows."""
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
@@ -48,8 +47,15 @@ def circle() -> tuple[dict[str, Any], list[str]]:
     return names, said
 
 
-def test_the_notebook_tells_the_whole_circle(circle: tuple[dict[str, Any], list[str]]) -> None:
-    names, said = circle
+def test_the_notebook_tells_the_whole_circle(tmp_path: Path) -> None:
+    """One test: processes that share tests would each run the notebook."""
+    names, said = circle()
+    says_what_it_found(names, said)
+    tables_are_structured_arrays_in_the_units_of_files(names)
+    a_model_is_saved_and_read_again(names, tmp_path)
+
+
+def says_what_it_found(names: dict[str, Any], said: list[str]) -> None:
     text = "\n".join(said)
     assert names["null"].held_out_error > 30.0
     assert (names["answer"].verdict, names["answer"].effects) == ("effect", ("tissue_elasticity",))
@@ -59,10 +65,7 @@ def test_the_notebook_tells_the_whole_circle(circle: tuple[dict[str, Any], list[
     assert text.count("figure with") == 4
 
 
-def test_tables_are_structured_arrays_in_the_units_of_files(
-    circle: tuple[dict[str, Any], list[str]],
-) -> None:
-    names, _ = circle
+def tables_are_structured_arrays_in_the_units_of_files(names: dict[str, Any]) -> None:
     values = names["answer"].values()
     assert values["low"][0] < 0.35 < values["high"][0]
     assert values["unit"][0] == "N·mm/rad per 100 mm"
@@ -73,20 +76,19 @@ def test_tables_are_structured_arrays_in_the_units_of_files(
     assert names["answer"].table()["effect"][0] == "tissue_elasticity"
 
 
+def a_model_is_saved_and_read_again(names: dict[str, Any], tmp_path: Path) -> None:
+    names["model"].save(tmp_path / "fitted.yaml")
+    again = nr.read_model(tmp_path / "fitted.yaml")
+    assert again.values.keys() == names["model"].values.keys()
+    assert np.array_equal(again.table()["held_out"], names["model"].table()["held_out"])
+
+
 def test_a_run_shows_itself_and_is_a_dataset(run_path: Path) -> None:
     run = nr.read_run(run_path)
     assert "reed2008" in repr(run)
     assert len(run.plot().axes) == 3
     assert len(run.table()) > 100
     assert len(run.dataset().trials) == 1
-
-
-def test_a_model_is_saved_and_read_again(circle: tuple[dict[str, Any], list[str]], tmp_path: Path) -> None:
-    names, _ = circle
-    names["model"].save(tmp_path / "fitted.yaml")
-    again = nr.read_model(tmp_path / "fitted.yaml")
-    assert again.values.keys() == names["model"].values.keys()
-    assert np.array_equal(again.table()["held_out"], names["model"].table()["held_out"])
 
 
 def test_what_is_not_there_is_one_sentence() -> None:
