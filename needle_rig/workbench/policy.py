@@ -392,7 +392,8 @@ class VerdictPolicy:
     reached_without_pattern: float = _threshold(
         1.3,
         "the same where no effect is named and what is left shows no pattern: nothing is said to be none,"
-        " absent or negligible above it; noise that wanders over seconds is known badly",
+        " absent or negligible above it; and of named effects that leave none the error on the trials that"
+        " were fitted; noise that wanders over seconds is known badly",
         "`scripts/null_rates`: nothing hidden left 1.26 at most in ten kinds of noise;"
         " `scripts/bench_effects`: a needle that snaps left 1.66",
         _RULES,

@@ -68,7 +68,7 @@ def after_run_in(dataset: Dataset, model: NeedleModel, *, friction_known: bool) 
     # with a path before it an unknown twist is no rest, whose scatter would count as noise
     rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
     noise = measure_noise(rests, [bin_trial(t) for t in rests], dataset.torque_scale)
-    shaft = _guessed(dataset, noise, model, friction_known)
+    shaft = _shaft_of(dataset, noise, model, friction_known)
     trials, notes = [], []
     for given in dataset.trials:
         if given.start == "relaxed":
@@ -88,8 +88,9 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     return with_path_before(trial, [*ends, relaxed_rad])
 
 
-def _guessed(dataset: Dataset, noise: Noise, given: NeedleModel, friction_known: bool) -> _Shaft:
-    """The shaft of the friction that fits the trials best, each from the start that fits it best."""
+def _shaft_of(dataset: Dataset, noise: Noise, given: NeedleModel, friction_known: bool) -> _Shaft:
+    """The shaft of the model's friction where that is known; else of the friction that fits the trials best,
+    each from the start that fits it best."""
     rod = build_rod(dataset.layout, given.torsional_rigidity_nm2, 1.0, given.element_length_m)
     beyond_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1][1:]
     lag_of_newton = max(float((beyond_nm / rod.stiffness_nm_per_rad).sum()), 1e-12)

@@ -39,7 +39,7 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
     stand = decisions_stand(named, held_out_error)
     for name, decision in decisions.items():
-        if decision.decision != "present" and not (stand and not may_snap(search.problem, best, name)):
+        if decision.decision != "present" and (not stand or may_snap(search.problem, best, name)):
             decisions[name] = _left_open(decision)
     return decisions
 
@@ -50,13 +50,12 @@ def may_snap(problem: Problem, found: Fit, effect: str) -> bool:
     A model without inertia gives neither the instant of a snap nor where it ends, so a fit stays with the
     forms that do not snap, and its size says nothing of the others.
     """
-    kept = [e for e in problem.model(found.parameters, found.vector).effects if e.name() != effect]
-    bare = dataclasses.replace(problem.model(found.parameters, found.vector), effects=tuple(kept))
+    bare = problem.model(found.parameters, found.vector).without(effect)
     added = problem.parameters([effect])
     extremes = [a.bounds if a.info.shapes else (float(np.clip(a.smallest, *a.bounds)),) for a in added]
     for scaled_values in itertools.product(*extremes):
-        model = bare.with_effects(*make_effects(problem.library, added, np.array(scaled_values)))
         try:
+            model = bare.with_effects(*make_effects(problem.library, added, np.array(scaled_values)))
             if model.rod(problem.trials[0].trial).snaps:
                 return True
         except BadInput:

@@ -11,7 +11,7 @@ from needle_rig.model import load_parameters
 from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.estimation.baseline import null_model
-from needle_rig.workbench.estimation.run_in import TURNS, _guessed, _Shaft, after_run_in, wound
+from needle_rig.workbench.estimation.run_in import TURNS, _Shaft, _shaft_of, after_run_in, wound
 from needle_rig.workbench.observations.binning import (
     BinnedTrial,
     bin_trial,
@@ -176,7 +176,7 @@ def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_sta
         return "after a run-in 100%" in shaft.judged(trial)[1]
 
     noise = measure_noise(data.trials, [bin_trial(t) for t in data.trials])
-    shaft = _guessed(data, noise, null_model(data), friction_known=False)
+    shaft = _shaft_of(data, noise, null_model(data), friction_known=False)
     binned = bin_trial(wound(trial, shaft._finer(trial), shaft.lag_rad))
     one_sigma = np.full(binned.mean.shape, np.nan)
     for c in range(len(one_sigma)):
