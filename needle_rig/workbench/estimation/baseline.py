@@ -144,6 +144,27 @@ def fit_baseline(
     return Baseline(dataset, problem, final, cross_validate(problem, final), tuple(notes), fine_m)
 
 
+def with_noise_at(baseline: Baseline, problem: Problem, found: Fit) -> Baseline:
+    """The baseline under the noise that `found`, a better fit than its own, tells from what is missing.
+
+    Itself where that shows no other noise than is known, or cannot be solved under it.
+    """
+    noise = _correlated(baseline.dataset, problem, found)
+    if noise is problem.noise:
+        return baseline
+    try:
+        renewed = baseline.problem.with_noise(noise)
+        fitted = refitted(renewed, baseline.current)
+        renewed, current = with_discretisation_error(
+            renewed, fitted, baseline.dataset.trials, baseline.fine_m
+        )
+    except SolverError:
+        return baseline
+    return dataclasses.replace(
+        baseline, problem=renewed, current=current, validation=cross_validate(renewed, current)
+    )
+
+
 def as_baseline(
     baseline: Baseline, problem: Problem, found: Fit, validation: CrossValidation | None
 ) -> tuple[Problem, Fit, CrossValidation]:

@@ -56,7 +56,13 @@ def learn_laws(
         dataset, library, model, max_effects=1, quick=True, seed=seed, work=workers(), say=say
     )
     with workers() as work, LawSearch(diagnosis.search.problem, work, origin, say) as search:
-        return _Learning(diagnosis, search, dataset.sensor_names, origin).answer()
+        learning = _Learning(diagnosis, search, dataset.sensor_names, origin)
+        learnt = learning.answer()
+    if learnt.verdict != "cannot_tell":
+        return learnt
+    say("no law is told: holding several effects of the library at once against it")
+    whole = diagnose(dataset, library, model, seed=seed, work=workers(), say=say)
+    return learning.held_by_library(whole) if whole.verdict == "effect" else learnt
 
 
 def goes_on(steps: int, reached: bool) -> bool:
@@ -287,15 +293,19 @@ class _Learning:
             sentence = f"Nothing is missing that these data show; {self.tried} laws were tried."
             return self._answer("none", (), (), before, sentence)
         if diagnosis.verdict == "effect":
-            named = " with ".join(diagnosis.effects)
-            sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
-            after = diagnosis.held_out_error_after
-            return self._answer("library", (), diagnosis.effects, after, sentence)
+            return self.held_by_library(diagnosis)
         sentence = (
             "Something is missing that is neither an effect of the library nor one of the"
             f" {self.tried} laws that were tried."
         )
         return self._answer("cannot_tell", (), (), before, sentence)
+
+    def held_by_library(self, diagnosis: Diagnosis) -> Learnt:
+        """The answer where a diagnosis names what is missing."""
+        named = " with ".join(diagnosis.effects)
+        sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
+        after = diagnosis.held_out_error_after
+        return self._answer("library", (), diagnosis.effects, after, sentence)
 
     def _answer(
         self,

@@ -14,7 +14,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline, with_noise_at
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
@@ -117,6 +117,11 @@ def diagnose(
             baseline, known = from_found_starts(dataset, model, library, baseline, at)
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
         trace = _searched(baseline, library, max_effects, at, quick, known)
+        renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
+        if renewed is not baseline:
+            again = expected(fit_s, at.processes, quick)
+            say(f"trying every effect again, under the noise that shows now, {again}")
+            baseline, trace = renewed, _searched(renewed, library, max_effects, at, quick)
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
         say("testing the answer against the discretisation error")

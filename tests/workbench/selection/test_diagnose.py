@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from noise_kinds import noisy
 
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.physics.effect import Effect
@@ -15,6 +16,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.diagnose import diagnose, expected
+from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
 from tests.workbench.hidden import dataset, effect, few, try_effect
 
@@ -338,3 +340,17 @@ def test_a_quick_diagnosis_names_one_effect_and_says_what_it_left_out() -> None:
     assert found.verdict == "unknown"
     assert "whether a second is missing" in found.notes[0]
     assert found.decisions["hall_offset"].decision == "cannot_tell"
+
+
+def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
+    late = effect("clock_offset", torque_delay_ms=55.0, hall_delay_ms=55.0)
+    silent = dataset(late, seed=4, noise=Noise(hall_deg=0.0, torque_nmm=0.0))
+    said: list[str] = []
+    found = diagnose(
+        noisy(silent, "wanders over 2 s", Noise(), 4),
+        few("clock_offset", "platform_friction"),
+        say=said.append,
+    )
+    assert (found.verdict, found.effects) == ("effect", ("clock_offset",))
+    assert any("again, under the noise that shows now" in each for each in said)
+    assert found.baseline.problem.noise.correlated.min() > 0.0
