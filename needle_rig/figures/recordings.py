@@ -60,8 +60,8 @@ def _told(command: object) -> list[tuple[str, str]]:
 
 
 def draw(problem: Problem, left: list[Array], path: Path) -> None:
-    """Write the loops of the last trial of the slowest and fastest commands with each load."""
+    """Write the loops of the first trial of the slowest and fastest commands with each of two loads."""
     groups = problem.groups
     half = len(groups) // 2
-    shown = [groups[k][-1] for k in (1, half - 1, half + 1, len(groups) - 1)]
+    shown = [groups[k][0] for k in (0, half - 1, half, len(groups) - 1)]
     path.write_bytes(png(loops(problem, left, shown)))

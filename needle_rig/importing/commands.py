@@ -59,7 +59,7 @@ def _load_nmm(trial: DatasetTrial) -> float:
 
 
 def _motion(trial: DatasetTrial) -> tuple[Array, float]:
-    """Angles at which the base rests, in order, °, and the median speed of its motions, °/s."""
+    """Angles to which the base goes to rest, in order, °, and the median speed of its motions, °/s."""
     time_s, base = trial.trial.time_s, np.degrees(trial.trial.base_angle_rad)
     still = np.concatenate(([True], np.abs(np.diff(base)) < 1e-9))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], still.view(np.int8), [0]))))
@@ -68,7 +68,10 @@ def _motion(trial: DatasetTrial) -> tuple[Array, float]:
         for a, b in zip(edges[::2], edges[1::2], strict=True)
         if time_s[b - 1] - time_s[a] >= 0.3
     ]
-    steps = [x for k, x in enumerate(levels) if k > 0 and abs(x - levels[k - 1]) > SAME_LEVEL_DEG]
+    before = [base[0], *levels]
+    steps = [x for x, last in zip(levels, before, strict=False) if abs(x - last) > SAME_LEVEL_DEG]
+    if base.max() > max(before) + SAME_LEVEL_DEG or base.min() < min(before) - SAME_LEVEL_DEG:
+        steps = []  # a base that swings beyond its rests does not go from one to the next
     rates = np.abs(np.diff(base) / np.diff(time_s))
     moving = rates[rates > 0.1 * rates.max()] if len(rates) and rates.max() > 0 else np.empty(0)
     return np.array(steps), float(np.median(moving)) if len(moving) else 0.0

@@ -25,6 +25,8 @@ Indices = npt.NDArray[np.int64]
 SAME_PLACE_M = 1e-9
 """Special nodes closer than this are one node."""
 MOST_ELEMENTS = 2_000_000
+SLACK = 1e-3
+"""Stiffness within a play, over that beyond it, where the play carries nothing."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,9 @@ class Rod:
     slip_per_torque: Array
     """What each N·m that the rod carries at a node adds to its slip limits, in N·m."""
     play_rad: Array
-    """Play of the element behind each node, towards the tip: twist over which it carries next to nothing."""
+    """Play of the element behind each node, towards the tip: twist over which it is slack."""
+    slack_stiffness: Array
+    """Stiffness of each such element within its play, over that beyond; above 0, so that torques balance."""
     base_compliance_rad_per_nm: float
     """Series spring between the turned base and the needle."""
     base: int
@@ -166,7 +170,7 @@ class Rod:
 
     @cached_property
     def coefficients(self) -> Array:
-        """The node arrays, checked, as one (11, nodes) array for the solver; BadInput names a bad one."""
+        """The node arrays, checked, as one (12, nodes) array for the solver; BadInput names a bad one."""
         nodes = len(self.position_m)
         names = (
             "slip_plus_nm",
@@ -180,6 +184,7 @@ class Rod:
             "position_m",
             "slip_per_torque",
             "play_rad",
+            "slack_stiffness",
         )
         may_be_infinite = names[:2] + names[3:5]
         packed = np.empty((len(names), nodes))
@@ -313,6 +318,7 @@ def build_rod(
         ageing_time_s=1.0,
         slip_per_torque=np.zeros(nodes),
         play_rad=np.zeros(nodes),
+        slack_stiffness=np.full(nodes, SLACK),
         base_compliance_rad_per_nm=0.0,
         base=0,
         entry=entry,

@@ -24,8 +24,16 @@ def made(name: str, **values: float) -> Effect:
     return FOUND[name](**values)
 
 
-def test_they_are_the_three() -> None:
-    assert NAMES == ["capstan_friction", "loose_load", "return_spring"]
+def test_they_are_all_here() -> None:
+    assert NAMES == [
+        "capstan_friction",
+        "gear_ripple",
+        "loose_load",
+        "pulley_friction",
+        "return_spring",
+        "soft_cable",
+        "winding_hysteresis",
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -36,7 +44,10 @@ def test_off_leaves_the_model_bit_for_bit_and_typical_shows(name: str, coarse: N
     assert (same.torque_nm == plain.torque_nm).all()
     assert (same.hall_rad == plain.hall_rad).all()
     typical = coarse.with_effects(effect.at_strength(1.0)).predict(SHORT)
-    assert np.abs(typical.torque_nm - plain.torque_nm).max() > 1e-6
+    moved = max(
+        np.abs(typical.torque_nm - plain.torque_nm).max(), np.abs(typical.hall_rad - plain.hall_rad).max()
+    )
+    assert moved > 1e-6
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -66,9 +77,59 @@ def test_a_load_narrows_the_loop_of_a_loose_one() -> None:
     assert widths[1] == pytest.approx(friction_rad, rel=1e-2)
 
 
+@pytest.mark.parametrize("place", [0.3, 0.755])
+def test_a_pulley_twists_the_line_up_to_it_and_multiplies_the_load(place: float) -> None:
+    base_rad = 2.0 * TIME_S
+    rubbed = CABLE.with_effects(made("pulley_friction", torque_nmm=0.05, place=place))
+    seen = rubbed.predict(Trial(TIME_S, base_rad))
+    assert seen.torque_nm[-1] == pytest.approx(5e-5, rel=1e-6)
+    assert base_rad[-1] - seen.hall_rad[-1, 0] == pytest.approx(5e-5 * place * 0.4 / 62.5e-6, rel=1e-3)
+    wrapped = CABLE.with_effects(made("pulley_friction", per_torque=2.0 * math.tanh(0.3), place=place))
+    pulled = wrapped.predict(Trial(TIME_S, base_rad, tip_torque_nm=np.full_like(TIME_S, -1e-4)))
+    assert pulled.torque_nm[-1] == pytest.approx(1e-4 * math.exp(0.6), rel=0.03)
+
+
+def test_a_soft_cable_has_two_stiffnesses() -> None:
+    soft = CABLE.with_effects(made("soft_cable", twist_deg=10.0, stiffness_ratio=0.25))
+    stiffness = 62.5e-6 / 0.4
+    edge_rad = math.radians(5.0)
+    load_nm = 4e-5 * np.sin(2.0 * math.pi * TIME_S)
+    tip_rad = soft.predict(Trial(TIME_S, 0.0 * TIME_S, tip_torque_nm=load_nm)).hall_rad[:, 0]
+    beyond = (
+        np.sign(load_nm) * edge_rad + (load_nm - np.sign(load_nm) * 0.25 * stiffness * edge_rad) / stiffness
+    )
+    within = np.abs(load_nm) < 0.25 * stiffness * edge_rad
+    assert 0 < within.sum() < within.size
+    assert tip_rad == pytest.approx(np.where(within, load_nm / (0.25 * stiffness), beyond), abs=1e-9)
+
+
+def test_wound_up_cable_forgets_a_reversal_exponentially() -> None:
+    back_rad = math.radians(20.0) * np.interp(TIME_S, [0.0, 0.5, 1.0], [0.0, 1.0, 0.0])
+    effect = made("winding_hysteresis", torque_nmm=0.02, length_deg=2.0)
+    torque_nm = CABLE.with_effects(effect).predict(Trial(TIME_S, back_rad)).torque_nm
+    behind = np.degrees(back_rad[100] - back_rad[100:])
+    assert torque_nm[100] == pytest.approx(2e-5, rel=1e-3)
+    assert torque_nm[100:] == pytest.approx(2e-5 * (2.0 * np.exp(-behind / 2.0) - 1.0), rel=1e-3, abs=1e-8)
+
+
+def test_a_ripple_is_of_the_angle_alone() -> None:
+    base_rad = 0.8 * np.sin(4.0 * math.pi * TIME_S)
+    rippled = CABLE.with_effects(made("gear_ripple", sine_deg=0.2, cosine_deg=-0.1, per_turn=14.0))
+    left_deg = np.degrees(rippled.predict(Trial(TIME_S, base_rad)).hall_rad[:, 0] - base_rad)
+    expected = 0.2 * np.sin(14.0 * base_rad) - 0.1 * np.cos(14.0 * base_rad)
+    assert left_deg == pytest.approx(expected, abs=1e-6)
+
+
 def test_a_return_spring_pulls_both_ways_alike() -> None:
     stiff = dataclasses.replace(CABLE, torsional_rigidity_nm2=5e-3)
     sprung = stiff.with_effects(made("return_spring", stiffness_nmm_per_rad_per_100mm=0.02))
     base_rad = 0.8 * np.sin(4.0 * math.pi * TIME_S)
     torque_nm = sprung.predict(Trial(TIME_S, base_rad)).torque_nm
     assert torque_nm == pytest.approx(0.08e-3 * base_rad, rel=5e-3, abs=1e-8)
+    elsewhere = stiff.with_effects(
+        made("return_spring", stiffness_nmm_per_rad_per_100mm=0.02, neutral_deg=-30.0)
+    )
+    torque_nm = elsewhere.predict(Trial(TIME_S, base_rad)).torque_nm
+    wound_nm = 0.08e-3 * (base_rad + math.radians(30.0))
+    # the first sample is the relaxed start
+    assert torque_nm[1:] == pytest.approx(wound_nm[1:], rel=5e-3, abs=1e-8)

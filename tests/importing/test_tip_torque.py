@@ -1,5 +1,6 @@
 """A torque at the tip in a mapping: role, sign, commands that differ by the load, a sine cut into periods."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from needle_rig.dataset import Dataset, read_dataset, write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.importing import dataset_of, read_mapping
 from needle_rig.importing import guess as proposed
+from needle_rig.importing.commands import commanded
 from needle_rig.importing.reader import read_recording
 from needle_rig.physics.rod import Layout, build_rod
 from needle_rig.physics.solver import solve
@@ -99,9 +101,33 @@ def test_a_second_torque_called_as_at_the_tip_is_proposed_with_a_doubt(tmp_path:
     assert "remove the line where the tip is free" in part.doubt
 
 
+@pytest.mark.parametrize(
+    ("corners_s", "angles_deg", "kind", "steps_deg"),
+    [
+        ((0.0, 1.0, 1.5, 3.0, 3.5, 4.5), (30.0, 58.0, 58.0, 3.0, 3.0, 30.0), "staircase", (58.0, 3.0)),
+        ((0.0, 0.5, 1.5, 3.0), (0.0, 0.0, 58.0, 58.0), "staircase", (58.0,)),
+        # turned back at 58° without a rest
+        ((0.0, 1.0, 3.0, 3.5, 4.5), (30.0, 58.0, 3.0, 3.0, 30.0), "unknown", ()),
+    ],
+)
+def test_the_command_of_a_trial_that_begins_in_motion(
+    corners_s: tuple[float, ...],
+    angles_deg: tuple[float, ...],
+    kind: str,
+    steps_deg: tuple[float, ...],
+    tmp_path: Path,
+) -> None:
+    given = imported(recording(tmp_path)).trials[0]
+    time_s = given.trial.time_s
+    base_rad = np.radians(np.interp(time_s, corners_s, angles_deg))
+    trial = dataclasses.replace(given, trial=dataclasses.replace(given.trial, base_angle_rad=base_rad))
+    (found,) = commanded([trial])
+    assert (found.command.kind, found.command.steps_deg) == (kind, steps_deg)
+
+
 def test_the_machine_in_the_repository_is_imported_by_its_mapping() -> None:
     dataset = imported(RECORDED)
-    assert (len(dataset.trials), len(dataset.replicates)) == (28, 11)
+    assert (len(dataset.trials), len(dataset.replicates)) == (28, 12)
     assert dataset.torque_scale == 1000.0
     assert all(t.trial.tip_torque_nm is not None and t.start == "wound" for t in dataset.trials)
     licences = (RECORDED.parent / "davinci/README.md").read_text()

@@ -1,6 +1,6 @@
 """What stands where in the arrays that the solver works on, and the records that go with them.
 
-`rod` has shape (11, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as
+`rod` has shape (12, nodes), `states` (SLOTS, 6, nodes) and `work` (WORK_ROWS, nodes): one block each, as
 a tuple of 33 arrays would be 231 machine words in every call.
 """
 
@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 # rows of `rod` (Rod.coefficients)
 (
     PLUS, MINUS, COMPLIANCE, CREEP_K, CREEP_ETA, VISCOUS, EXCESS, AGEING, POSITION, PER_TORQUE, PLAY,
-) = range(11)  # fmt: skip
+    SLACK,
+) = range(12)  # fmt: skip
 
 # rows of a state (RodState); STATUS: 0 stuck, ±1 slipping that way, 2 nothing resists a turn
 ANGLE, ANCHOR, CREEP, EXCESS_STATE, AGE, STATUS = range(6)

@@ -1,4 +1,4 @@
-"""Elements with play: three pieces of a spring, crossed and pushed one way or the other."""
+"""Elements with play: three pieces of a spring, slack and pushed one way or the other."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ from needle_rig.physics.kernel.layout import (
     PLAY,
     PLAY_SIDE,
     PLAY_TORQUE,
+    SLACK,
     SPRING,
     STIFFNESS,
 )
-
-SLACK = 1e-3
-"""Stiffness of an element inside its play, over that beyond: above 0, so that torques balance."""
 
 
 @compiled
 def set_side(rod, work, i, side):
     """Let element i be inside its play (0) or pushed to one side of it (±1)."""
-    tangent, constant = SLACK * work[STIFFNESS, i], 0.0
+    tangent, constant = rod[SLACK, i] * work[STIFFNESS, i], 0.0
     if side != 0.0:
         tangent = work[STIFFNESS, i]
-        constant = (SLACK - 1.0) * tangent * 0.5 * rod[PLAY, i] * side
+        constant = (rod[SLACK, i] - 1.0) * tangent * 0.5 * rod[PLAY, i] * side
     work[FORCE, i] += work[PLAY_TORQUE, i] - constant
     work[FORCE, i + 1] += constant - work[PLAY_TORQUE, i]
     work[SPRING, i], work[PLAY_TORQUE, i], work[PLAY_SIDE, i] = tangent, constant, side
