@@ -116,25 +116,14 @@ def diagnose(
             say("finding the unknown starts with each effect that may hold them")
             baseline, known = from_found_starts(dataset, model, library, baseline, at)
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
-        trace = _searched(baseline, library, max_effects, at, quick, known)
+        names = tuple(sorted(set(library) - set(baseline.current.effects)))
+        fits = (baseline.problem, names, baseline.current, baseline.validation)
+        trace = search(*fits, max_effects=max_effects, work=at, quick=quick, known=known, say=say)
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
         say("testing the answer against the discretisation error")
         found = _conclude(baseline, trace, rivals, dataset.sensor_names)
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
-
-
-def _searched(
-    baseline: Baseline,
-    library: Mapping[str, type[Effect]],
-    max_effects: int,
-    work: Work,
-    quick: bool,
-    known: Fit | None = None,
-) -> SearchTrace:
-    names = tuple(sorted(set(library) - set(baseline.current.effects)))
-    fits = (baseline.problem, names, baseline.current, baseline.validation)
-    return search(*fits, max_effects=max_effects, work=work, quick=quick, known=known)
 
 
 def expected(fit_s: float, processes: int, quick: bool = False) -> str:
