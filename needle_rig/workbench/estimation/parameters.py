@@ -139,8 +139,8 @@ def at_strength(parameters: Sequence[FreeParameter], strength: float, turn: floa
 
 def either_way(parameters: Sequence[FreeParameter], strength: float) -> list[Array]:
     """The same with either sign, once where there is one alone."""
-    ways = [at_strength(parameters, strength, turn) for turn in (1.0, -1.0)]
-    return ways[:1] if np.array_equal(*ways) else ways
+    one, other = at_strength(parameters, strength), at_strength(parameters, strength, turn=-1.0)
+    return [one] if np.array_equal(one, other) else [one, other]
 
 
 def constrained_means(parameters: Sequence[FreeParameter]) -> list[Array]:

@@ -176,7 +176,7 @@ def search(
     while True:
         trace, options = _forward(trace, work, frontier)
         if not options and _restarts(trace, max_effects):
-            say("far from the noise: fitting every effect from other strengths, as long again or longer")
+            say("far from the noise: fitting every effect from other strengths, some 5 times as long again")
             trace = _restarted(trace, work)
             frontier = [trace.best]
             continue

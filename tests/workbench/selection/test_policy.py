@@ -260,7 +260,7 @@ def test_a_search_that_ends_far_from_the_noise_starts_once_more_from_other_stren
     found = fit(objective=200 + 5.0 * np.sqrt(400.0) + above)
     trace: Any = Trace(problem=SimpleNamespace(size=200), fits={key: (found, None)}, best=key, large=key)
     trace.steps = [SimpleNamespace(kind=kind, best=key) for kind in before]
-    assert search._restarts(trace, max_effects=3) is restarts
+    assert bool(search._restarts(trace, max_effects=3)) is restarts
 
 
 def test_other_strengths_are_half_and_one_and_a_half_typical_sizes_either_way(baseline: Baseline) -> None:
