@@ -176,7 +176,7 @@ def search(
     while True:
         trace, options = _forward(trace, work, frontier)
         if not options and _restarts(trace, max_effects):
-            say("far from the noise: fitting every effect from other strengths, some 5 times as long again")
+            say("far from the noise: fitting what is far from linear from other strengths, as long again")
             trace = _restarted(trace, work)
             frontier = [trace.best]
             continue
@@ -214,12 +214,14 @@ def _restarts(trace: SearchTrace, max_effects: int) -> bool:
 
 
 def _restarted(trace: SearchTrace, work: Work) -> SearchTrace:
-    """The search with every effect on top of the best set fitted from finite strengths, too (multistart)."""
+    """The search with effects whose response is far from linear fitted from finite strengths (multistart)."""
     parent, tried = trace.fits[trace.best][0], trace.children[trace.best]
-    found = work.run(from_finite_strengths, [(parent, candidate) for candidate in tried])
+    again = [c for c in tried if c.screening.nonlinearity > POLICY.screening.nonlinear]
+    found = work.run(from_finite_strengths, [(parent, candidate) for candidate in again])
     for candidate in found:
         trace = trace.keep(candidate.fit, candidate.validation)
-    children = {**trace.children, trace.best: tuple(found)}
+    by_name = {c.effect: c for c in (*tried, *found)}
+    children = {**trace.children, trace.best: tuple(by_name[c.effect] for c in tried)}
     return dataclasses.replace(trace, children=children).stepped("restarted")
 
 

@@ -263,6 +263,36 @@ def test_a_search_that_ends_far_from_the_noise_starts_once_more_from_other_stren
     assert bool(search._restarts(trace, max_effects=3)) is restarts
 
 
+def test_what_answers_far_from_linearly_is_told_by_its_screening(baseline: Baseline) -> None:
+    """Typical sizes; a third of the threshold takes in what friction makes of any, three times it none."""
+    share = {n: screen(baseline.problem, baseline.current, n).nonlinearity for n in few()}
+    bent = {n for n, missed in share.items() if missed > POLICY.screening.nonlinear}
+    assert bent == {"tissue_elasticity", "chuck_backlash"}
+    assert POLICY.screening.nonlinear / 3 < share["tip_friction"]
+    assert share["torque_bias"] < 1e-6
+
+
+def test_a_restart_fits_what_answers_far_from_linearly_alone() -> None:
+    asked: list[str] = []
+
+    def run(_: object, tasks: Any) -> list[Any]:
+        asked.extend(c.effect for _, c in tasks)
+        return [c for _, c in tasks]
+
+    key = frozenset("a")
+    tried = [
+        candidates.Candidate(name, None, None, Screening(name, 0.0, (), 1.0, 0.0, nonlinearity=missed))
+        for name, missed in [("straight", 0.45), ("bent", 0.55)]
+    ]
+    problem: Any = SimpleNamespace(size=200, trials=[0])
+    parent: Any = fit(objective=500.0)
+    at: Any = {key: (parent, None)}
+    trace = search.SearchTrace(problem, (), parent, parent, key, at, {key: tuple(tried)}, {}, {})
+    after = search._restarted(trace, SimpleNamespace(run=run))  # type: ignore[arg-type]
+    assert asked == ["bent"]
+    assert [c.effect for c in after.children[key]] == ["straight", "bent"]
+
+
 def test_other_strengths_are_half_and_one_and_a_half_typical_sizes_either_way(baseline: Baseline) -> None:
     for name, expected in [("torque_bias", [0.5, -0.5, 1.5, -1.5]), ("tip_friction", [0.5, 1.5])]:
         starts = candidates.finite_starts(baseline.problem, name)
