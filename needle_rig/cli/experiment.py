@@ -53,6 +53,7 @@ def command(
     from needle_rig.errors import BadInput
     from needle_rig.simulation.protocol import save_protocol
     from needle_rig.workbench.estimation.baseline import fit_baseline
+    from needle_rig.workbench.selection.candidates import try_effect
     from needle_rig.workbench.selection.design import (
         REPLICATES,
         commands,
@@ -60,7 +61,6 @@ def command(
         proposals,
         protocol_of,
     )
-    from needle_rig.workbench.selection.search import try_effect
 
     known = library(directories)
     for name in between:

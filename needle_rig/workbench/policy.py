@@ -168,6 +168,12 @@ class ScreeningPolicy:
         "the difference that ties two explanations",
         _RULES,
     )
+    nonlinear: float = _threshold(
+        0.5,
+        "share of a response that a straight line misses, from which finite strengths are starts, too",
+        "a step along the line is less than half right; of 29 effects 23 miss 0.4 at most, six 0.67 at least",
+        _RULES,
+    )
     form_share: float = _threshold(
         0.05,
         "share of the gain asked below which the typical form rules out that another form reaches it",

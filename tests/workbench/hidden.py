@@ -16,7 +16,7 @@ from needle_rig.workbench.estimation import map_fit
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
-from needle_rig.workbench.selection import search
+from needle_rig.workbench.selection import candidates
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
@@ -61,7 +61,7 @@ class Tried:
 
 def try_effect(problem: Problem, parent: Fit, name: str) -> Tried:
     """The named effect on top of `parent`, which could be fitted."""
-    found = search.try_effect(problem, parent, name)
+    found = candidates.try_effect(problem, parent, name)
     assert found.fit is not None
     assert found.validation is not None
     return Tried(found.fit, found.validation)

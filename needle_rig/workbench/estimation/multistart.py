@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,10 @@ is a decade."""
 FINE_FORM_STEPS = (0.1, -0.1)
 """Further, smaller steps of the same where minima lie close together."""
 
-FRICTIONS = (1.4, 0.7, 2.0, 0.5)
-"""Friction, in that of a fit, from which it is restarted, by half octaves: where starts are unknown, what
-these change covers what friction does, and the way from a wrong model's friction is not downhill."""
+FACTORS = (1.4, 0.7, 2.0, 0.5)
+"""Friction, or strength of an effect, in that of a fit, from which it is restarted, by half octaves: where
+starts are unknown, what these change covers what friction does, and the way from a wrong model's friction is
+not downhill; a node that friction holds, or just not, in one hold makes a valley of its own."""
 
 VALLEY_SIGMAS = (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0)
 """Points along the least certain direction, in its standard deviations, at which the objective is looked
@@ -36,6 +37,23 @@ SIMPLEX = (0.1, 0.02, 0.3)
 """First steps of a simplex: logarithm of friction, of rigidity, scaled values."""
 UNSOLVED = 1e12
 """Objective where the model cannot be solved."""
+
+
+def lowest_fit(
+    problem: Problem,
+    effects: Sequence[str],
+    starts: Iterable[ParameterVector],
+    best: Fit | None = None,
+    *,
+    nuisance: Array | None = None,
+    tolerance: float = OBJECTIVE_TOLERANCE,
+) -> Fit | None:
+    """The lowest of `best` and the fits from `starts`; None where the model can be solved at none of them."""
+    for start in starts:
+        found = fit(problem, effects, start, nuisance=nuisance, tolerance=tolerance)
+        if found is not None and (best is None or found.objective < best.objective - OBJECTIVE_TOLERANCE):
+            best = found
+    return best
 
 
 def through_valleys(problem: Problem, found: Fit) -> Fit:
@@ -59,7 +77,7 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
 def over_friction(problem: Problem, found: Fit) -> Fit:
     """A fit that stays above the noise, or the lowest of those from other friction until one reaches it."""
     best = found
-    for factor in FRICTIONS:
+    for factor in FACTORS:
         if excess(problem, best.objective) == 0.0:
             break
         start = dataclasses.replace(
@@ -67,9 +85,20 @@ def over_friction(problem: Problem, found: Fit) -> Fit:
             log_friction=found.vector.log_friction + float(np.log(factor)),
             trial_friction=np.zeros_like(found.vector.trial_friction),
         )
-        again = fit(problem, found.effects, start, nuisance=found.nuisance)
-        if again is not None and again.objective < best.objective - OBJECTIVE_TOLERANCE:
-            best = again
+        best = lowest_fit(problem, found.effects, [start], best, nuisance=found.nuisance) or best
+    return best
+
+
+def over_strength(problem: Problem, effects: Sequence[str], start: ParameterVector) -> Fit | None:
+    """The lowest of fits from several strengths of the last effect, about that of the lowest before."""
+    strengths = [a.effect == effects[-1] and not a.info.shapes for a in problem.parameters(effects)]
+    best = fit(problem, effects, start)
+    if best is None:
+        return None
+    for factor in FACTORS:
+        values = np.where(strengths, factor, 1.0) * best.vector.scaled_values
+        other = dataclasses.replace(best.vector, scaled_values=values)
+        best = lowest_fit(problem, effects, [other], best) or best
     return best
 
 

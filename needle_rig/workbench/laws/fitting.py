@@ -22,7 +22,7 @@ from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
 from needle_rig.workbench.laws.screening import Screened, beginning, profiled, typical
 from needle_rig.workbench.laws.spline import Quadratic, smoothed
 from needle_rig.workbench.laws.spline_effect import SplineLaw
-from needle_rig.workbench.selection.search import penalty
+from needle_rig.workbench.selection.candidates import penalty
 
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Shares of a linearised curve at which a fit may start: of dry friction it says too much."""

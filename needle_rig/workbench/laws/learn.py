@@ -31,11 +31,12 @@ from needle_rig.workbench.laws.search import (
 )
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.candidates import Candidate, score, try_effect
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.selection.rivals import promise_asked
-from needle_rig.workbench.selection.search import Candidate, SearchTrace, expand, score, try_effect
+from needle_rig.workbench.selection.search import SearchTrace, expand
 
 
 def learn_laws(

@@ -39,8 +39,8 @@ from needle_rig.workbench.laws.screening import Screened, candidates, screen
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.candidates import penalty
 from needle_rig.workbench.selection.evidence import improves_cross_validation, within_discretisation_error
-from needle_rig.workbench.selection.search import penalty
 
 Say = Callable[[str], None]
 

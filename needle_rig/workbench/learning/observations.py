@@ -29,11 +29,11 @@ from needle_rig.workbench.published.explanation import explanation as settled_ex
 from needle_rig.workbench.published.search import settled_problem, values_to_meet
 from needle_rig.workbench.published.search import try_effect as try_settled
 from needle_rig.workbench.selection.answer import Answer, Say
+from needle_rig.workbench.selection.candidates import try_effect
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, PlaceError
 from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, explanation, training_errors
-from needle_rig.workbench.selection.search import try_effect
 
 Library = Mapping[str, type[Effect]]
 

@@ -14,8 +14,9 @@ from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
+from needle_rig.workbench.selection.candidates import Candidate
 from needle_rig.workbench.selection.evidence import adjusted_p, is_negligible
-from needle_rig.workbench.selection.search import Candidate, SearchTrace
+from needle_rig.workbench.selection.search import SearchTrace
 from needle_rig.workbench.selection.verdict import decisions_stand
 
 

@@ -16,7 +16,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, per_100mm
 from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline, with_noise_at
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
@@ -116,30 +116,24 @@ def diagnose(
             say("finding the unknown starts with each effect that may hold them")
             baseline, known = from_found_starts(dataset, model, library, baseline, at)
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
-        trace = _searched(baseline, library, max_effects, at, quick, known)
+        names = tuple(sorted(set(library) - set(baseline.current.effects)))
+
+        def searched(at_noise: Baseline, known: Fit | None) -> SearchTrace:
+            fits = (at_noise.problem, names, at_noise.current, at_noise.validation)
+            return search(*fits, max_effects=max_effects, work=at, quick=quick, known=known, say=say)
+
+        trace = searched(baseline, known)
         renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
         if renewed is not baseline:
             again = expected(fit_s, at.processes, quick)
             say(f"trying every effect again, under the noise that shows now, {again}")
-            baseline, trace = renewed, _searched(renewed, library, max_effects, at, quick)
+            known = known and fit(renewed.problem, known.effects, known.vector)
+            baseline, trace = renewed, searched(renewed, known)
         say("looking for what cannot be told apart")
         trace, rivals = find_rivals(trace, at, seed)
         say("testing the answer against the discretisation error")
         found = _conclude(baseline, trace, rivals, dataset.sensor_names)
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
-
-
-def _searched(
-    baseline: Baseline,
-    library: Mapping[str, type[Effect]],
-    max_effects: int,
-    work: Work,
-    quick: bool,
-    known: Fit | None = None,
-) -> SearchTrace:
-    names = tuple(sorted(set(library) - set(baseline.current.effects)))
-    fits = (baseline.problem, names, baseline.current, baseline.validation)
-    return search(*fits, max_effects=max_effects, work=work, quick=quick, known=known)
 
 
 def expected(fit_s: float, processes: int, quick: bool = False) -> str:

@@ -10,9 +10,10 @@ from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import SIGMAS_95, Ranked, Value
+from needle_rig.workbench.selection.candidates import Candidate
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.selection.rivals import Rival
-from needle_rig.workbench.selection.search import Candidate, SearchTrace
+from needle_rig.workbench.selection.search import SearchTrace
 
 TOLD_PULL_SIGMAS = 3.0
 """Pull of the stated rigidity from which it is told against an effect."""

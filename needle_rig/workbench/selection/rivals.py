@@ -12,7 +12,8 @@ from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, score
+from needle_rig.workbench.selection.candidates import score
+from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand
 
 DRAWS = 400
 """Reweightings: a share of 0.8 is then known to 0.02."""

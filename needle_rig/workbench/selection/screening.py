@@ -66,6 +66,9 @@ class Screening:
     """The strength itself, scaled, from the same signature."""
     whole: bool = True
     """Whether every form was tried."""
+    nonlinearity: float = 0.0
+    """Share of the response at the largest strength that the smallest, continued straight, does not foretell;
+    the largest of its items, at typical forms."""
 
     def may_reach(self, worth: float) -> bool:
         """Whether this gain, or that of a form not tried yet, may be as much as `worth`."""
@@ -170,6 +173,7 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
         seen.append((max((s.gain for s in starts[begun:]), default=0.0), place, form, signatures))
         if out_of_reach(seen[0][0], asked):
             break
+    bent = _nonlinearity(groups, seen[0][3])
     seen.sort(key=lambda s: (-s[0], s[1]))
     for rank, (_, place, form, signatures) in enumerate(seen):
         if rank < POLICY.screening.forms_in_full and place > 0:
@@ -184,7 +188,24 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
         if len(kept) == MOST_STARTS:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
-    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)))
+    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)), bent)
+
+
+def _nonlinearity(groups: list[list[int]], signatures: list[tuple[Array, Array]]) -> float:
+    """`Screening.nonlinearity` of the signatures of one form."""
+    missed = [0.0]
+    for group in groups:
+        strengths = [(values[group[0]], response) for values, response in signatures if values[group[0]] != 0]
+        for sign in (1.0, -1.0):
+            way = sorted(
+                ((sign * at, response) for at, response in strengths if sign * at > 0), key=lambda w: w[0]
+            )
+            if len(way) > 1:
+                (least, low), (most, high) = way[0], way[-1]
+                missed.append(
+                    float(np.linalg.norm(high - low * most / least) / (np.linalg.norm(high) or 1.0))
+                )
+    return max(missed)
 
 
 def _joint(

@@ -17,16 +17,22 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
-from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit, fit
-from needle_rig.workbench.estimation.multistart import (
-    fit_without_derivatives,
-    over_friction,
-    through_valleys,
-)
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.answer import Say
+from needle_rig.workbench.selection.candidates import (
+    Candidate,
+    from_finite_strengths,
+    from_limits,
+    from_other_friction,
+    refit,
+    score,
+    try_effect,
+    without,
+)
 from needle_rig.workbench.selection.evidence import (
     adjusted_p,
     improves_cross_validation,
@@ -34,127 +40,14 @@ from needle_rig.workbench.selection.evidence import (
     size_of,
     within_discretisation_error,
 )
-from needle_rig.workbench.selection.screening import Screening, Start, beside, screen
 
 EffectSet = frozenset[str]
+Move = Literal["forward", "restarted", "set aside", "taken out", "back"]
 
-HALF_AS_GOOD = 0.5
-"""Share of the best start's gain from which another start is fitted, and of the promise that a fit should
-keep."""
-MOST_FITS = 3
-"""Starts of an effect that are fitted."""
-REFINED = 10
-"""Times `search.rough`: a fit whose tolerance is larger than that has ended by it, not early."""
-WORSE_FITS = 3.0
-"""Tolerances of a fit by which a child may be worse than its parent before it is fitted again."""
-NEARLY_OFF = 1e-3
-"""Scaled value of an effect that is off but for the tolerance of a fit."""
 LIKELY_CHANCE = 0.5
 """p from which a gain is left as it was when a nuisance is added: chance as likely as not."""
 MOST_REPLACED = 2
 """Effects of a set that relatives may replace, one after the other."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A parent with one more effect."""
-
-    effect: str
-    fit: Fit | None
-    validation: CrossValidation | None
-    screening: Screening
-
-
-def penalty(problem: Problem) -> float:
-    """Price of one parameter in the objective."""
-    return float(np.log(POLICY.search.price_times_trials * len(problem.trials)))
-
-
-def score(problem: Problem, found: Fit) -> float:
-    """Objective with its price for parameters; lower is better."""
-    return found.objective + penalty(problem) * found.rank
-
-
-def refinable(problem: Problem, found: Fit) -> bool:
-    """Whether a first fit ended early: one that misses by far ends where a refined fit would."""
-    return EXCESS_TOLERANCE * excess(problem, found.objective) < REFINED * POLICY.search.rough
-
-
-def _worth_fitting(ahead: Screening) -> list[Start]:
-    """The best start, and those of the next two that promise half as much and more than chance."""
-    least = max(HALF_AS_GOOD * ahead.gain, POLICY.search.promising)
-    return [*ahead.starts[:1], *(s for s in ahead.starts[1:MOST_FITS] if s.gain > least)]
-
-
-def try_effect(
-    problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
-) -> Candidate:
-    """Fit `effect` on top of `parent` from its best starts, unless screening promises less than `worth`."""
-    ahead = screen(problem, parent, effect, worth)
-    if ahead.gain < worth and not more:
-        return Candidate(effect, None, None, ahead)
-    names = (*parent.effects, effect)
-    parameters = problem.parameters(names)
-    starts = [*more, *_worth_fitting(ahead)]
-    best: Fit | None = None
-    for start in starts:
-        found = fit(
-            problem,
-            names,
-            beside(problem, parent, parameters, start.scaled_values),
-            nuisance=parent.nuisance,
-            tolerance=POLICY.search.rough,
-        )
-        if found is not None and (best is None or found.objective < best.objective):
-            best = found
-    if best is not None and refinable(problem, best):
-        if parent.objective - best.objective > POLICY.search.promising:
-            best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
-        best = through_valleys(problem, best)
-    room = 1.0 + WORSE_FITS * EXCESS_TOLERANCE * excess(problem, parent.objective)
-    off = best is not None and bool(
-        np.all(np.abs(best.vector.scaled_values[len(parent.parameters) :]) < NEARLY_OFF)
-    )
-    if starts and not off and (best is None or best.objective > parent.objective + room):
-        # from the parent's optimum with the effect off nothing can become worse
-        idle = np.zeros(len(starts[0].scaled_values))
-        retry = fit(problem, names, beside(problem, parent, parameters, idle), nuisance=parent.nuisance)
-        hoped = parent.objective - HALF_AS_GOOD * ahead.gain
-        if ahead.gain > POLICY.search.promising and (retry is None or retry.objective > hoped):
-            retry = (
-                fit_without_derivatives(
-                    problem, names, beside(problem, parent, parameters, starts[0].scaled_values)
-                )
-                or retry
-            )
-        if retry is not None and (best is None or retry.objective < best.objective):
-            best = retry
-    return Candidate(effect, best, cross_validate(problem, best) if best is not None else None, ahead)
-
-
-def refit(
-    problem: Problem, names: tuple[str, ...], start: ParameterVector
-) -> tuple[Fit | None, CrossValidation | None]:
-    """Fit from a given parameter vector, with its cross-validation."""
-    found = fit(problem, names, start)
-    return found, cross_validate(problem, found) if found is not None else None
-
-
-def from_other_friction(problem: Problem, found: Fit) -> tuple[Fit, CrossValidation | None]:
-    """The lowest of a fit and those from other friction, with its cross-validation; None where it stays."""
-    best = over_friction(problem, found)
-    return best, cross_validate(problem, best) if best is not found else None
-
-
-def without(found: Fit, effect: str) -> ParameterVector:
-    """A fit's parameter vector with one effect taken out."""
-    keep = [i for i, a in enumerate(found.parameters) if a.effect != effect]
-    return ParameterVector(
-        found.vector.log_friction,
-        found.vector.log_rigidity,
-        found.vector.scaled_values[keep],
-        found.vector.trial_friction,
-    )
 
 
 def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
@@ -169,7 +62,7 @@ def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
 class Step:
     """One move of a search and where it stands after it."""
 
-    kind: Literal["forward", "set aside", "taken out", "back"]
+    kind: Move
     best: EffectSet
     score: float
 
@@ -248,7 +141,7 @@ class SearchTrace:
             return self
         return dataclasses.replace(self, fits={**self.fits, key: (found, validation)})
 
-    def stepped(self, kind: Literal["forward", "set aside", "taken out", "back"]) -> SearchTrace:
+    def stepped(self, kind: Move) -> SearchTrace:
         """The search with one more step, which led to `best`."""
         return dataclasses.replace(self, steps=(*self.steps, Step(kind, self.best, self.score(self.best))))
 
@@ -263,6 +156,7 @@ def search(
     work: Work,
     quick: bool = False,
     known: Fit | None = None,
+    say: Say = lambda _: None,
 ) -> SearchTrace:
     """Search among `names` on top of `root`, until nothing more passes or more would be named.
 
@@ -281,6 +175,11 @@ def search(
         return dataclasses.replace(trace, best=best).stepped("forward")
     while True:
         trace, options = _forward(trace, work, frontier)
+        if not options and _restarts(trace, max_effects):
+            say("far from the noise: fitting what is far from linear from other strengths, as long again")
+            trace = _restarted(trace, work)
+            frontier = [trace.best]
+            continue
         if not options:
             break
         chosen = _chosen(trace, options)
@@ -306,6 +205,24 @@ def _over_friction(trace: SearchTrace, work: Work, key: EffectSet) -> SearchTrac
     """The search with a set of effects that stays above the noise fitted from other friction, too."""
     found, validation = work.run(from_other_friction, [(trace.fits[key][0],)])[0]
     return trace if validation is None else trace.keep(found, validation)
+
+
+def _restarts(trace: SearchTrace, max_effects: int) -> bool:
+    """Whether the search ends far from the noise, one more could be named, and no restart was made here."""
+    made = any(step.kind == "restarted" and step.best == trace.best for step in trace.steps)
+    return not made and _far(trace, trace.best) and len(trace.named(trace.best)) < max_effects
+
+
+def _restarted(trace: SearchTrace, work: Work) -> SearchTrace:
+    """The search with effects whose response is far from linear fitted from finite strengths (multistart)."""
+    parent, tried = trace.fits[trace.best][0], trace.children[trace.best]
+    again = [c for c in tried if c.screening.nonlinearity > POLICY.screening.nonlinear]
+    found = work.run(from_finite_strengths, [(parent, candidate) for candidate in again])
+    for candidate in found:
+        trace = trace.keep(candidate.fit, candidate.validation)
+    by_name = {c.effect: c for c in (*tried, *found)}
+    children = {**trace.children, trace.best: tuple(by_name[c.effect] for c in tried)}
+    return dataclasses.replace(trace, children=children).stepped("restarted")
 
 
 def next_move(
@@ -350,7 +267,7 @@ def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) 
     if not wanted:
         return dataclasses.replace(trace, children={**trace.children, key: trace.children.get(key, ())})
     known |= {c.effect: c for c in work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
-    found = _from_limits(trace.problem, work, parent, [known[n] for n in names])
+    found = from_limits(trace.problem, work, parent, [known[n] for n in names])
     for candidate in found:
         trace = trace.keep(candidate.fit, candidate.validation)
     return dataclasses.replace(
@@ -358,51 +275,6 @@ def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) 
         children={**trace.children, key: tuple(found)},
         asked={**trace.asked, key: min(worth, before)},
     )
-
-
-def _from_limits(problem: Problem, work: Work, parent: Fit, found: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates refitted from their special cases where they fit worse than these.
-
-    A special case is an effect that a candidate becomes at an extreme of its parameters.
-    """
-    fitted = {c.effect: c.fit for c in found if c.fit is not None}
-    tasks, places = [], []
-    for place, candidate in enumerate(found):
-        limits = problem.library[candidate.effect].limits
-        known = [(fitted[limit], limit, extremes) for limit, extremes in limits.items() if limit in fitted]
-        lowest = min((fit.objective for fit, _, _ in known), default=np.inf)
-        if known and (candidate.fit is None or candidate.fit.objective > lowest + POLICY.search.rough):
-            starts = tuple(_limit_start(problem, candidate.effect, *k) for k in known)
-            tasks.append((parent, candidate.effect, starts))
-            places.append(place)
-    result = list(found)
-    for place, again in zip(places, work.run(try_effect, tasks), strict=True):
-        old = found[place].fit
-        if again.fit is not None and (old is None or again.fit.objective < old.objective):
-            result[place] = again
-    return result
-
-
-def _limit_start(
-    problem: Problem, effect: str, known: Fit, limit: str, extremes: Mapping[str, float]
-) -> Start:
-    """A start at which `effect` equals its fitted special case `limit`.
-
-    Fields of the same name are taken over; the others stand at their `extremes`.
-    """
-    added = problem.parameters([effect])
-    values = {
-        (a.field, a.item): a.value(float(x))
-        for a, x in zip(known.parameters, known.vector.scaled_values, strict=True)
-        if a.effect == limit
-    }
-    scaled_values = np.zeros(len(added))
-    for i, parameter in enumerate(added):
-        value = extremes.get(parameter.field, values.get((parameter.field, parameter.item)))
-        if value is not None and (value != parameter.info.off or parameter.info.shapes):
-            inside = min(max(value, parameter.info.lower), parameter.info.upper)
-            scaled_values[i] = np.clip(parameter.scaled_value(inside), *parameter.bounds)
-    return Start(scaled_values, np.inf)
 
 
 def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
@@ -484,7 +356,12 @@ def _least(trace: SearchTrace, key: EffectSet) -> float:
     While most of the error is not explained, an effect that promises next to nothing of it is not fitted.
     """
     left = excess(trace.problem, trace.fits[key][0].objective)
-    return POLICY.search.faint_share * left if key != trace.start and left > trace.problem.size else -1.0
+    return POLICY.search.faint_share * left if key != trace.start and _far(trace, key) else -1.0
+
+
+def _far(trace: SearchTrace, key: EffectSet) -> bool:
+    """Whether what a set leaves beyond the noise is more than the noise."""
+    return excess(trace.problem, trace.fits[key][0].objective) > trace.problem.size
 
 
 def asked_beside(gain: float) -> float:

@@ -9,12 +9,9 @@ foretold best is kept.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-
-import numpy as np
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, SolverError
@@ -23,8 +20,9 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, judged
 from needle_rig.workbench.estimation.cross_validation import cross_validate
-from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
-from needle_rig.workbench.estimation.parameters import at_strength
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.multistart import over_strength
+from needle_rig.workbench.estimation.parameters import either_way
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.parallel import Work
@@ -37,9 +35,6 @@ MOST_PROMISING = 3
 """Effects of which screening promises most that are tried."""
 BETTER = 0.99
 """Share of its error at which a round is worth another."""
-STRENGTHS = (1.4, 0.7, 2.0, 0.5)
-"""Strength of an effect, in that of a fit, from which it is restarted, by half octaves: a node that friction
-holds, or just not, in one hold makes a valley of its own."""
 HOLDING = ("shape", "torque")
 """Hooks of an effect that can hold twist in a shaft at rest."""
 
@@ -89,7 +84,7 @@ def from_found_starts(
     if best is None or best.error >= least:
         return baseline, None
     renewed = fit_baseline(dataset, model, library, lambda given: judged(given, best.shaft))
-    return renewed, _over_strength(renewed.problem, best.fit.effects, best.fit.vector)
+    return renewed, over_strength(renewed.problem, best.fit.effects, best.fit.vector)
 
 
 def held(
@@ -106,7 +101,7 @@ def held(
         try:
             shaft = problem.model(parameters, vector)
             here = problem.over([bin_trial(t) for t in judged(dataset, shaft).trials])
-            found = _over_strength(here, names, vector)
+            found = over_strength(here, names, vector)
         except (BadInput, SolverError):
             break
         if found is None:
@@ -127,23 +122,7 @@ def _start(problem: Problem, current: Fit, name: str, scaled_values: Array) -> T
 
 def _typical(problem: Problem, current: Fit, name: str) -> list[Task]:
     """An effect beside the current ones at its typical size, either way where it has two."""
-    added = problem.parameters([name])
-    ways = [at_strength(added, 1.0, turn) for turn in (1.0, -1.0)]
-    return [_start(problem, current, name, w) for w in ways[: 1 if (ways[0] == ways[1]).all() else 2]]
-
-
-def _over_strength(problem: Problem, names: tuple[str, ...], vector: ParameterVector) -> Fit | None:
-    """The lowest of fits from several strengths of the last effect."""
-    strengths = [a.effect == names[-1] and not a.info.shapes for a in problem.parameters(names)]
-    best = fit(problem, names, vector)
-    if best is None:
-        return None
-    for factor in STRENGTHS:
-        values = np.where(strengths, factor, 1.0) * best.vector.scaled_values
-        again = fit(problem, names, dataclasses.replace(best.vector, scaled_values=values))
-        if again is not None and again.objective < best.objective - OBJECTIVE_TOLERANCE:
-            best = again
-    return best
+    return [_start(problem, current, name, way) for way in either_way(problem.parameters([name]), 1.0)]
 
 
 def _error(held_out: float, found: Fit, problem: Problem) -> float:

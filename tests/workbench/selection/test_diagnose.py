@@ -15,6 +15,7 @@ from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
+from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.diagnose import diagnose, expected
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
@@ -80,6 +81,21 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     assert found.verdict == "unknown"
     assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
     assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
+
+
+@pytest.mark.slow
+def test_friction_of_which_screening_promises_nothing_is_found_from_a_finite_strength() -> None:
+    """Beside viscous slip a little static excess makes nothing better: the damping must rise with it."""
+    hidden = (
+        effect("stribeck", static_excess=0.08, rate_deg_s=7.5, weakening_deg=0.05, exponent=1.5),
+        effect("viscous_slip", viscosity_nmms_per_rad_per_100mm=0.04),
+    )
+    said: list[str] = []
+    found = diagnose(dataset(*hidden, seed=4), few("stribeck", "viscous_slip"), say=said.append)
+    assert set(found.effects) == {"stribeck", "viscous_slip"}
+    assert [s.kind for s in found.search.steps] == ["forward", "restarted", "forward"]
+    assert found.held_out_error_after < POLICY.verdict.reached
+    assert any("other strengths" in sentence for sentence in said)
 
 
 def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,7 +310,7 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
     idle = dataclasses.replace(good.fit.vector, scaled_values=np.r_[good.fit.vector.scaled_values, 0.0])
     began = search.SearchTrace.begin(problem, names, baseline.current, baseline.validation)
-    before = began.keep(worse, good.validation).keep(*search.refit(problem, names, idle))
+    before = began.keep(worse, good.validation).keep(*refit(problem, names, idle))
     after = search.take_out(before, frozenset(names), "torque_bias")
     assert frozenset(names) in before.fits
     assert frozenset(names) not in after.fits

@@ -20,7 +20,8 @@ from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.observations.snaps import Snap
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
 from needle_rig.workbench.published.search import Candidate as SettledCandidate
-from needle_rig.workbench.selection import residual_patterns, screening, search
+from needle_rig.workbench.selection import candidates, residual_patterns, screening, search
+from needle_rig.workbench.selection.candidates import penalty, refinable
 from needle_rig.workbench.selection.decisions import _decision
 from needle_rig.workbench.selection.diagnose import _contrived
 from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
@@ -39,8 +40,6 @@ from needle_rig.workbench.selection.search import (
     asked_beside,
     clearly_lower,
     next_move,
-    penalty,
-    refinable,
 )
 from needle_rig.workbench.selection.verdict import Findings, reasons, verdict
 from tests.workbench.hidden import dataset, effect, few
@@ -185,7 +184,7 @@ def test_an_objective_misses_something_from_five_standard_deviations_on(sigmas: 
 @pytest.mark.parametrize(("second", "fitted"), [(3.5, 1), (5.0, 2)])
 def test_a_second_start_is_fitted_when_it_promises_two_sigmas(second: float, fitted: int) -> None:
     starts = Start(np.zeros(1), 6.0), Start(np.ones(1), second)
-    assert len(search._worth_fitting(Screening("x", 6.0, starts, 1.0, 0.0))) == fitted
+    assert len(candidates._worth_fitting(Screening("x", 6.0, starts, 1.0, 0.0))) == fitted
 
 
 class Trace(SimpleNamespace):
@@ -247,6 +246,57 @@ def test_where_much_is_missed_a_tenth_of_it_must_be_promised(above: float, share
     found = fit(objective=200 + 5.0 * np.sqrt(400.0) + above)
     trace: Any = SimpleNamespace(problem=problem, fits={key: (found, None)}, start=frozenset())
     assert search._least(trace, key) == pytest.approx(-1.0 if share is None else share * above)
+
+
+@pytest.mark.parametrize(
+    ("above", "named", "before", "restarts"),
+    [(190.0, "a", (), False), (210.0, "a", (), True), (210.0, "abc", (), False),
+     (210.0, "a", ("restarted",), False)],
+)  # fmt: skip
+def test_a_search_that_ends_far_from_the_noise_starts_once_more_from_other_strengths(
+    above: float, named: str, before: tuple[str, ...], restarts: bool
+) -> None:
+    key = frozenset(named)
+    found = fit(objective=200 + 5.0 * np.sqrt(400.0) + above)
+    trace: Any = Trace(problem=SimpleNamespace(size=200), fits={key: (found, None)}, best=key, large=key)
+    trace.steps = [SimpleNamespace(kind=kind, best=key) for kind in before]
+    assert bool(search._restarts(trace, max_effects=3)) is restarts
+
+
+def test_what_answers_far_from_linearly_is_told_by_its_screening(baseline: Baseline) -> None:
+    """Typical sizes; a third of the threshold takes in what friction makes of any, three times it none."""
+    share = {n: screen(baseline.problem, baseline.current, n).nonlinearity for n in few()}
+    bent = {n for n, missed in share.items() if missed > POLICY.screening.nonlinear}
+    assert bent == {"tissue_elasticity", "chuck_backlash"}
+    assert POLICY.screening.nonlinear / 3 < share["tip_friction"]
+    assert share["torque_bias"] < 1e-6
+
+
+def test_a_restart_fits_what_answers_far_from_linearly_alone() -> None:
+    asked: list[str] = []
+
+    def run(_: object, tasks: Any) -> list[Any]:
+        asked.extend(c.effect for _, c in tasks)
+        return [c for _, c in tasks]
+
+    key = frozenset("a")
+    tried = [
+        candidates.Candidate(name, None, None, Screening(name, 0.0, (), 1.0, 0.0, nonlinearity=missed))
+        for name, missed in [("straight", 0.45), ("bent", 0.55)]
+    ]
+    problem: Any = SimpleNamespace(size=200, trials=[0])
+    parent: Any = fit(objective=500.0)
+    at: Any = {key: (parent, None)}
+    trace = search.SearchTrace(problem, (), parent, parent, key, at, {key: tuple(tried)}, {}, {})
+    after = search._restarted(trace, SimpleNamespace(run=run))  # type: ignore[arg-type]
+    assert asked == ["bent"]
+    assert [c.effect for c in after.children[key]] == ["straight", "bent"]
+
+
+def test_other_strengths_are_half_and_one_and_a_half_typical_sizes_either_way(baseline: Baseline) -> None:
+    for name, expected in [("torque_bias", [0.5, -0.5, 1.5, -1.5]), ("tip_friction", [0.5, 1.5])]:
+        starts = candidates.finite_starts(baseline.problem, name)
+        assert [float(s.scaled_values[0]) for s in starts] == expected
 
 
 @pytest.mark.parametrize(
