@@ -22,6 +22,7 @@ from needle_rig.numerics import Array
 from needle_rig.units import RAD_PER_DEG
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline import Quadratic, Spline
+from needle_rig.workbench.laws.spline_effect import SplineLaw
 
 ShapeKind = Literal["place", "width", "times"]
 
@@ -160,11 +161,21 @@ class RankedFormula:
     cost: float
 
 
-def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list[RankedFormula]:
-    """The best formula of each form by cost: −2 log likelihood and `price` a parameter; best first."""
+def ranked(made: SplineLaw, quadratic: Quadratic, coefficients: Array, price: float) -> list[RankedFormula]:
+    """The best formula of each form by cost: −2 log likelihood and `price` a parameter; best first.
+
+    The spline of a factor is of its logarithm, which is linear in the factor near the fitted `coefficients`.
+    """
+    law, spline = made.law, made.spline
     v = np.linspace(spline.low, spline.high, GRID)
     basis = spline.basis(v)
     to_coefficients = np.linalg.pinv(basis)
+    known = 0.0
+    if law.scales:
+        here = basis @ coefficients
+        factor = 1.0 + made.linked(here)
+        quadratic, known = quadratic.about(to_coefficients @ (here - (factor - 1.0) / factor))
+        to_coefficients = to_coefficients / factor
     reach, low = _rounded(float(np.abs(v).max())), _rounded(spline.low)
     found = []
     for form in FORMS:
@@ -176,7 +187,7 @@ def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list
             if not np.isfinite(columns).all():
                 continue
             fall, at = quadratic.fall(to_coefficients @ columns)
-            cost = price * (len(form.coefficients) + len(form.shapes)) - fall
+            cost = price * (len(form.coefficients) + len(form.shapes)) - known - fall
             if best is None or cost < best.cost:
                 values = (*(float(a) for a in at), *shapes)
                 best = RankedFormula(Formula(form, reach, low, values), cost)

@@ -57,6 +57,11 @@ MOST_AMPLITUDE = 8.0
 """Times the typical size that a curve's amplitude may have in its first fit."""
 
 
+FIRST_ROUGHNESS = 0.3
+"""Roughness that a curve has at most in its first fits, from smooth to rough: a fit that begins with a rough
+curve ends in a minimum of its own."""
+
+
 @dataclass(frozen=True)
 class Screened:
     """What a linearised curve promises on top of a fit."""
@@ -172,12 +177,25 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     inner = profiled(linear, made.spline.count)
     if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
         return None
-    of_coefficients = inner.scaled(made.spline.inverse)
-    spline, gain, coefficients = smoothed(made.spline, of_coefficients, typical(problem, made.law))
+    of_coefficients, unit = inner.scaled(made.spline.inverse), typical(problem, made.law)
+    _, gain, _ = smoothed(made.spline, of_coefficients, unit)
+    spline, _, coefficients = smoothed(
+        made.spline, of_coefficients.over(dispersion(problem, parent)), unit, FIRST_ROUGHNESS
+    )
     # what is stuck does not move until it slips: derivatives then ask for curves that are far too large
-    most = MOST_AMPLITUDE * typical(problem, made.law)
+    most = MOST_AMPLITUDE * unit
     spline = dataclasses.replace(spline, amplitude=min(spline.amplitude, most))
     return Screened(dataclasses.replace(made, spline=spline), gain, coefficients)
+
+
+def dispersion(problem: Problem, found: Fit) -> float:
+    """Variance of what a fit leaves, over that of the noise, where it is larger.
+
+    What a model misses, and what a linearised curve cannot tell of a law that is not linear, would pass for
+    roughness of the curve, and its band would be too narrow (quasi-likelihood: McCullagh, Nelder,
+    Generalized Linear Models (1989), sec. 4.5).
+    """
+    return max(1.0, found.chi2 / problem.size)
 
 
 def beginning(problem: Problem, made: SplineLaw) -> Array:

@@ -28,6 +28,7 @@ from needle_rig.workbench.laws.fitting import (
     Parent,
     first_fit,
     fit_formula,
+    from_formula,
     from_task,
     further_fit,
     held_out,
@@ -127,6 +128,7 @@ class LawSearch:
             judged.append(dataclasses.replace(each, spline=spline or each.spline, formula=formula))
         judged = self._with_formulas(sorted(judged, key=lambda each: each.score))
         judged.sort(key=lambda each: each.score)
+        judged[:1] = [self._followed(each) for each in judged[:1]]
         return [self._held_out(each) if place == 0 else each for place, each in enumerate(judged)]
 
     def add(self, found: FoundLaw) -> Parent:
@@ -198,6 +200,14 @@ class LawSearch:
         best = min(found, key=lambda each: each.score, default=None)
         return [each for each in found if best is not None and not self._far(each.score, best.best)]
 
+    def _followed(self, found: FoundLaw) -> FoundLaw:
+        """The law with its spline fitted anew from its formula, where that meets the data better."""
+        if found.formula is None or not bent(found.spline, found.formula):
+            return found
+        (spline,) = self._run(from_formula, [(found.parent, found.spline, found.formula)])
+        better = spline is not None and spline.fit.chi2 < found.spline.fit.chi2
+        return dataclasses.replace(found, spline=spline) if better else found
+
     def _held_out(self, found: FoundLaw) -> FoundLaw:
         (judged,) = self._run(held_out, [(found.best,)])
         where = "spline" if found.formula is None else "formula"
@@ -212,8 +222,9 @@ class LawSearch:
             spline = each.spline
             assert isinstance(spline.made, SplineLaw)
             assert spline.quadratic is not None
+            assert spline.coefficients is not None
             starts = _starts_without(spline.fit, spline.made.name, each.parent.fit)
-            rows = ranked(spline.law, spline.made.spline, spline.quadratic, price)[:FORMULAS]
+            rows = ranked(spline.made, spline.quadratic, spline.coefficients, price)[:FORMULAS]
             tasks = [(each.parent, starts, self._drafted(spline.law, row.formula)) for row in rows]
             fitted: list[LawFit] = from_task(self._run(fit_formula, tasks))
             best = min(fitted, key=lambda f: f.score, default=None)
@@ -225,6 +236,12 @@ class LawSearch:
         path = Path(self._folder.name) / f"draft_{self._drafts}.py"
         written(path, law, formula, self.origin, self.problem.base.layout.tissue_sections_m)
         return FormulaLaw(law, path, formula)
+
+
+def bent(spline: LawFit, best: LawFit) -> bool:
+    """Whether the data see that a spline does not follow a law: its formula, which is less free, meets them
+    better."""
+    return spline.fit.chi2 > best.fit.chi2 + POLICY.ties.close
 
 
 def borne(formula: LawFit | None, spline: LawFit) -> LawFit | None:

@@ -6,6 +6,7 @@ import pytest
 from needle_rig.workbench.laws.formulas import FORMS, Form, Formula, ranked, scaled_size, spelled
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline import Quadratic, Spline
+from needle_rig.workbench.laws.spline_effect import SplineLaw
 
 ANGLE = Law("observe", "hall_2", "angle")
 FAMILY = Spline(-60.0, 90.0, 16, 1.0, np.inf)
@@ -18,7 +19,8 @@ BY_NAME = {form.name: form for form in FORMS}
 def ranking(values: Any, law: Any = ANGLE) -> Any:
     noisy = values + SIGMA * np.random.default_rng(2).standard_normal(values.size)
     basis = FAMILY.basis(AT)
-    return ranked(law, FAMILY, Quadratic(basis.T @ basis / SIGMA**2, basis.T @ noisy / SIGMA**2), PRICE)
+    quadratic = Quadratic(basis.T @ basis / SIGMA**2, basis.T @ noisy / SIGMA**2)
+    return ranked(SplineLaw(law, FAMILY, "law"), quadratic, np.linalg.solve(quadratic.G, quadratic.b), PRICE)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +44,13 @@ def test_the_form_that_made_a_curve_is_the_shortest_description_of_it(form: Any,
 
 def test_a_constant_beside_a_line_is_said_where_there_is_one() -> None:
     assert ranking(0.4 + AT / 90.0)[0].formula.form.name == "constant and line"
+
+
+def test_a_factor_whose_logarithm_was_fitted_is_described_by_what_it_differs_from_one() -> None:
+    bump = -0.6 * np.exp(-(((AT - 20.0) / 30.0) ** 2))
+    first = ranking(np.log1p(bump), Law("shape", "rigidity", "x"))[0].formula
+    assert first.form.name == "bump"
+    assert np.abs(first.at(AT) - bump).max() < 0.06
 
 
 def test_a_sine_is_said_of_angles_alone() -> None:
