@@ -73,9 +73,7 @@ def fitted_curve(problem: Problem, current: Fit, found: FoundLaw, formula: Formu
     value, low, high = (linked(each) for each in (values, *_band(values, spread)))
     if formula is not None:
         stated = formula.at(at)
-        spread = np.sqrt(dispersion(problem, current)) * _formula_spread(
-            current, found.best.made.name, formula, at
-        )
+        spread = _formula_spread(current, found.best.made.name, formula, at)
         stated, lower, upper = (linked(unlinked(each)) for each in (stated, *_band(stated, spread)))
         low, high = np.minimum(low, lower), np.maximum(high, upper)
         value = stated if bent(spline, found.best) else value
@@ -118,4 +116,6 @@ def _formula_spread(found: Fit, name: str, formula: Formula, at: Array) -> Array
         values[place] = parameter.value(scaled + STEP)
         columns.append((dataclasses.replace(formula, values=tuple(values)).at(at) - here) / STEP)
     slopes, places = np.column_stack(columns), 2 + np.array(own)
-    return np.asarray(np.sqrt(((slopes @ found.covariance[np.ix_(places, places)]) * slopes).sum(axis=1)))
+    covariance = found.covariance[np.ix_(places, places)]
+    covariance = dispersion(found.residuals, [j[:, places] for j in found.jacobians], covariance) * covariance
+    return np.asarray(np.sqrt(((slopes @ covariance) * slopes).sum(axis=1)))

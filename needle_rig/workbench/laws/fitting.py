@@ -161,8 +161,12 @@ def _gone_on(
 def _scored(problem: Problem, parent: Parent, made: SplineLaw, found: Fit) -> LawFit:
     count = made.spline.count
     inner = profiled(LinearisedFit.of(problem, _without_false_information(made, found)), count)
-    occam = float(np.linalg.slogdet(np.eye(count) + inner.G)[1])
-    quadratic = inner.scaled(made.spline.inverse).over(dispersion(problem, found))
+    whole = np.eye(count) + inner.G
+    occam = float(np.linalg.slogdet(whole)[1])
+    end = 2 + len(found.parameters)
+    spread, own = np.asarray(np.linalg.inv(whole)), slice(end - count, end)
+    missed = dispersion(found.residuals, [each[:, own] for each in found.jacobians], spread)
+    quadratic = inner.scaled(made.spline.inverse).over(missed)
     coefficients = made.coefficients(found.vector.scaled_values[-count:])
     return LawFit(
         made,

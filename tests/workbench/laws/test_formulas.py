@@ -20,7 +20,7 @@ def ranking(values: Any, law: Any = ANGLE) -> Any:
     noisy = values + SIGMA * np.random.default_rng(2).standard_normal(values.size)
     basis = FAMILY.basis(AT)
     quadratic = Quadratic(basis.T @ basis / SIGMA**2, basis.T @ noisy / SIGMA**2)
-    return ranked(SplineLaw(law, FAMILY, "law"), quadratic, np.linalg.solve(quadratic.G, quadratic.b), PRICE)
+    return ranked(SplineLaw(law, FAMILY, "law"), quadratic, quadratic.fall(np.eye(FAMILY.count))[1], PRICE)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from needle_rig.workbench.laws.screening import dispersion
 from needle_rig.workbench.laws.spline import Quadratic, Spline, covariance_about, smoothed
 
 FAMILY = Spline(-60.0, 90.0, 16, 1.0, np.inf)
@@ -108,3 +109,13 @@ def test_a_first_curve_is_no_rougher_than_is_asked() -> None:
     wave = likelihood(0.3 * np.sin(np.radians(9.0 * AT)))
     assert smoothed(FAMILY, wave, 0.3)[0].roughness > 0.3
     assert smoothed(FAMILY, wave, 0.3, 0.3)[0].roughness <= 0.3
+
+
+def test_dispersion_is_that_of_the_values_which_tell_the_curve() -> None:
+    random = np.random.default_rng(3)
+    residuals = [random.standard_normal(4000), 3.0 * random.standard_normal(4000)]
+    told, untold = np.ones((4000, 1)), np.zeros((4000, 1))
+    spread = np.array([[1e-3]])
+    assert dispersion(residuals, [told, untold], spread) == pytest.approx(1.0, abs=0.06)
+    assert dispersion(residuals, [untold, told], spread) == pytest.approx(9.0, abs=0.6)
+    assert dispersion([0.5 * residuals[0]], [told], spread) == 1.0
