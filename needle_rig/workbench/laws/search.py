@@ -34,9 +34,9 @@ from needle_rig.workbench.laws.fitting import (
     held_out,
 )
 from needle_rig.workbench.laws.formulas import Formula, ranked
-from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
-from needle_rig.workbench.laws.screening import Screened, candidates, screen
+from needle_rig.workbench.laws.screening import Screened, candidates, screen, seen
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
@@ -225,7 +225,10 @@ class LawSearch:
             assert spline.coefficients is not None
             starts = _starts_without(spline.fit, spline.made.name, each.parent.fit)
             rows = ranked(spline.made, spline.quadratic, spline.coefficients, price)[:FORMULAS]
-            tasks = [(each.parent, starts, self._drafted(spline.law, row.formula)) for row in rows]
+            tasks = []
+            for row in rows:
+                first = _with_friction_of(self.problem, spline, row.formula, starts[0])
+                tasks.append((each.parent, (first, *starts[1:]), self._drafted(spline.law, row.formula)))
             fitted: list[LawFit] = from_task(self._run(fit_formula, tasks))
             best = min(fitted, key=lambda f: f.score, default=None)
             told[place] = dataclasses.replace(each, formula=borne(best, spline))
@@ -321,6 +324,20 @@ def _spread(promised: Sequence[Screened]) -> list[Screened]:
 def _starts_without(found: Fit, name: str, parent: Fit) -> tuple[ParameterVector, ...]:
     """Where the fit with a law stands, and where its parent does, the law's own parameters left out."""
     return _vector_without(found, name), parent.vector
+
+
+def _with_friction_of(
+    problem: Problem, spline: LawFit, formula: Formula, vector: ParameterVector
+) -> ParameterVector:
+    """The spline's vector, the constant factor on slip limits by which a formula differs in its friction."""
+    made = spline.made
+    assert isinstance(made, SplineLaw)
+    assert spline.coefficients is not None
+    if made.law.place != "slip_limit":
+        return vector
+    at = seen(problem, made.law) / UNIT[made.law.variable_unit][2]
+    beyond = made.spline.values(spline.coefficients, at) - made.unlinked(formula.at(at))
+    return dataclasses.replace(vector, log_friction=vector.log_friction + float(beyond.mean()))
 
 
 def _vector_without(found: Fit, name: str) -> ParameterVector:
