@@ -126,7 +126,16 @@ class LawSearch:
         for each, spline in zip(leading, whole, strict=True):
             formula = borne(each.formula, spline or each.spline)
             judged.append(dataclasses.replace(each, spline=spline or each.spline, formula=formula))
-        judged = self._with_formulas(sorted(judged, key=lambda each: each.score))
+        judged.sort(key=lambda each: each.score)
+        # one that its spline has left behind was found while that was still far off
+        again = [
+            dataclasses.replace(each, formula=None)
+            if each.formula is not None and bent(each.formula, each.spline)
+            else each
+            for each in judged
+        ]
+        again = self._with_formulas(again)
+        judged = [min(pair, key=lambda each: each.score) for pair in zip(again, judged, strict=True)]
         judged.sort(key=lambda each: each.score)
         judged[:1] = [self._followed(each) for each in judged[:1]]
         return [self._held_out(each) if place == 0 else each for place, each in enumerate(judged)]
@@ -241,10 +250,10 @@ class LawSearch:
         return FormulaLaw(law, path, formula)
 
 
-def bent(spline: LawFit, best: LawFit) -> bool:
-    """Whether the data see that a spline does not follow a law: its formula, which is less free, meets them
-    better."""
-    return spline.fit.chi2 > best.fit.chi2 + POLICY.ties.close
+def bent(one: LawFit, other: LawFit) -> bool:
+    """Whether the data see that a law's spline does not follow its formula, or the formula its spline: the
+    other meets them better."""
+    return one.fit.chi2 > other.fit.chi2 + POLICY.ties.close
 
 
 def borne(formula: LawFit | None, spline: LawFit) -> LawFit | None:
