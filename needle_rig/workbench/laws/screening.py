@@ -35,7 +35,7 @@ KNOTS = {
     "clock": 10,
     "trial": 6,
     "direction": 5,
-    "x": 40,
+    "x": 20,
 }
 """Coefficients of a spline: more than a curve that these data can show needs. The data set the smoothness."""
 ALONG_M = 1e-3
