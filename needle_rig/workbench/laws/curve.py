@@ -11,15 +11,13 @@ from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.laws.fitting import LawFit
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import UNIT
 from needle_rig.workbench.laws.made import Shared
-from needle_rig.workbench.laws.screening import seen
-from needle_rig.workbench.laws.search import FoundLaw
+from needle_rig.workbench.laws.screening import dispersion, seen
+from needle_rig.workbench.laws.search import FoundLaw, bent
 from needle_rig.workbench.laws.spline_effect import SplineLaw
-from needle_rig.workbench.policy import POLICY
 
 BAND_SIGMAS = 1.96
 CURVE_POINTS = 121
@@ -45,7 +43,8 @@ def fitted_curve(problem: Problem, current: Fit, found: FoundLaw, formula: Formu
 
     It is the spline's, which takes no form for granted; where the data see that a spline is not sharp
     enough for the law, the formula's. A spline is smoothed at a kink and an edge, and a formula is one form
-    of several that the data bear: with a formula the band is the envelope of both curves' 95 % bands.
+    of several that the data bear: with a formula the band is the envelope of both curves' 95 % bands. A
+    factor's band is that of its logarithm.
     """
     spline = found.spline
     assert isinstance(spline.made, SplineLaw)
@@ -59,18 +58,26 @@ def fitted_curve(problem: Problem, current: Fit, found: FoundLaw, formula: Formu
         # as all laws were last fitted together
         own = [each.effect == spline.made.name for each in current.parameters]
         coefficients = spline.made.coefficients(current.vector.scaled_values[own])
-    value, spread = basis @ coefficients, np.sqrt(((basis @ spline.covariance) * basis).sum(axis=1))
-    low, high = _band(value, spread)
+    there = seen(problem, spline.law) / UNIT[spline.law.variable_unit][2]
+    step = at[1] - at[0]
+    data, _ = np.histogram(there, bins=np.r_[at - step / 2, at[-1] + step / 2])
+    linked, unlinked = spline.made.linked, spline.made.unlinked
+    level = 0.0
+    if spline.law.place == "slip_limit":
+        # a constant factor is friction: the mean is none's, or the formula's
+        # (centred smooths: Wood, Generalized Additive Models (2017), sec. 5.4.1)
+        mean = data / data.sum()
+        basis = basis - mean @ basis
+        level = 0.0 if formula is None else float(mean @ unlinked(formula.at(at)))
+    values, spread = level + basis @ coefficients, np.sqrt(((basis @ spline.covariance) * basis).sum(axis=1))
+    value, low, high = (linked(each) for each in (values, *_band(values, spread)))
     if formula is not None:
         stated = formula.at(at)
         spread = _formula_spread(current, found.best.made.name, formula, at)
-        lower, upper = _band(stated, spread)
+        stated, lower, upper = (linked(unlinked(each)) for each in (stated, *_band(stated, spread)))
         low, high = np.minimum(low, lower), np.maximum(high, upper)
         value = stated if bent(spline, found.best) else value
-    values = seen(problem, spline.law) / UNIT[spline.law.variable_unit][2]
-    step = at[1] - at[0]
-    data, _ = np.histogram(values, bins=np.r_[at - step / 2, at[-1] + step / 2])
-    halves = [basis @ c for c in _from_halves(problem, found)]
+    halves = [linked(level + basis @ c) for c in _from_halves(problem, found)]
     shown = where_seen(problem, spline.law, at, halves, seen)
     return Curve(at, value, low, high, data, shown)
 
@@ -109,10 +116,6 @@ def _formula_spread(found: Fit, name: str, formula: Formula, at: Array) -> Array
         values[place] = parameter.value(scaled + STEP)
         columns.append((dataclasses.replace(formula, values=tuple(values)).at(at) - here) / STEP)
     slopes, places = np.column_stack(columns), 2 + np.array(own)
-    return np.asarray(np.sqrt(((slopes @ found.covariance[np.ix_(places, places)]) * slopes).sum(axis=1)))
-
-
-def bent(spline: LawFit, best: LawFit) -> bool:
-    """Whether the data see that a spline cannot follow a law: its formula, which is less free, meets them
-    better."""
-    return spline.fit.chi2 > best.fit.chi2 + POLICY.ties.close
+    covariance = found.covariance[np.ix_(places, places)]
+    covariance = dispersion(found.residuals, [j[:, places] for j in found.jacobians], covariance) * covariance
+    return np.asarray(np.sqrt(((slopes @ covariance) * slopes).sum(axis=1)))

@@ -6,6 +6,7 @@ Each function is a task: it takes what a search shares, and gives what can be se
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +20,15 @@ from needle_rig.workbench.estimation.posterior import Objective, excess, start_v
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
-from needle_rig.workbench.laws.screening import Screened, beginning, profiled, typical
-from needle_rig.workbench.laws.spline import Quadratic, smoothed
+from needle_rig.workbench.laws.screening import (
+    FIRST_ROUGHNESS,
+    Screened,
+    beginning,
+    dispersion,
+    profiled,
+    typical,
+)
+from needle_rig.workbench.laws.spline import Quadratic, covariance_about, smoothed
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.selection.candidates import penalty
 
@@ -31,8 +39,12 @@ FIRST_STEPS, FURTHER_STEPS, WHOLE_STEPS = 2, 3, 25
 the end, where it does not end before."""
 ROUGH = 0.5
 """Gain of the next step at which a first fit ends."""
+MOST_ESTIMATES = 3
+"""Times that the smoothness is estimated in a fit to the end, which moves it in turn."""
 FAR = 3.0
 """A present model that misses by more than this bends its constants: fits start from the stated ones, too."""
+POINTS, LEAST_SHARE = 240, 0.01
+"""Points at which a spline is laid on a formula, and the amplitude that it has at least, of the typical."""
 NOT_HELD_OUT = CrossValidation(float("inf"), float("inf"), ())
 
 
@@ -101,15 +113,31 @@ def first_fit(shared: Shared, parent: Parent, screened: Screened) -> LawFit | No
 
 def further_fit(shared: Shared, parent: Parent, rough: LawFit, whole: bool) -> LawFit | None:
     """A first fit gone on with, its smoothness estimated again; with `whole` to the end."""
+    problem, found = shared.with_made(rough.made), rough
+    if not whole:
+        return _gone_on(problem, parent, rough, FIRST_ROUGHNESS, FURTHER_STEPS, ROUGH)
+    for _ in range(MOST_ESTIMATES):
+        after = _gone_on(problem, parent, found, math.inf, WHOLE_STEPS, OBJECTIVE_TOLERANCE)
+        if after is None:
+            break
+        gained, found = found.score - after.score, after
+        if gained < ROUGH:
+            break
+    return None if found is rough else found
+
+
+def _gone_on(
+    given: Problem, parent: Parent, rough: LawFit, roughest: float, steps: int, tolerance: float
+) -> LawFit | None:
     made, quadratic = rough.made, rough.quadratic
     assert isinstance(made, SplineLaw)
     assert quadratic is not None
-    problem, count = shared.with_made(made), made.spline.count
-    spline, _, _ = smoothed(made.spline, quadratic, typical(problem, made.law))
+    count = made.spline.count
+    spline, _, _ = smoothed(made.spline, quadratic, typical(given, made.law), roughest)
     again = dataclasses.replace(made, spline=spline)
     vector = rough.fit.vector
     z = again.scaled_values(made.coefficients(vector.scaled_values[-count:]))
-    problem = shared.with_made(again)
+    problem = Shared(given).with_made(again)
     # the same curves in other units: their derivatives are known
     own = slice(2 + len(rough.fit.parameters) - count, 2 + len(rough.fit.parameters))
     change = made.spline.inverse @ spline.root
@@ -124,25 +152,81 @@ def further_fit(shared: Shared, parent: Parent, rough: LawFit, whole: bool) -> L
         dataclasses.replace(vector, scaled_values=np.r_[vector.scaled_values[:-count], z]),
         nuisance=rough.fit.nuisance,
         jacobians=jacobians,
-        iterations=WHOLE_STEPS if whole else FURTHER_STEPS,
-        tolerance=OBJECTIVE_TOLERANCE if whole else ROUGH,
+        iterations=steps,
+        tolerance=tolerance,
     )
     return None if found is None else _scored(problem, parent, again, found)
 
 
 def _scored(problem: Problem, parent: Parent, made: SplineLaw, found: Fit) -> LawFit:
-    count, root = made.spline.count, made.spline.root
-    inner = profiled(LinearisedFit.of(problem, found), count)
-    occam = float(np.linalg.slogdet(np.eye(count) + inner.G)[1])
+    count = made.spline.count
+    inner = profiled(LinearisedFit.of(problem, _without_false_information(made, found)), count)
+    whole = np.eye(count) + inner.G
+    occam = float(np.linalg.slogdet(whole)[1])
+    end = 2 + len(found.parameters)
+    spread, own = np.asarray(np.linalg.inv(whole)), slice(end - count, end)
+    missed = dispersion(found.residuals, [each[:, own] for each in found.jacobians], spread)
+    quadratic = inner.scaled(made.spline.inverse).over(missed)
+    coefficients = made.coefficients(found.vector.scaled_values[-count:])
     return LawFit(
         made,
         found,
         found.objective + occam + parent.price,
         occam,
-        quadratic=inner.scaled(made.spline.inverse),
-        coefficients=made.coefficients(found.vector.scaled_values[-count:]),
-        covariance=np.asarray(root @ found.covariance[-count:, -count:] @ root.T),
+        quadratic=quadratic,
+        coefficients=coefficients,
+        covariance=covariance_about(made.spline, quadratic, typical(problem, made.law), coefficients),
     )
+
+
+def _without_false_information(made: SplineLaw, found: Fit) -> Fit:
+    """The fit with a constant factor exactly what friction or rigidity is: errors of their derivatives, which
+    are finite differences, would tell one from the other."""
+    if not made.law.scales:
+        return found
+    ones = made.spline.inverse @ np.ones(made.spline.count)
+    place, end = (1 if made.law.place == "rigidity" else 0), 2 + len(found.parameters)
+    jacobians = []
+    for each in found.jacobians:
+        same = each.copy()
+        same[:, place] = each[:, end - made.spline.count : end] @ ones
+        jacobians.append(same)
+    return dataclasses.replace(found, jacobians=tuple(jacobians))
+
+
+def from_formula(shared: Shared, parent: Parent, spline: LawFit, formula: LawFit) -> LawFit | None:
+    """A law's spline fitted to the end from where its formula is."""
+    made, stated = spline.made, formula.made
+    assert isinstance(made, SplineLaw)
+    assert isinstance(stated, FormulaLaw)
+    family, vector = made.spline, formula.fit.vector
+    own = [each.effect == stated.name for each in formula.fit.parameters]
+    values = [
+        each.value(z)
+        for each, z, o in zip(formula.fit.parameters, vector.scaled_values, own, strict=True)
+        if o
+    ]
+    now = dataclasses.replace(stated.formula, values=tuple(values[: len(stated.formula.values)]))
+    at = np.linspace(family.low, family.high, POINTS)
+    coefficients = np.asarray(np.linalg.pinv(family.basis(at)) @ made.unlinked(now.at(at)))
+    size = max(float(np.abs(coefficients).max()), LEAST_SHARE * typical(shared.problem, made.law))
+    again = dataclasses.replace(
+        made, spline=dataclasses.replace(family, amplitude=size, roughness=FIRST_ROUGHNESS)
+    )
+    problem = shared.with_made(again)
+    z = np.r_[vector.scaled_values[~np.array(own)], again.scaled_values(coefficients)]
+    found = fit(
+        problem,
+        (*parent.fit.effects, again.name),
+        dataclasses.replace(vector, scaled_values=z),
+        nuisance=formula.fit.nuisance,
+        iterations=FURTHER_STEPS,
+        tolerance=ROUGH,
+    )
+    if found is None:
+        return None
+    rough = _scored(problem, parent, again, found)
+    return further_fit(shared, parent, rough, True) or rough
 
 
 def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[list[ParameterVector]]:

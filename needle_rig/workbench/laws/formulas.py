@@ -3,8 +3,8 @@
 A form is an expression in the variable v, in the unit of the curve's axis; `reach`, the largest |v| in the
 data, and `low`, the smallest v, are numbers in it. Coefficients stand before a term and vanish with it;
 shapes (where a step is, how wide) do not. Against the likelihood of a spline's coefficients c,
-−2 log L(c) = cᵀGc − 2bᵀc, a formula's coefficients follow by least squares, its shapes from a grid; each
-parameter has its price (minimum description length: Rissanen, Automatica 14 (1978)).
+−2 log L(c) = cᵀGc − 2bᵀc, a formula's coefficients follow by least squares, its shapes from a grid and a
+simplex; each parameter has its price (minimum description length: Rissanen, Automatica 14 (1978)).
 """
 
 from __future__ import annotations
@@ -12,16 +12,19 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from scipy.optimize import Bounds, minimize
 
 from needle_rig.numerics import Array
 from needle_rig.units import RAD_PER_DEG
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline import Quadratic, Spline
+from needle_rig.workbench.laws.spline_effect import LEAST_FACTOR, SplineLaw
 
 ShapeKind = Literal["place", "width", "times"]
 
@@ -33,6 +36,10 @@ WIDTHS = np.geomspace(0.02, 1.0, 10)
 TIMES = tuple(range(1, 9))
 ONE_SIDED = 0.05
 """Share of the largest value by which a variable of one sign may seem to be below 0."""
+POLISHED = 0.1
+"""Fall by which shapes may miss the best."""
+FACTOR_STEPS = 4
+"""Gauss–Newton steps of a factor's coefficients."""
 SMALL = 0.02
 """Share of the largest coefficient that a coefficient is taken to be at least, when its size sets a scale."""
 
@@ -160,29 +167,90 @@ class RankedFormula:
     cost: float
 
 
-def ranked(law: Law, spline: Spline, quadratic: Quadratic, price: float) -> list[RankedFormula]:
-    """The best formula of each form by cost: −2 log likelihood and `price` a parameter; best first."""
+def ranked(made: SplineLaw, quadratic: Quadratic, coefficients: Array, price: float) -> list[RankedFormula]:
+    """The best formula of each form by cost: −2 log likelihood and `price` a parameter; best first.
+
+    The spline of a factor is of its logarithm: coefficients follow from it by Gauss–Newton steps, the first
+    about the spline's own `coefficients`.
+    """
+    law, spline = made.law, made.spline
     v = np.linspace(spline.low, spline.high, GRID)
     basis = spline.basis(v)
-    to_coefficients = np.linalg.pinv(basis)
+    to_coefficients = np.asarray(np.linalg.pinv(basis), dtype=np.float64)
+    factor = 1.0 + made.linked(basis @ coefficients)
     reach, low = _rounded(float(np.abs(v).max())), _rounded(spline.low)
+
+    def best_of(form: Form, shapes: tuple[float, ...]) -> tuple[float, Array]:
+        columns = _columns(form, v, reach, low, shapes)
+        if not np.isfinite(columns).all():
+            return -math.inf, np.zeros(columns.shape[1])
+        if law.scales:
+            return _fall_of_factor(quadratic, to_coefficients, columns, factor)
+        return quadratic.fall(to_coefficients @ columns)
+
     found = []
     for form in FORMS:
         if not _fits(form, law) or (form.even_or_odd and spline.low > -ONE_SIDED * spline.high):
             continue
-        best: RankedFormula | None = None
-        for shapes in _grid(form, spline):
-            columns = _columns(form, v, reach, low, shapes)
-            if not np.isfinite(columns).all():
-                continue
-            fall, at = quadratic.fall(to_coefficients @ columns)
+        best = partial(best_of, form)
+        shapes = _polished(form, spline, best)
+        fall, at = best(shapes)
+        if math.isfinite(fall):
             cost = price * (len(form.coefficients) + len(form.shapes)) - fall
-            if best is None or cost < best.cost:
-                values = (*(float(a) for a in at), *shapes)
-                best = RankedFormula(Formula(form, reach, low, values), cost)
-        if best is not None:
-            found.append(best)
+            found.append(RankedFormula(Formula(form, reach, low, (*(float(a) for a in at), *shapes)), cost))
     return sorted(found, key=lambda each: each.cost)
+
+
+def _polished(
+    form: Form, spline: Spline, best: Callable[[tuple[float, ...]], tuple[float, Array]]
+) -> tuple[float, ...]:
+    """The shapes of the largest fall on the grid; places and widths go on from there."""
+
+    def fall(shapes: tuple[float, ...]) -> float:
+        return best(shapes)[0]
+
+    start = max(_grid(form, spline), key=fall)
+    kinds = [kind for _, kind in form.shapes]
+    if not kinds or "times" in kinds:
+        return start
+    half = 0.5 * (spline.high - spline.low)
+    widths = np.array([kind == "width" for kind in kinds])
+    low = np.where(widths, math.log(half * WIDTHS[0]), spline.low)
+    high = np.where(widths, math.log(half * WIDTHS[-1]), spline.high)
+
+    def shapes(x: Array) -> tuple[float, ...]:
+        return tuple(np.where(widths, np.exp(np.where(widths, x, 0.0)), x).tolist())
+
+    x: Array = np.where(widths, np.log(np.where(widths, start, 1.0)), start)
+    steps = np.where(widths, math.log(WIDTHS[1] / WIDTHS[0]), 2.0 * half / (PLACES - 1))
+    simplex = np.clip(x + np.vstack([np.zeros(x.size), 0.5 * np.diag(steps)]), low, high)
+
+    def cost(x: Array) -> float:
+        return -fall(shapes(x))
+
+    after = minimize(
+        cost,
+        x,
+        method="Nelder-Mead",
+        bounds=Bounds(low, high),
+        options={"initial_simplex": simplex, "fatol": POLISHED},
+    )
+    return max(start, shapes(after.x), key=fall)
+
+
+def _fall_of_factor(
+    quadratic: Quadratic, to_coefficients: Array, columns: Array, factor: Array
+) -> tuple[float, Array]:
+    """How far a quadratic of the logarithm's coefficients (K,) falls for factors 1 + `columns` (n, m) times
+    numbers, and these (m,); `factor` (n,) is where it begins."""
+    best = -math.inf, np.zeros(columns.shape[1])
+    for _ in range(FACTOR_STEPS):
+        origin = to_coefficients @ (np.log(factor) - (factor - 1.0) / factor)
+        _, at = quadratic.about(origin)[0].fall((to_coefficients / factor) @ columns)
+        factor = np.maximum(1.0 + columns @ at, LEAST_FACTOR)
+        _, fall = quadratic.about(to_coefficients @ np.log(factor))
+        best = max(best, (fall, at), key=lambda each: each[0])
+    return best
 
 
 def _fits(form: Form, law: Law) -> bool:

@@ -102,6 +102,11 @@ class Law:
         return "1" if self.place in ("slip_limit", "rigidity") else "°"
 
     @property
+    def scales(self) -> bool:
+        """Whether it multiplies something positive: its spline is of the logarithm of the factor."""
+        return self.place in ("slip_limit", "rigidity")
+
+    @property
     def variable_unit(self) -> str:
         """Of the variable."""
         return _VARIABLE_UNIT[self.variable]

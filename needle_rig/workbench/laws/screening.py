@@ -6,6 +6,7 @@ Each function is a task: it takes what a search shares, and gives what can be se
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,11 @@ DRAG_SHARE = 0.4
 """Times the typical size, the drag at the largest rate about which a torque on the rate is linearised."""
 MOST_AMPLITUDE = 8.0
 """Times the typical size that a curve's amplitude may have in its first fit."""
+
+
+FIRST_ROUGHNESS = 0.3
+"""Roughness that a curve has at most in its first fits, from smooth to rough: a fit that begins with a rough
+curve ends in a minimum of its own."""
 
 
 @dataclass(frozen=True)
@@ -172,12 +178,28 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     inner = profiled(linear, made.spline.count)
     if not (np.isfinite(inner.G).all() and np.isfinite(inner.b).all()):
         return None
-    of_coefficients = inner.scaled(made.spline.inverse)
-    spline, gain, coefficients = smoothed(made.spline, of_coefficients, typical(problem, made.law))
+    of_coefficients, unit = inner.scaled(made.spline.inverse), typical(problem, made.law)
+    _, gain, _ = smoothed(made.spline, of_coefficients, unit)
+    spread = np.asarray(np.linalg.inv(np.eye(made.spline.count) + inner.G))
+    missed = dispersion(residuals, columns, spread)
+    spline, _, coefficients = smoothed(made.spline, of_coefficients.over(missed), unit, FIRST_ROUGHNESS)
     # what is stuck does not move until it slips: derivatives then ask for curves that are far too large
-    most = MOST_AMPLITUDE * typical(problem, made.law)
+    most = MOST_AMPLITUDE * unit
     spline = dataclasses.replace(spline, amplitude=min(spline.amplitude, most))
     return Screened(dataclasses.replace(made, spline=spline), gain, coefficients)
+
+
+def dispersion(residuals: Sequence[Array], columns: Sequence[Array], spread: Array) -> float:
+    """Variance of whitened residuals (n,) a trial over that of the noise, where it is larger.
+
+    Values count by their leverage on parameters of these derivatives (n, k) and this covariance (k, k). What
+    a model misses there, and what a linearised curve cannot tell of a law that is not linear, would pass for
+    roughness of a curve, and its band would be too narrow (quasi-likelihood: McCullagh, Nelder, Generalized
+    Linear Models (1989), sec. 4.5; by leverage it is the sandwich's: White, Econometrica 48 (1980)).
+    """
+    left, slopes = np.concatenate(list(residuals)), np.concatenate(list(columns))
+    leverage = ((slopes @ spread) * slopes).sum(axis=1)
+    return max(1.0, float(leverage @ left**2) / max(float(leverage.sum()), 1e-300))
 
 
 def beginning(problem: Problem, made: SplineLaw) -> Array:

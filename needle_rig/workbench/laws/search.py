@@ -28,14 +28,15 @@ from needle_rig.workbench.laws.fitting import (
     Parent,
     first_fit,
     fit_formula,
+    from_formula,
     from_task,
     further_fit,
     held_out,
 )
 from needle_rig.workbench.laws.formulas import Formula, ranked
-from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
-from needle_rig.workbench.laws.screening import Screened, candidates, screen
+from needle_rig.workbench.laws.screening import Screened, candidates, screen, seen
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
@@ -125,8 +126,18 @@ class LawSearch:
         for each, spline in zip(leading, whole, strict=True):
             formula = borne(each.formula, spline or each.spline)
             judged.append(dataclasses.replace(each, spline=spline or each.spline, formula=formula))
-        judged = self._with_formulas(sorted(judged, key=lambda each: each.score))
         judged.sort(key=lambda each: each.score)
+        # one that its spline has left behind was found while that was still far off
+        again = [
+            dataclasses.replace(each, formula=None)
+            if each.formula is not None and bent(each.formula, each.spline)
+            else each
+            for each in judged
+        ]
+        again = self._with_formulas(again)
+        judged = [min(pair, key=lambda each: each.score) for pair in zip(again, judged, strict=True)]
+        judged.sort(key=lambda each: each.score)
+        judged[:1] = [self._followed(each) for each in judged[:1]]
         return [self._held_out(each) if place == 0 else each for place, each in enumerate(judged)]
 
     def add(self, found: FoundLaw) -> Parent:
@@ -198,6 +209,14 @@ class LawSearch:
         best = min(found, key=lambda each: each.score, default=None)
         return [each for each in found if best is not None and not self._far(each.score, best.best)]
 
+    def _followed(self, found: FoundLaw) -> FoundLaw:
+        """The law with its spline fitted anew from its formula, where that meets the data better."""
+        if found.formula is None or not bent(found.spline, found.formula):
+            return found
+        (spline,) = self._run(from_formula, [(found.parent, found.spline, found.formula)])
+        better = spline is not None and spline.fit.chi2 < found.spline.fit.chi2
+        return dataclasses.replace(found, spline=spline) if better else found
+
     def _held_out(self, found: FoundLaw) -> FoundLaw:
         (judged,) = self._run(held_out, [(found.best,)])
         where = "spline" if found.formula is None else "formula"
@@ -212,9 +231,13 @@ class LawSearch:
             spline = each.spline
             assert isinstance(spline.made, SplineLaw)
             assert spline.quadratic is not None
+            assert spline.coefficients is not None
             starts = _starts_without(spline.fit, spline.made.name, each.parent.fit)
-            rows = ranked(spline.law, spline.made.spline, spline.quadratic, price)[:FORMULAS]
-            tasks = [(each.parent, starts, self._drafted(spline.law, row.formula)) for row in rows]
+            rows = ranked(spline.made, spline.quadratic, spline.coefficients, price)[:FORMULAS]
+            tasks = []
+            for row in rows:
+                first = _with_friction_of(self.problem, spline, row.formula, starts[0])
+                tasks.append((each.parent, (first, *starts[1:]), self._drafted(spline.law, row.formula)))
             fitted: list[LawFit] = from_task(self._run(fit_formula, tasks))
             best = min(fitted, key=lambda f: f.score, default=None)
             told[place] = dataclasses.replace(each, formula=borne(best, spline))
@@ -225,6 +248,12 @@ class LawSearch:
         path = Path(self._folder.name) / f"draft_{self._drafts}.py"
         written(path, law, formula, self.origin, self.problem.base.layout.tissue_sections_m)
         return FormulaLaw(law, path, formula)
+
+
+def bent(one: LawFit, other: LawFit) -> bool:
+    """Whether the data see that a law's spline does not follow its formula, or the formula its spline: the
+    other meets them better."""
+    return one.fit.chi2 > other.fit.chi2 + POLICY.ties.close
 
 
 def borne(formula: LawFit | None, spline: LawFit) -> LawFit | None:
@@ -304,6 +333,20 @@ def _spread(promised: Sequence[Screened]) -> list[Screened]:
 def _starts_without(found: Fit, name: str, parent: Fit) -> tuple[ParameterVector, ...]:
     """Where the fit with a law stands, and where its parent does, the law's own parameters left out."""
     return _vector_without(found, name), parent.vector
+
+
+def _with_friction_of(
+    problem: Problem, spline: LawFit, formula: Formula, vector: ParameterVector
+) -> ParameterVector:
+    """The spline's vector, the constant factor on slip limits by which a formula differs in its friction."""
+    made = spline.made
+    assert isinstance(made, SplineLaw)
+    assert spline.coefficients is not None
+    if made.law.place != "slip_limit":
+        return vector
+    at = seen(problem, made.law) / UNIT[made.law.variable_unit][2]
+    beyond = made.spline.values(spline.coefficients, at) - made.unlinked(formula.at(at))
+    return dataclasses.replace(vector, log_friction=vector.log_friction + float(beyond.mean()))
 
 
 def _vector_without(found: Fit, name: str) -> ParameterVector:

@@ -9,6 +9,8 @@ the likelihood of the data with c and all other parameters integrated out: restr
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -83,28 +85,66 @@ class Quadratic:
         at = np.linalg.lstsq(square / np.outer(size, size), right / size, rcond=1e-10)[0] / size
         return float(2.0 * at @ right - at @ square @ at), at
 
+    def about(self, origin: Array) -> tuple[Quadratic, float]:
+        """The same of what is added to coefficients, and how far it falls to these."""
+        pushed = self.G @ origin
+        return Quadratic(self.G, self.b - pushed), float((2.0 * self.b - pushed) @ origin)
+
+    def over(self, dispersion: float) -> Quadratic:
+        """The same of data whose variances are so many times larger (quasi-likelihood)."""
+        return Quadratic(self.G / dispersion, self.b / dispersion)
+
     def scaled(self, root: Array) -> Quadratic:
         """The same of z, for c = S z."""
         return Quadratic(root.T @ self.G @ root, root.T @ self.b)
 
 
-def smoothed(spline: Spline, of: Quadratic, unit: float) -> tuple[Spline, float, Array]:
+def smoothed(
+    spline: Spline, of: Quadratic, unit: float, roughest: float = math.inf
+) -> tuple[Spline, float, Array]:
     """The spline with the smoothness of largest restricted likelihood, twice its logarithm, and c (K,).
 
     Amplitudes are tried about `unit`. The logarithm is over that of no curve at all.
     """
-    best: tuple[float, Spline, Array] | None = None
+    best: tuple[Spline, float, Array] | None = None
+    for tried in _every_smoothness(spline, unit):
+        if tried.roughness > roughest:
+            continue
+        gain, z, _ = _restricted(of.scaled(tried.root))
+        if best is None or gain > best[1]:
+            best = tried, gain, tried.root @ z
+    assert best is not None
+    return best
+
+
+def covariance_about(spline: Spline, of: Quadratic, unit: float, coefficients: Array) -> Array:
+    """Mean square (K, K) of the coefficients' distances from given ones, over all smoothnesses.
+
+    Each smoothness has a share as its restricted likelihood: with one alone held fixed, a band is too narrow
+    (Wood, Pya, Säfken, J. Am. Stat. Assoc. 111 (2016), sec. 4).
+    """
+    gains, squares = [], []
+    for tried in _every_smoothness(spline, unit):
+        gain, z, spread = _restricted(of.scaled(tried.root))
+        off = tried.root @ z - coefficients
+        gains.append(gain)
+        squares.append(tried.root @ spread @ tried.root.T + np.outer(off, off))
+    shares = np.exp(0.5 * (np.array(gains) - max(gains)))
+    return np.asarray(np.tensordot(shares / shares.sum(), squares, 1))
+
+
+def _every_smoothness(spline: Spline, unit: float) -> Iterator[Spline]:
     for roughness in ROUGHNESSES:
         for factor in AMPLITUDES:
-            tried = dataclasses.replace(spline, amplitude=float(unit * factor), roughness=roughness)
-            inner = of.scaled(tried.root)
-            whole = inner.G + np.eye(spline.count)
-            z = np.linalg.solve(whole, inner.b)
-            gain = float(inner.b @ z - np.linalg.slogdet(whole)[1])
-            if best is None or gain > best[0]:
-                best = gain, tried, tried.root @ z
-    assert best is not None
-    return best[1], best[0], best[2]
+            yield dataclasses.replace(spline, amplitude=float(unit * factor), roughness=roughness)
+
+
+def _restricted(of: Quadratic) -> tuple[float, Array, Array]:
+    """Twice the logarithm of the restricted likelihood, z (K,) and its covariance (K, K)."""
+    whole = of.G + np.eye(of.b.size)
+    spread = np.asarray(np.linalg.inv(whole), dtype=np.float64)
+    z = spread @ of.b
+    return float(of.b @ z - np.linalg.slogdet(whole)[1]), z, spread
 
 
 @lru_cache(maxsize=512)

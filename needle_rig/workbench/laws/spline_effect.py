@@ -32,7 +32,7 @@ from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.spline import Spline
 
 LEAST_FACTOR = 0.02
-"""Slip limits and rigidity are left at least this share: a fit may try less than none."""
+"""Slip limits and rigidity are left at least this share, and grow to the inverse of it at most."""
 FAR_SIGMAS = 60.0
 
 
@@ -53,6 +53,20 @@ class SplineLaw:
         unit = UNIT[self.law.variable_unit][2]
         basis = self.spline.basis(of_reading(self.law, reading, sensor) / unit)
         return basis * own(reading, sensor)[:, np.newaxis] if self.law.kind == "gain" else basis
+
+    def curve(self, coefficients: Array, at: Array) -> Array:
+        """The curve (n,) at (n,), in the units of the law, of the spline's coefficients (K,)."""
+        return self.linked(self.spline.values(coefficients, at))
+
+    def linked(self, values: Array) -> Array:
+        """The curve where the spline has these values: a factor is its exponential, give is not below 0."""
+        if self.law.scales:
+            return np.expm1(np.clip(values, np.log(LEAST_FACTOR), -np.log(LEAST_FACTOR)))
+        return np.maximum(values, 0.0) if self.law.place == "stiffness" else values
+
+    def unlinked(self, curve: Array) -> Array:
+        """Values of the spline where the curve has these."""
+        return np.log(np.maximum(1.0 + curve, LEAST_FACTOR)) if self.law.scales else curve
 
     def coefficients(self, scaled_values: Array) -> Array:
         """Of the spline (K,), from the effect's fields."""
@@ -136,7 +150,7 @@ def _curve(made: SplineLaw) -> Callable[[Effect, Array], Array]:
     given, gives = UNIT[made.law.variable_unit][2], UNIT[made.law.unit][2]
 
     def curve(effect: Effect, at: Array) -> Array:
-        return made.spline.values(_coefficients(made, effect), np.asarray(at) / given) * gives
+        return made.curve(_coefficients(made, effect), np.asarray(at) / given) * gives
 
     return curve
 
@@ -182,14 +196,14 @@ def _shape(made: SplineLaw) -> Callable[[Effect, Rod, Trial], Rod]:
         tissue = rod.tissue_length_m > 0
         if law.place == "rigidity":
             middle = 0.5 * (rod.position_m[1:] + rod.position_m[:-1])
-            factor = np.maximum(1.0 + curve(self, middle), LEAST_FACTOR)
-            return dataclasses.replace(rod, stiffness_nm_per_rad=rod.stiffness_nm_per_rad * factor)
+            stiffness_nm_per_rad = rod.stiffness_nm_per_rad * (1.0 + curve(self, middle))
+            return dataclasses.replace(rod, stiffness_nm_per_rad=stiffness_nm_per_rad)
         at = rod.position_m if law.variable == "x" else np.full(tissue.size, of_place(law.variable, trial))
         if law.place == "stiffness":
-            given = np.maximum(curve(self, at), 0.0)
+            given = curve(self, at)
             limit = np.where(tissue & (rod.slip_plus_nm > 0), rod.slip_plus_nm, np.inf)
             return dataclasses.replace(rod, compliance_rad_per_nm=rod.compliance_rad_per_nm + given / limit)
-        factor = np.where(tissue, np.maximum(1.0 + curve(self, at), LEAST_FACTOR), 1.0)
+        factor = np.where(tissue, 1.0 + curve(self, at), 1.0)
         return dataclasses.replace(
             rod, slip_plus_nm=rod.slip_plus_nm * factor, slip_minus_nm=rod.slip_minus_nm * factor
         )

@@ -99,7 +99,7 @@ def test_a_curve_acts_alike_as_a_spline_and_as_the_table_of_its_draft(
     z = made.scaled_values(SIZES[law.unit] * np.random.default_rng(4).uniform(0.2, 1.0, 9))
     spline = made.effect()(**{f"z{k}": float(v) for k, v in enumerate(z)})
     at = np.linspace(low, high, 2001)
-    table = drafted(tmp_path, law, Table(at, made.spline.values(made.coefficients(z), at)))
+    table = drafted(tmp_path, law, Table(at, made.curve(made.coefficients(z), at)))
     one, other = (coarse.with_effects(e).predict(SHORT) for e in (spline, table(strength=1.0)))
     nothing = coarse.predict(SHORT)
     assert contract.distance(one, nothing) > 0.3
@@ -121,3 +121,14 @@ def test_a_formula_is_told_with_its_numbers() -> None:
 def test_a_negative_coefficient_is_told_by_its_sign_alone() -> None:
     told = formula_text(dataclasses.replace(SINE, values=(0.05, -0.01, 2.0)))
     assert told == "0.05 · sin(2 · v) − 0.01 · cos(2 · v)"
+
+
+def test_a_spline_of_a_factor_stays_positive_and_one_of_give_is_none_below_zero() -> None:
+    far = np.array([-1e3, -1.0, 0.0, 1.0, 1e3])
+    factor = SplineLaw(Law("shape", "slip_limit", "x"), Spline(0.0, 400.0, 9, 1.0, 1.0), "factor")
+    assert (factor.linked(far) > -1.0).all()
+    assert np.isfinite(factor.linked(far)).all()
+    near = np.array([-0.7, 0.0, 3.0])
+    assert factor.linked(factor.unlinked(near)) == pytest.approx(near)
+    give = SplineLaw(Law("shape", "stiffness", "x"), factor.spline, "give")
+    assert give.linked(far) == pytest.approx(np.maximum(far, 0.0))

@@ -6,6 +6,7 @@ import pytest
 from needle_rig.workbench.laws.formulas import FORMS, Form, Formula, ranked, scaled_size, spelled
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline import Quadratic, Spline
+from needle_rig.workbench.laws.spline_effect import SplineLaw
 
 ANGLE = Law("observe", "hall_2", "angle")
 FAMILY = Spline(-60.0, 90.0, 16, 1.0, np.inf)
@@ -18,7 +19,8 @@ BY_NAME = {form.name: form for form in FORMS}
 def ranking(values: Any, law: Any = ANGLE) -> Any:
     noisy = values + SIGMA * np.random.default_rng(2).standard_normal(values.size)
     basis = FAMILY.basis(AT)
-    return ranked(law, FAMILY, Quadratic(basis.T @ basis / SIGMA**2, basis.T @ noisy / SIGMA**2), PRICE)
+    quadratic = Quadratic(basis.T @ basis / SIGMA**2, basis.T @ noisy / SIGMA**2)
+    return ranked(SplineLaw(law, FAMILY, "law"), quadratic, quadratic.fall(np.eye(FAMILY.count))[1], PRICE)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +44,14 @@ def test_the_form_that_made_a_curve_is_the_shortest_description_of_it(form: Any,
 
 def test_a_constant_beside_a_line_is_said_where_there_is_one() -> None:
     assert ranking(0.4 + AT / 90.0)[0].formula.form.name == "constant and line"
+
+
+def test_a_factor_whose_logarithm_was_fitted_is_described_by_what_it_differs_from_one() -> None:
+    for height in (-0.6, 4.0):
+        bump = height * np.exp(-(((AT - 20.0) / 30.0) ** 2))
+        first = ranking(np.log1p(bump), Law("shape", "rigidity", "x"))[0].formula
+        assert first.form.name == "bump"
+        assert np.abs(first.at(AT) - bump).max() < 0.1 * abs(height)
 
 
 def test_a_sine_is_said_of_angles_alone() -> None:
@@ -78,3 +88,10 @@ def test_a_field_whose_name_is_part_of_another_word_is_left_alone() -> None:
 @pytest.mark.parametrize("law", [Law("drive", "base", "base_angle"), Law("shape", "slip_limit", "x")])
 def test_a_constant_that_nothing_can_see_is_not_said(law: Any) -> None:
     assert not [r for r in ranking(0.4 + AT / 90.0, law) if r.formula.form.has_constant]
+
+
+def test_a_place_and_a_width_between_those_of_the_grid_are_found() -> None:
+    first = ranking(0.5 * np.exp(-(((AT - 21.3) / 13.7) ** 2)))[0].formula
+    assert first.form.name == "bump"
+    assert first.parameters["at"] == pytest.approx(21.3, abs=0.2)
+    assert first.parameters["width"] == pytest.approx(13.7, rel=0.05)

@@ -14,6 +14,7 @@ import pytest
 from needle_rig.model import load_model, save_model
 from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.library import find_effects, load_effect
+from needle_rig.physics.rod import Rod
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
@@ -139,6 +140,38 @@ class RunOut(Effect):
 
     def drive(self, trial: Trial) -> Any:
         return trial.base_angle_rad + np.radians(self.size_deg) * np.sin(2.0 * trial.base_angle_rad)
+
+
+@dataclass(frozen=True)
+class Weak(Effect):
+    """The shaft is weaker near 280 mm."""
+
+    size: float = parameter(
+        off=0.0, lower=-9.0, upper=9.0, typical=1.0, smallest=0.1, literature=(-9.0, 9.0), unit="1"
+    )
+
+    def shape(self, rod: Rod, trial: Trial) -> Rod:
+        at_mm = 500.0 * (rod.position_m[1:] + rod.position_m[:-1])
+        rigidity = rod.stiffness_nm_per_rad / (1.0 + self.size * np.exp(-(((at_mm - 280.0) / 40.0) ** 2)))
+        return dataclasses.replace(rod, stiffness_nm_per_rad=rigidity)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", [51])
+def test_a_shaft_that_is_weak_in_one_place_is_found_and_its_band_holds_the_true_rigidity(seed: Any) -> None:
+    found = learn_laws(dataset(Weak(1.6), seed=seed), few(), origin=ORIGIN)
+    assert found.verdict == "law"
+    (law,) = found.laws
+    assert law.law == Law("shape", "rigidity", "x")
+    assert found.held_out_after < 1.1
+    curve = law.curve
+    truth = 1.0 / (1.0 + 1.6 * np.exp(-(((curve.at - 280.0) / 40.0) ** 2))) - 1.0
+    assert ((curve.low <= truth) & (truth <= curve.high)).mean() > 0.9
+    weakest = np.abs(curve.at - 280.0) < 20.0
+    assert (curve.high[weakest] < -0.4).all()
+    # the rigidity itself is known to 2 % alone
+    assert (np.log1p(curve.high) - np.log1p(curve.low) > 2.0 * 1.96 * 0.015).all()
 
 
 @pytest.mark.slow

@@ -3,7 +3,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from needle_rig.workbench.laws.spline import Quadratic, Spline, smoothed
+from needle_rig.workbench.laws.screening import dispersion
+from needle_rig.workbench.laws.spline import Quadratic, Spline, covariance_about, smoothed
 
 FAMILY = Spline(-60.0, 90.0, 16, 1.0, np.inf)
 AT = np.random.default_rng(1).uniform(-60.0, 90.0, 600)
@@ -57,3 +58,64 @@ def test_a_quadratic_falls_as_least_squares_says() -> None:
     fall, at = quadratic.fall(np.eye(2))
     assert at == pytest.approx([1.0, 0.5])
     assert fall == pytest.approx(4.0)
+
+
+def test_about_other_coefficients_a_quadratic_is_the_same() -> None:
+    quadratic = Quadratic(np.diag([2.0, 8.0]), np.array([2.0, 4.0]))
+    moved, known = quadratic.about(np.array([1.0, 0.25]))
+    fall, at = moved.fall(np.eye(2))
+    assert at == pytest.approx([0.0, 0.25])
+    assert known + fall == pytest.approx(4.0)
+
+
+def inside(seed: Any) -> Any:
+    """Share of a bump inside the 95 % band of few noisy data, with the smoothness held, and with it free."""
+    random = np.random.default_rng(seed)
+    at, sigma = random.uniform(-60.0, 90.0, 60), 0.2
+    values = bump(at) + sigma * random.standard_normal(at.size)
+    basis, everywhere = FAMILY.basis(at), np.linspace(-60.0, 90.0, 200)
+    quadratic = Quadratic(basis.T @ basis / sigma**2, basis.T @ values / sigma**2)
+    spline, _, coefficients = smoothed(FAMILY, quadratic, 0.3)
+    held = np.linalg.inv(quadratic.G + np.linalg.inv(spline.root @ spline.root.T))
+    free = covariance_about(spline, quadratic, 0.3, coefficients)
+    shown = FAMILY.basis(everywhere)
+    off = np.abs(shown @ coefficients - bump(everywhere))
+    return [np.mean(off < 1.96 * np.sqrt(((shown @ each) * shown).sum(axis=1))) for each in (held, free)]
+
+
+def bump(at: Any) -> Any:
+    return 0.3 * np.exp(-(((at - 20.0) / 20.0) ** 2))
+
+
+def test_a_band_over_all_smoothnesses_holds_the_curve_and_one_of_the_likeliest_alone_does_not() -> None:
+    held, free = np.mean([inside(seed) for seed in range(40)], axis=0)
+    assert held < 0.93 < free < 0.99
+
+
+def test_data_that_are_dispersed_make_no_rougher_curve_and_a_wider_band() -> None:
+    quadratic = likelihood(0.3 * np.sin(np.radians(2.0 * AT)))
+    spline, gain, coefficients = smoothed(FAMILY, quadratic, 0.3)
+    dispersed = quadratic.over(9.0)
+    other, less, _ = smoothed(FAMILY, dispersed, 0.3)
+    assert other.roughness <= spline.roughness
+    assert less < gain
+    spread, wider = (
+        np.trace(covariance_about(spline, each, 0.3, coefficients)) for each in (quadratic, dispersed)
+    )
+    assert wider > 2.0 * spread
+
+
+def test_a_first_curve_is_no_rougher_than_is_asked() -> None:
+    wave = likelihood(0.3 * np.sin(np.radians(9.0 * AT)))
+    assert smoothed(FAMILY, wave, 0.3)[0].roughness > 0.3
+    assert smoothed(FAMILY, wave, 0.3, 0.3)[0].roughness <= 0.3
+
+
+def test_dispersion_is_that_of_the_values_which_tell_the_curve() -> None:
+    random = np.random.default_rng(3)
+    residuals = [random.standard_normal(4000), 3.0 * random.standard_normal(4000)]
+    told, untold = np.ones((4000, 1)), np.zeros((4000, 1))
+    spread = np.array([[1e-3]])
+    assert dispersion(residuals, [told, untold], spread) == pytest.approx(1.0, abs=0.06)
+    assert dispersion(residuals, [untold, told], spread) == pytest.approx(9.0, abs=0.6)
+    assert dispersion([0.5 * residuals[0]], [told], spread) == 1.0
