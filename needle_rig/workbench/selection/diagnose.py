@@ -40,6 +40,8 @@ SEARCH_TIMES = (8.0, 50.0)
 on 20 minutes of recording."""
 QUICK_TIMES = (5.0, 20.0)
 """The same of a quick one: 9 and 12 on a camera at 10 Hz beside torque at 2 kHz."""
+START_TIMES = (3.0, 60.0)
+"""The same of finding unknown starts: 3 with nothing hidden, 38 where an effect holds the shaft."""
 SHORT_S = 120.0
 """Up to which a time is told in seconds."""
 LONG_S = 60.0
@@ -113,8 +115,9 @@ def diagnose(
     fit_s = time.monotonic() - begun_s
     with work or Work() as at:
         if any(trial.start != "relaxed" for trial in dataset.trials):
-            say("finding the unknown starts with each effect that may hold them")
-            baseline, known = from_found_starts(dataset, model, library, baseline, at)
+            told = _spell(fit_s / at.processes, START_TIMES)
+            say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
+            baseline, known = from_found_starts(dataset, model, library, baseline, at, quick)
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
 

@@ -60,10 +60,12 @@ def from_found_starts(
     library: Mapping[str, type[Effect]],
     baseline: Baseline,
     work: Work,
+    quick: bool = False,
 ) -> tuple[Baseline, Fit | None]:
     """The baseline with starts as one more effect holds them, and the fit of that effect on it.
 
-    `baseline` has the starts of the current model. Where no effect foretells more than that, it stays.
+    `baseline` has the starts of the current model. Where no effect foretells more than that, it stays. `quick`:
+    with those alone that screening promises most of.
     Raises SolverError.
     """
     problem, current = baseline.problem, baseline.current
@@ -76,7 +78,7 @@ def from_found_starts(
     work.share((dataset, problem))
     holders = [h for h in work.run(held, [(*start, least) for start in starts]) if h is not None]
     below = min((least, *(h.error for h in holders)))
-    if below > POLICY.verdict.reached:
+    if below > POLICY.verdict.reached and not quick:
         holding = [name for name in others if any(library[name].has(hook) for hook in HOLDING)]
         tasks = [(*start, below) for name in holding for start in _typical(problem, current, name)]
         holders += [h for h in work.run(held, tasks) if h is not None]
