@@ -64,8 +64,8 @@ def from_found_starts(
 ) -> tuple[Baseline, Fit | None]:
     """The baseline with starts as one more effect holds them, and the fit of that effect on it.
 
-    `baseline` has the starts of the current model. Where no effect foretells more than that, it stays. `quick`:
-    with those alone that screening promises most of.
+    `baseline` has the starts of the current model. Where no effect foretells more than that, it stays.
+    `quick`: with those alone that screening promises most of.
     Raises SolverError.
     """
     problem, current = baseline.problem, baseline.current
