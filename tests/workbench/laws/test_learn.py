@@ -16,6 +16,7 @@ from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.library import find_effects, load_effect
 from needle_rig.physics.rod import Rod
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.laws import learn
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
 from needle_rig.workbench.laws.law import Law
@@ -118,6 +119,23 @@ def test_the_curves_are_drawn(learnt: Any) -> None:
 def test_nothing_hidden_is_no_law() -> None:
     found = learn_laws(dataset(seed=5), few(), origin=ORIGIN)
     assert (found.verdict, found.laws) == ("none", ())
+
+
+@pytest.mark.parametrize(
+    ("hidden", "verdict", "library"),
+    [
+        ((effect("torque_bias", bias_nmm=0.02), effect("hall_offset", offset_deg=2.0)), "library",
+         {"torque_bias", "hall_offset"}),
+        ((ELASTIC,), "cannot_tell", set()),
+    ],
+)  # fmt: skip
+def test_before_no_law_can_be_told_several_effects_of_the_library_are_held_against_the_data(
+    monkeypatch: pytest.MonkeyPatch, hidden: Any, verdict: str, library: set[str]
+) -> None:
+    monkeypatch.setattr(learn._Learning, "_first", lambda _: None)
+    found = learn_laws(dataset(*hidden, seed=3), few("torque_bias", "hall_offset"), origin=ORIGIN)
+    assert (found.verdict, set(found.library), found.laws) == (verdict, library, ())
+    assert (found.held_out_after < 1.1) is (verdict == "library")
 
 
 @pytest.mark.slow
