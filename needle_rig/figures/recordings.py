@@ -32,18 +32,13 @@ def loops(problem: Problem, left: list[Array], shown: list[int]) -> Figure:
             axes[row, column].plot(base, data, ".", ms=4, color="0.4", label="measured")
             axes[row, column].plot(base, fitted, color="tab:red", lw=1.0, label="model")
             axes[row, 0].set_ylabel(name)
-        known = np.isfinite(trial.mean[0])
         rising = trial.base_rate_rad_s > 0.0
         for row, (channel, convert, name) in enumerate(
             ((0, nmm, "torque left N·mm"), (-1, deg, "angle left °")), start=2
         ):
-            for way, label, colour in (
-                (known & rising, "rising", "tab:blue"),
-                (known & ~rising, "falling", "tab:orange"),
-            ):
-                axes[row, column].plot(
-                    base[way], convert(left[t][channel][way]), ".-", ms=4, lw=0.6, color=colour, label=label
-                )
+            for way, label, colour in ((rising, "rising", "tab:blue"), (~rising, "falling", "tab:orange")):
+                values = np.where(way, convert(left[t][channel]), np.nan)
+                axes[row, column].plot(base, values, ".-", ms=4, lw=0.6, color=colour, label=label)
             axes[row, column].axhline(0.0, color="0.8", lw=0.6)
             axes[row, 0].set_ylabel(name)
         axes[0, column].set_title(", ".join(f"{value} {name}" for name, value in _told(trial.command)))
