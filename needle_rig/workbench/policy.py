@@ -62,7 +62,7 @@ class NoisePolicy:
         0.1,
         "share of a recording in which the base has settled; below it a hold may be the turning point of a"
         " base that does not rest, and replicates tell the noise",
-        "0.03 in a recording that follows a sine (config/recordings/davinci.yaml); 0.25 and more of steps,"
+        "0.04 in a recording that follows a sine (config/recordings/davinci.yaml); 0.25 and more of steps,"
         " turns to and fro that relax the shaft between them counted",
         _NOISE,
     )

@@ -16,7 +16,7 @@ from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import UNIT
 from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.screening import dispersion, seen
-from needle_rig.workbench.laws.search import FoundLaw, bent
+from needle_rig.workbench.laws.search import FoundLaw, misses_more
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 
 BAND_SIGMAS = 1.96
@@ -76,7 +76,7 @@ def fitted_curve(problem: Problem, current: Fit, found: FoundLaw, formula: Formu
         spread = _formula_spread(current, found.best.made.name, formula, at)
         stated, lower, upper = (linked(unlinked(each)) for each in (stated, *_band(stated, spread)))
         low, high = np.minimum(low, lower), np.maximum(high, upper)
-        value = stated if bent(spline, found.best) else value
+        value = stated if misses_more(spline, found.best) else value
     halves = [linked(level + basis @ c) for c in _from_halves(problem, found)]
     shown = where_seen(problem, spline.law, at, halves, seen)
     return Curve(at, value, low, high, data, shown)

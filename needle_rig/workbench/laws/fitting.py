@@ -200,21 +200,17 @@ def from_formula(shared: Shared, parent: Parent, spline: LawFit, formula: LawFit
     assert isinstance(made, SplineLaw)
     assert isinstance(stated, FormulaLaw)
     family, vector = made.spline, formula.fit.vector
-    own = [each.effect == stated.name for each in formula.fit.parameters]
-    values = [
-        each.value(z)
-        for each, z, o in zip(formula.fit.parameters, vector.scaled_values, own, strict=True)
-        if o
-    ]
-    now = dataclasses.replace(stated.formula, values=tuple(values[: len(stated.formula.values)]))
+    others = [each.effect != stated.name for each in formula.fit.parameters]
     at = np.linspace(family.low, family.high, POINTS)
-    coefficients = np.asarray(np.linalg.pinv(family.basis(at)) @ made.unlinked(now.at(at)))
+    coefficients = np.asarray(
+        np.linalg.pinv(family.basis(at)) @ made.unlinked(stated.formula_at(formula.fit).at(at))
+    )
     size = max(float(np.abs(coefficients).max()), LEAST_SHARE * typical(shared.problem, made.law))
     again = dataclasses.replace(
         made, spline=dataclasses.replace(family, amplitude=size, roughness=FIRST_ROUGHNESS)
     )
     problem = shared.with_made(again)
-    z = np.r_[vector.scaled_values[~np.array(own)], again.scaled_values(coefficients)]
+    z = np.r_[vector.scaled_values[others], again.scaled_values(coefficients)]
     found = fit(
         problem,
         (*parent.fit.effects, again.name),

@@ -305,8 +305,11 @@ class _Learning:
         """The answer where a diagnosis names what is missing."""
         named = " with ".join(diagnosis.effects)
         sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
-        after = diagnosis.held_out_error_after
-        return self._answer("library", (), diagnosis.effects, after, sentence)
+        # both errors in the noise of this diagnosis, which may have been measured anew
+        before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
+        return Learnt(
+            "library", (), diagnosis.effects, before, after, sentence, self.tried, diagnosis, self.origin
+        )
 
     def _answer(
         self,
@@ -386,11 +389,8 @@ def _fitted_formula(
     ):
         if parameter.effect == best.name:
             spread = _spread(parameter, float(at), float(error))
-            rows.append((parameter.field, parameter.value(float(at)), spread))
-    count = len(best.formula.values)
-    formula = dataclasses.replace(best.formula, values=tuple(value for _, value, _ in rows[:count]))
-    units = {a.field: a.info.unit for a in current.parameters if a.effect == best.name}
-    return formula, tuple((field, value, spread, units[field]) for field, value, spread in rows)
+            rows.append((parameter.field, parameter.value(float(at)), spread, parameter.info.unit))
+    return best.formula_at(current), tuple(rows)
 
 
 def _kind(law: Law, parameters: Sequence[tuple[str, float, float, str]]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
+from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
@@ -31,6 +32,15 @@ class FormulaLaw:
     def effect(self) -> type[Effect]:
         """The effect. Raises BadInput where the file is none."""
         return load_effect(self.path)
+
+    def formula_at(self, found: Fit) -> Formula:
+        """The formula with its numbers as they are in a fit."""
+        own = [
+            parameter.value(float(at))
+            for parameter, at in zip(found.parameters, found.vector.scaled_values, strict=True)
+            if parameter.effect == self.name
+        ]
+        return dataclasses.replace(self.formula, values=tuple(own[: len(self.formula.values)]))
 
 
 Made = SplineLaw | FormulaLaw

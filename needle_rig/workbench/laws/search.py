@@ -130,7 +130,7 @@ class LawSearch:
         # one that its spline has left behind was found while that was still far off
         again = [
             dataclasses.replace(each, formula=None)
-            if each.formula is not None and bent(each.formula, each.spline)
+            if each.formula is not None and misses_more(each.formula, each.spline)
             else each
             for each in judged
         ]
@@ -211,7 +211,7 @@ class LawSearch:
 
     def _followed(self, found: FoundLaw) -> FoundLaw:
         """The law with its spline fitted anew from its formula, where that meets the data better."""
-        if found.formula is None or not bent(found.spline, found.formula):
+        if found.formula is None or not misses_more(found.spline, found.formula):
             return found
         (spline,) = self._run(from_formula, [(found.parent, found.spline, found.formula)])
         better = spline is not None and spline.fit.chi2 < found.spline.fit.chi2
@@ -250,9 +250,9 @@ class LawSearch:
         return FormulaLaw(law, path, formula)
 
 
-def bent(one: LawFit, other: LawFit) -> bool:
-    """Whether the data see that a law's spline does not follow its formula, or the formula its spline: the
-    other meets them better."""
+def misses_more(one: LawFit, other: LawFit) -> bool:
+    """Whether the data see that one of a law's spline and formula does not follow it: the other meets them
+    better."""
     return one.fit.chi2 > other.fit.chi2 + POLICY.ties.close
 
 

@@ -121,9 +121,9 @@ def diagnose(
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
 
-        def searched(at_noise: Baseline, known: Fit | None) -> SearchTrace:
+        def searched(at_noise: Baseline, start: Fit | None) -> SearchTrace:
             fits = (at_noise.problem, names, at_noise.current, at_noise.validation)
-            return search(*fits, max_effects=max_effects, work=at, quick=quick, known=known, say=say)
+            return search(*fits, max_effects=max_effects, work=at, quick=quick, known=start, say=say)
 
         trace = searched(baseline, known)
         renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])

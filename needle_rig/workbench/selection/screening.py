@@ -173,7 +173,7 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
         seen.append((max((s.gain for s in starts[begun:]), default=0.0), place, form, signatures))
         if out_of_reach(seen[0][0], asked):
             break
-    bent = _nonlinearity(groups, seen[0][3])
+    nonlinearity = _nonlinearity(groups, seen[0][3])
     seen.sort(key=lambda s: (-s[0], s[1]))
     for rank, (_, place, form, signatures) in enumerate(seen):
         if rank < POLICY.screening.forms_in_full and place > 0:
@@ -188,7 +188,7 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
         if len(kept) == MOST_STARTS:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
-    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)), bent)
+    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)), nonlinearity)
 
 
 def _nonlinearity(groups: list[list[int]], signatures: list[tuple[Array, Array]]) -> float:

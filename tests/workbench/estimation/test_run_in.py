@@ -15,8 +15,11 @@ from needle_rig.workbench.estimation.baseline import fit_baseline, judged
 from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.observations.earlier_path import PHASE
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.selection import unknown_starts
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
+from needle_rig.workbench.selection.unknown_starts import from_found_starts
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
 
@@ -168,3 +171,22 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts() -> None:
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
     assert found.held_out_error_after < 1.1
+
+
+def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = dataset(effect("tip_friction", torque_nmm=0.03), seed=23)
+    late = [begun_late(t, "overshoot" if "overshoot" in t.phase else "step_2", "wound") for t in whole.trials]
+    data = dataclasses.replace(whole, trials=tuple(late))
+    library = few(
+        "tip_friction", "platform_friction", "bending_torque", "guide_friction", "tissue_elasticity"
+    )
+    baseline = fit_baseline(data, None, library)
+    asked: list[str] = []
+    monkeypatch.setattr(unknown_starts, "held", lambda _, names, *__: asked.append(names[-1]))
+    for quick, rest in ((True, set()), (False, set(library))):
+        asked.clear()
+        assert from_found_starts(data, None, library, baseline, Work(), quick) == (baseline, None)
+        assert len(asked[: unknown_starts.MOST_PROMISING]) >= 1
+        assert set(asked[unknown_starts.MOST_PROMISING :]) == rest
