@@ -98,7 +98,9 @@ def journal_as_hdf5(path: Path) -> h5py.File:
     frames = iter(Frames(path))
     _, image = next(frames, (0, b""))
     if not image:
-        raise BadInput(f"{show_path(path)}: is empty: it was cut off before it began")
+        raise BadInput(
+            f"{show_path(path)}: holds nothing yet: it begins at this moment, or was cut off before it began"
+        )
     file = _in_memory(image, writable=True)
     _fill(file, image, frames)
     return file

@@ -20,6 +20,7 @@ from needle_rig.cli.main import run as command
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
 from needle_rig.recording import RunFile, RunWriter, journal_path, list_runs, run_attributes, run_tables
+from needle_rig.recording.journal import Frames
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.superblock import SUPERBLOCK_BYTES, Superblock, lookup3
 from needle_rig.recording.tables import EVENT, FORMAT
@@ -281,13 +282,18 @@ with RunWriter(sys.argv[1], {"strategy": "none"}, run_tables(sensors=4)) as writ
 """
 
 
+def begun(journal: Path) -> bool:
+    """Whether the journal's first frame, which makes it a run, is whole."""
+    return journal.is_file() and next(iter(Frames(journal)), None) is not None
+
+
 def test_rows_seen_beside_a_writer_are_whole(tmp_path: Path) -> None:
     path, seen, looks = tmp_path / "live.h5", 0, 0
     with subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE) as writer:
         assert writer.stdin is not None
         while looks < 10 or seen <= 100:
             assert writer.poll() is None
-            if not journal_path(path).is_file() or not journal_path(path).stat().st_size:
+            if not begun(journal_path(path)):
                 continue
             for name in ("torque", "drive"):
                 rows = RunFile(path).table(name)["time_s"].tolist()
