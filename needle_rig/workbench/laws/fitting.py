@@ -6,7 +6,9 @@ Each function is a task: it takes what a search shares, and gives what can be se
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +20,7 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, start_vector, sum_of_squares
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
-from needle_rig.workbench.laws.law import Law
+from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
 from needle_rig.workbench.laws.screening import (
     FIRST_ROUGHNESS,
@@ -43,6 +45,8 @@ MOST_ESTIMATES = 3
 """Times that the smoothness is estimated in a fit to the end, which moves it in turn."""
 FAR = 3.0
 """A present model that misses by more than this bends its constants: fits start from the stated ones, too."""
+SECTION_SIZES = (-10.0, -3.0, 3.0, 10.0)
+"""Times the typical size that a law has where it begins in one section alone."""
 POINTS, LEAST_SHARE = 240, 0.01
 """Points at which a spline is laid on a formula, and the amplitude that it has at least, of the typical."""
 NOT_HELD_OUT = CrossValidation(float("inf"), float("inf"), ())
@@ -226,30 +230,52 @@ def from_formula(shared: Shared, parent: Parent, spline: LawFit, formula: LawFit
 
 
 def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[list[ParameterVector]]:
-    """Shares of the linearised curve, best first, from where the parent is; where that is far off, also from
-    the stated constants."""
+    """Lists of vectors, best first, from each of which a first fit is made.
+
+    Shares of the linearised curve, from where the parent is; where that is far off, also from the stated
+    constants, and curves that are there in one section alone, from either.
+    """
     made = screened.made
     parameters = problem.parameters((*parent.effects, made.name))
     state = Objective(problem, parameters)
     begin = made.scaled_values(beginning(problem, made))
     further = made.scaled_values(screened.coefficients) - begin
-    vectors = [parent.vector]
-    if parent.chi2 > FAR * problem.size:
-        stated = start_vector(problem, parent.vector.log_friction)
-        vectors.append(dataclasses.replace(stated, scaled_values=parent.vector.scaled_values))
-    starts = []
-    for vector in vectors:
-        rated: list[tuple[float, int, ParameterVector]] = []
-        for number, share in enumerate(SHARES):
-            z = begin + share * further
+
+    def rated(vectors: Sequence[ParameterVector], curves: Sequence[Array]) -> list[ParameterVector]:
+        found: list[tuple[float, int, ParameterVector]] = []
+        for vector, z in itertools.product(vectors, curves):
             start = dataclasses.replace(vector, scaled_values=np.r_[vector.scaled_values, z])
             x = state.packed(start, parent.nuisance)
             rows = state.residuals(x)
             if rows is not None:
-                rated.append((sum_of_squares(rows) + state.prior(x), number, start))
-        if rated:
-            starts.append([start for _, _, start in sorted(rated, key=lambda r: r[:2])])
-    return starts
+                found.append((sum_of_squares(rows) + state.prior(x), len(found), start))
+        return [start for _, _, start in sorted(found, key=lambda r: r[:2])]
+
+    vectors, sections = [parent.vector], list[list[Array]]()
+    if parent.chi2 > FAR * problem.size:
+        stated = start_vector(problem, parent.vector.log_friction)
+        vectors.append(dataclasses.replace(stated, scaled_values=parent.vector.scaled_values))
+        sections = _in_one_section(problem, made)
+    lists = [rated([vector], [begin + share * further for share in SHARES]) for vector in vectors]
+    lists += [rated(vectors, curves) for curves in sections]
+    return [each for each in lists if each]
+
+
+def _in_one_section(problem: Problem, made: SplineLaw) -> list[list[Array]]:
+    """Scaled values of a law along the tissue that is there in one section alone, of several sizes, for each
+    section: a linearised curve does not find its way from one section into another."""
+    law, spline = made.law, made.spline
+    if law.variable != "x" or law.place == "rigidity":
+        return []
+    centres = spline.low + spline.spacing * (np.arange(spline.count) - 1.0)
+    found = []
+    for section_m in problem.base.layout.tissue_sections_m:
+        start, end = (each / UNIT[law.variable_unit][2] for each in section_m)
+        inside = (centres > start - spline.spacing) & (centres < end + spline.spacing)
+        sizes = [size for size in SECTION_SIZES if size > 0.0 or law.place != "stiffness"]
+        curves = [np.where(inside, size * typical(problem, law), 0.0) for size in sizes]
+        found.append([made.scaled_values(curve) for curve in curves])
+    return found
 
 
 def fit_formula(

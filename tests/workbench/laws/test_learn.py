@@ -231,6 +231,34 @@ def test_screening_ranks_the_law_that_is_there_first(baseline: Any) -> None:
     assert best.made.law == Law("observe", "hall_2", "angle")
 
 
+@dataclass(frozen=True)
+class SoftSection(Effect):
+    """The third section gives a long way before it slips."""
+
+    give_rad_per_nm: float = parameter(
+        off=0.0, lower=0.0, upper=1e4, typical=100.0, smallest=1.0, literature=(0.0, 1e4), unit="rad/(N·m)"
+    )
+
+    def shape(self, rod: Rod, trial: Trial) -> Rod:
+        added = np.zeros_like(rod.position_m)
+        soft = (rod.tissue_length_m > 0) & (rod.position_m > 0.3) & (rod.position_m < 0.335)
+        added[soft] = self.give_rad_per_nm / rod.tissue_length_m[soft]
+        return dataclasses.replace(rod, compliance_rad_per_nm=rod.compliance_rad_per_nm + added)
+
+
+def test_a_law_in_one_section_is_reached_from_a_model_that_is_far_off() -> None:
+    baseline = fit_baseline(dataset(SoftSection(300.0), seed=61), None, few())
+    problem, shared = baseline.problem, Shared(baseline.problem)
+    made = next(m for m in candidates(problem, "law") if m.law == Law("shape", "stiffness", "x"))
+    screened = screen(shared, baseline.current, made)
+    assert screened is not None
+    parent = Parent(baseline.current, baseline.validation, present_score(problem, baseline.current))
+    assert parent.fit.chi2 > 30.0 * problem.size
+    found = first_fit(shared, parent, screened)
+    assert found is not None
+    assert found.fit.chi2 < 2.0 * problem.size
+
+
 def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
     made = next(m for m in candidates(baseline.problem, "law") if m.law == Law("observe", "hall_2", "angle"))
     shared = Shared(baseline.problem)
