@@ -44,8 +44,8 @@ ROUGH = 0.5
 MOST_ESTIMATES = 3
 """Times that the smoothness is estimated in a fit to the end, which moves it in turn."""
 FAR = 3.0
-"""Mean square residual, in units of the noise's, beyond which a present model bends its constants and does not
-say where a law is: fits start from the stated ones and from single sections, too."""
+"""Mean square residual, in units of the noise's, beyond which a present model bends its constants and does
+not say where a law is: fits start from the stated ones and from single sections, too."""
 SECTION_SIZES = (-10.0, -3.0, 3.0, 10.0)
 """Times the typical size that a law has where it begins in one section alone."""
 POINTS, LEAST_SHARE = 240, 0.01
