@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.map_fit import Fit, fit
@@ -294,15 +295,28 @@ def kept(problem: Problem, parent: Parent, rival: Parent, found: FoundLaw, tried
 
 
 def matters(problem: Problem, parent: Fit, found: FoundLaw) -> bool:
-    """Whether some reading changes by as much as counts."""
+    """Whether some reading changes by as much as counts, at once or as a root mean square over a trial."""
     with_it = Shared(problem, (found.best.made,)).with_made()
     before = problem.predict(parent.parameters, parent.vector)
     after = with_it.predict(found.best.fit.parameters, found.best.fit.vector)
-    change = np.hstack([a - b for a, b in zip(after, before, strict=True)])
-    largest = np.nanmax(np.abs(change), axis=1)
+    changes = [a - b for a, b in zip(after, before, strict=True)]
+    return changes_matter(changes, problem.base.torque_scale)
+
+
+def changes_matter(changes: Sequence[Array], torque_scale: float) -> bool:
+    """Whether changes (readings, n) a trial, of the torque in N·m and angles in rad, count."""
+    largest = np.max([np.nan_to_num(np.abs(change)).max(axis=1) for change in changes], axis=0)
+    squares = [
+        np.nansum(change**2, axis=1) / np.maximum(1, np.isfinite(change).sum(axis=1)) for change in changes
+    ]
+    rms = np.sqrt(np.max(squares, axis=0))
     size = POLICY.size
-    most_nmm = problem.base.torque_scale * size.largest_nmm
-    return bool(nmm(float(largest[0])) > most_nmm or deg(float(largest[1:].max())) > size.largest_deg)
+    return bool(
+        nmm(float(largest[0])) > torque_scale * size.largest_nmm
+        or deg(float(largest[1:].max())) > size.largest_deg
+        or not size.small(nmm(float(rms[0])), "N·mm", torque_scale)
+        or not size.small(deg(float(rms[1:].max())), "°")
+    )
 
 
 def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:

@@ -12,7 +12,7 @@ from needle_rig.workbench.laws import search
 from needle_rig.workbench.laws.fitting import Parent
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn import _Learning, goes_on, reaches, verdict_of
-from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, kept, tied
+from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, changes_matter, kept, tied
 from needle_rig.workbench.policy import POLICY
 
 NO_PROBLEM: Any = None
@@ -162,3 +162,31 @@ def test_a_law_that_an_effect_does_as_well_as_once_all_is_found_is_the_effect(
     kept_laws = {id(each[0]) for each in learning.found}
     assert [place for place, each in enumerate(every) if id(each[0]) in kept_laws] == left
     assert current.score == (100.0 if len(left) == laws else 100.0 + behind)
+
+
+def readings(row: int, largest: float, rms: float) -> Any:
+    """Changes of a torque (N·m) and two angles (rad) in a trial of 100 bins, in one row alone."""
+    change = np.zeros((3, 100))
+    change[row] = np.sqrt(np.maximum(100.0 * rms**2 - largest**2, 0.0) / 99.0)
+    change[row, 7] = -largest
+    return change
+
+
+@pytest.mark.parametrize(
+    ("row", "unit", "most", "rms"),
+    [
+        (0, 1e-3, POLICY.size.largest_nmm, POLICY.size.rms_nmm),
+        (2, np.radians(1.0), POLICY.size.largest_deg, POLICY.size.rms_deg),
+    ],
+)
+def test_a_change_counts_at_once_or_over_one_trial(row: int, unit: float, most: float, rms: float) -> None:
+    small, nothing = readings(row, 0.99 * most * unit, 0.99 * rms * unit), np.zeros((3, 40))
+    assert not changes_matter([nothing, small], 1.0)
+    assert changes_matter([nothing, readings(row, 1.01 * most * unit, 0.5 * rms * unit)], 1.0)
+    assert changes_matter([nothing, readings(row, 0.99 * most * unit, 1.01 * rms * unit)], 1.0)
+    # a shaft of larger torques has larger ones that do not count; an angle is an angle
+    assert changes_matter([readings(row, 1.01 * most * unit, 0.5 * rms * unit)], 10.0) is (row == 2)
+    # what is not measured does not count
+    unseen = small.copy()
+    unseen[1] = np.nan
+    assert not changes_matter([unseen], 1.0)
