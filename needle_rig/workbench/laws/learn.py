@@ -63,7 +63,7 @@ def learn_laws(
         return learnt
     say("no law is told: holding several effects of the library at once against it")
     whole = diagnose(dataset, library, model, seed=seed, work=workers(), say=say)
-    return learning.held_by_library(whole) if whole.verdict == "effect" else learnt
+    return learning.answered_by(whole) or learnt
 
 
 def goes_on(steps: int, reached: bool) -> bool:
@@ -289,26 +289,28 @@ class _Learning:
         return self._answer(verdict, laws, library, current.validation.error, sentence)
 
     def _without_law(self, before: float) -> Learnt:
-        diagnosis = self.diagnosis
-        if diagnosis.verdict == "none":
-            sentence = f"Nothing is missing that these data show; {self.tried} laws were tried."
-            return self._answer("none", (), (), before, sentence)
-        if diagnosis.verdict == "effect":
-            return self.held_by_library(diagnosis)
         sentence = (
             "Something is missing that is neither an effect of the library nor one of the"
             f" {self.tried} laws that were tried."
         )
-        return self._answer("cannot_tell", (), (), before, sentence)
+        return self.answered_by(self.diagnosis) or self._answer("cannot_tell", (), (), before, sentence)
 
-    def held_by_library(self, diagnosis: Diagnosis) -> Learnt:
-        """The answer where a diagnosis names what is missing."""
-        named = " with ".join(diagnosis.effects)
-        sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
+    def answered_by(self, diagnosis: Diagnosis) -> Learnt | None:
+        """The answer without a law that a diagnosis gives: nothing is missing, or the library holds it."""
+        if diagnosis.verdict == "unknown":
+            return None
+        if diagnosis.verdict == "none":
+            small = ", ".join(sorted(diagnosis.search.negligible))
+            seen = f" ({small} of the library: too small to matter)" if small else ""
+            sentence = f"Nothing is missing that these data show{seen}; {self.tried} laws were tried."
+        else:
+            named = " with ".join(diagnosis.effects)
+            sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
         # both errors in the noise of this diagnosis, which may have been measured anew
         before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
+        verdict: Verdict = "none" if diagnosis.verdict == "none" else "library"
         return Learnt(
-            "library", (), diagnosis.effects, before, after, sentence, self.tried, diagnosis, self.origin
+            verdict, (), diagnosis.effects, before, after, sentence, self.tried, diagnosis, self.origin
         )
 
     def _answer(

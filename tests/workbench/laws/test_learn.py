@@ -127,6 +127,8 @@ def test_nothing_hidden_is_no_law() -> None:
         ((effect("torque_bias", bias_nmm=0.02), effect("hall_offset", offset_deg=2.0)), "library",
          {"torque_bias", "hall_offset"}),
         ((ELASTIC,), "cannot_tell", set()),
+        # seen, and too small to matter
+        ((effect("torque_bias", bias_nmm=0.0015),), "none", set()),
     ],
 )  # fmt: skip
 def test_before_no_law_can_be_told_several_effects_of_the_library_are_held_against_the_data(
@@ -135,7 +137,8 @@ def test_before_no_law_can_be_told_several_effects_of_the_library_are_held_again
     monkeypatch.setattr(learn._Learning, "_first", lambda _: None)
     found = learn_laws(dataset(*hidden, seed=3), few("torque_bias", "hall_offset"), origin=ORIGIN)
     assert (found.verdict, set(found.library), found.laws) == (verdict, library, ())
-    assert (found.held_out_after < 1.1) is (verdict == "library")
+    assert (found.held_out_after < 1.1) is (verdict != "cannot_tell")
+    assert ("(torque_bias of the library: too small to matter)" in found.sentence) is (verdict == "none")
 
 
 @pytest.mark.slow
