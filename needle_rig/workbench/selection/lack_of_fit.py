@@ -5,17 +5,21 @@ noise model states. The mean of the replicates of a command holds the model's er
 them do not, whatever the noise is: so a wrong noise level does not pass for an effect, as in a plain χ².
 Commands without replicates are held against the differences among the others' replicates.
 
+What replicates share within the accuracy that the solver promises is no lack of fit: the statistic is held
+against the noncentral F distribution that such errors give.
+
 What random effects or the needle's constants can absorb is not seen here (wear, a torque gain): the test can
 say that something is missing, not that nothing is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import fdtrc
+from scipy.special import ncfdtr
 
 from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
@@ -23,7 +27,7 @@ from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Whitener
+from needle_rig.workbench.observations.noise import Whitener, floors
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.documents import FTest
 
@@ -40,6 +44,7 @@ class LackOfFit:
     shared_dof: int
     differing_dof: int
     p: float
+    """That errors within the solver's accuracy share as much."""
     where: str
     """The channel and state with most of it, in words."""
     size: float
@@ -76,9 +81,11 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
     keys = [_shared_keys([problem.trials[t] for t in group], problem, group) for group in groups]
     ends = np.cumsum([len(chosen) for chosen in keys])
     means = np.zeros((ends[-1], linear.residuals.size))
-    within, differing_dof = 0.0, 0
+    within, differing_dof, of_solver = 0.0, 0, 0.0
     for end, group, chosen in zip(ends, groups, keys, strict=True):
         averagings = [_averaging_matrix(problem.trials[t], problem.whiteners[t], chosen) for t in group]
+        # an error that is alike in all trials of a group counts as often as there are trials
+        of_solver += sum(_solver_error(problem, t, chosen) for t in group)
         for t, averaging in zip(group, averagings, strict=True):
             means[end - len(chosen) : end, linear.rows[t]] = averaging / np.sqrt(len(group))
         if len(group) > 1:
@@ -96,14 +103,15 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
     shared_dof = len(means) - int((linear.precision == 0.0).sum())  # every other parameter has a prior
     if shared_dof < 1 or differing_dof < 1 or not within > 0:
         return None
-    statistic = float(left @ left) / shared_dof / (within / differing_dof)
+    differing = within / differing_dof
+    statistic = float(left @ left) / shared_dof / differing
     each = np.split(left, ends)[:-1]
-    where, size, unit = _worst(problem, found, keys, each, within / differing_dof, sensors)
+    where, size, unit = _worst(problem, found, keys, each, differing, sensors)
     return LackOfFit(
         statistic,
         shared_dof,
         differing_dof,
-        float(fdtrc(shared_dof, differing_dof, statistic)),
+        max(0.0, 1.0 - float(ncfdtr(shared_dof, differing_dof, of_solver / differing, statistic))),
         where,
         size,
         unit,
@@ -124,6 +132,29 @@ def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) 
 def _averaging_matrix(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
     """(cells, n): from whitened values of a trial to its cell means, independent and of unit variance."""
     averaging = np.zeros((len(keys), whitener.channel.size))
+    for c, rows, given in _averages(binned, whitener, keys):
+        lower = np.linalg.cholesky(given @ given.T)
+        place = np.flatnonzero(whitener.channel == c)
+        averaging[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
+    return averaging
+
+
+def _solver_error(problem: Problem, trial: int, keys: list[Key]) -> float:
+    """Expected sum of squares of a trial's cell means, standardised as by `_averaging_matrix`, that come of
+    errors within the solver's accuracy: from motion to motion, as the noise model has them."""
+    floor = floors(problem.trials[trial].mean.shape[0], problem.base.torque_scale)
+    found = 0.0
+    for c, rows, given in _averages(problem.trials[trial], problem.whiteners[trial], keys):
+        motion = np.array([keys[row][1] for row in rows])
+        alike = motion[:, None] == motion[None, :]
+        found += float(floor[c] ** 2 * np.trace(np.linalg.solve(given @ given.T, alike)))
+    return found
+
+
+def _averages(
+    binned: BinnedTrial, whitener: Whitener, keys: list[Key]
+) -> Iterator[tuple[int, list[int], Array]]:
+    """(channel, its cells, (cells, n) from its whitened values to their means)."""
     for c, (use, inverse) in enumerate(zip(whitener.use, whitener.inverse, strict=True)):
         rows = [i for i, key in enumerate(keys) if key[0] == c]
         if not rows:
@@ -134,12 +165,7 @@ def _averaging_matrix(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) 
             inside = (binned.motion[use] == motion) & (binned.moving[use] == moving)
             weight = binned.count[c][use] * inside
             average[i] = weight / weight.sum()
-        raw = solve_triangular(inverse, np.eye(use.size), lower=True)
-        given = average @ raw
-        lower = np.linalg.cholesky(given @ given.T)
-        place = np.flatnonzero(whitener.channel == c)
-        averaging[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
-    return averaging
+        yield c, rows, average @ solve_triangular(inverse, np.eye(use.size), lower=True)
 
 
 def _worst(

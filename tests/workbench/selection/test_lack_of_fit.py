@@ -2,10 +2,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.special import fdtrc
 
 from needle_rig.dataset import Dataset, in_series
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit, lack_of_fit
 from needle_rig.workbench.virtual.noise import Noise
@@ -57,6 +59,24 @@ def test_a_wrong_noise_level_passes_for_no_effect() -> None:
     assert found.chi2 > 2.5 * louder.size
     assert known(lack_of_fit(louder, found, data.sensor_names)).p > 0.01
     assert baseline.current.chi2 < 1.2 * problem.size
+
+
+@pytest.mark.parametrize(("share", "significant"), [(0.0, False), (1.0, False), (8.0, True)])
+def test_what_replicates_share_within_the_accuracy_of_the_solver_is_no_lack_of_fit(
+    share: float, significant: bool
+) -> None:
+    noise = Noise(hall_deg=0.03, torque_nmm=0.0001, friction_scatter=0.005)
+    data = dataset(seed=47, noise=noise)
+    trials = []
+    for trial in data.trials:
+        _, motion = np.unique(trial.phase, return_inverse=True)
+        error_rad = np.radians(share * POLICY.noise.floor_deg) * np.where(motion % 2, 1.0, -1.0)
+        trials.append(dataclasses.replace(trial, hall_rad=trial.hall_rad + error_rad[:, None]))
+    found = checked(dataclasses.replace(data, trials=tuple(trials)))
+    assert found.significant is significant, found
+    # against an F distribution alone, errors of the accuracy are significant
+    alone = float(fdtrc(found.shared_dof, found.differing_dof, found.statistic))
+    assert (alone < POLICY.verdict.lack_of_fit) is (share > 0.0)
 
 
 def test_it_says_where_and_how_much() -> None:
