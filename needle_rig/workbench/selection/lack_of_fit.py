@@ -14,7 +14,6 @@ say that something is missing, not that nothing is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,9 +82,13 @@ def lack_of_fit(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> LackO
     means = np.zeros((ends[-1], linear.residuals.size))
     within, differing_dof, of_solver = 0.0, 0, 0.0
     for end, group, chosen in zip(ends, groups, keys, strict=True):
-        averagings = [_averaging_matrix(problem.trials[t], problem.whiteners[t], chosen) for t in group]
+        averages = [_averages(problem.trials[t], problem.whiteners[t], chosen) for t in group]
+        averagings = [
+            _averaging_matrix(problem.whiteners[t], each, len(chosen))
+            for t, each in zip(group, averages, strict=True)
+        ]
         # an error that is alike in all trials of a group counts as often as there are trials
-        of_solver += sum(_solver_error(problem, t, chosen) for t in group)
+        of_solver += sum(_solver_error(problem, each, chosen) for each in averages)
         for t, averaging in zip(group, averagings, strict=True):
             means[end - len(chosen) : end, linear.rows[t]] = averaging / np.sqrt(len(group))
         if len(group) > 1:
@@ -129,32 +132,12 @@ def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) 
     return sorted(set.intersection(*each))
 
 
-def _averaging_matrix(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Array:
-    """(cells, n): from whitened values of a trial to its cell means, independent and of unit variance."""
-    averaging = np.zeros((len(keys), whitener.channel.size))
-    for c, rows, given in _averages(binned, whitener, keys):
-        lower = np.linalg.cholesky(given @ given.T)
-        place = np.flatnonzero(whitener.channel == c)
-        averaging[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
-    return averaging
+Averages = tuple[tuple[int, list[int], Array], ...]
+"""(channel, its cells, (cells, n) from its whitened values to their means), of one trial."""
 
 
-def _solver_error(problem: Problem, trial: int, keys: list[Key]) -> float:
-    """Expected sum of squares of a trial's cell means, standardised as by `_averaging_matrix`, that come of
-    errors within the solver's accuracy: from motion to motion, as the noise model has them."""
-    floor = floors(problem.trials[trial].mean.shape[0], problem.base.torque_scale)
-    found = 0.0
-    for c, rows, given in _averages(problem.trials[trial], problem.whiteners[trial], keys):
-        motion = np.array([keys[row][1] for row in rows])
-        alike = motion[:, None] == motion[None, :]
-        found += float(floor[c] ** 2 * np.trace(np.linalg.solve(given @ given.T, alike)))
-    return found
-
-
-def _averages(
-    binned: BinnedTrial, whitener: Whitener, keys: list[Key]
-) -> Iterator[tuple[int, list[int], Array]]:
-    """(channel, its cells, (cells, n) from its whitened values to their means)."""
+def _averages(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Averages:
+    found = []
     for c, (use, inverse) in enumerate(zip(whitener.use, whitener.inverse, strict=True)):
         rows = [i for i, key in enumerate(keys) if key[0] == c]
         if not rows:
@@ -165,7 +148,30 @@ def _averages(
             inside = (binned.motion[use] == motion) & (binned.moving[use] == moving)
             weight = binned.count[c][use] * inside
             average[i] = weight / weight.sum()
-        yield c, rows, average @ solve_triangular(inverse, np.eye(use.size), lower=True)
+        found.append((c, rows, average @ solve_triangular(inverse, np.eye(use.size), lower=True)))
+    return tuple(found)
+
+
+def _averaging_matrix(whitener: Whitener, averages: Averages, cells: int) -> Array:
+    """(cells, n): from whitened values of a trial to its cell means, independent and of unit variance."""
+    averaging = np.zeros((cells, whitener.channel.size))
+    for c, rows, given in averages:
+        lower = np.linalg.cholesky(given @ given.T)
+        place = np.flatnonzero(whitener.channel == c)
+        averaging[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
+    return averaging
+
+
+def _solver_error(problem: Problem, averages: Averages, keys: list[Key]) -> float:
+    """Expected sum of squares of a trial's cell means, standardised as by `_averaging_matrix`, that come of
+    errors within the solver's accuracy: from motion to motion, as the noise model has them."""
+    floor = floors(problem.trials[0].mean.shape[0], problem.base.torque_scale)
+    found = 0.0
+    for c, rows, given in averages:
+        motion = np.array([keys[row][1] for row in rows])
+        alike = motion[:, None] == motion[None, :]
+        found += float(floor[c] ** 2 * np.trace(np.linalg.solve(given @ given.T, alike)))
+    return found
 
 
 def _worst(
