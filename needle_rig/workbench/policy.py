@@ -78,6 +78,12 @@ class NoisePolicy:
         "p = 0.001 with two parameters, size and time",
         _REPLICATES,
     )
+    hum_significance: float = _threshold(
+        0.001,
+        "chance of an oscillation of one frequency in the contrasts of replicates, all frequencies counted",
+        "as of what is correlated over seconds",
+        "observations/test_hum.py",
+    )
     replicate_misfit: float = _threshold(
         3.0,
         "mean square of what replicates share over that of how they differ, above which the model is wrong"

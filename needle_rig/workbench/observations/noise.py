@@ -66,8 +66,10 @@ class Noise:
     scatter_dof: float
     replicates: int
     """Degrees of freedom among replicates; 0 when no command was repeated."""
-    stated: bool = False
-    """Taken from the dataset's own statement, not measured."""
+    hum: Array
+    """Of what oscillates at `hum_hz`, with a phase of its own in each trial."""
+    hum_hz: float
+    """As it is seen at the samples: of the mains, the beat with the sampling."""
 
 
 @dataclass(frozen=True)
@@ -216,6 +218,8 @@ def measure_noise(
         scatter=POLICY.noise.scatter,
         scatter_dof=POLICY.noise.scatter_dof,
         replicates=sum(len(g) - 1 for g in groups),
+        hum=np.zeros(len(parts)),
+        hum_hz=0.0,
     )
 
 
@@ -294,6 +298,13 @@ def correlation(binned: BinnedTrial, use: Places, tau_s: float) -> Array:
     return matrix
 
 
+def oscillation(binned: BinnedTrial, use: Places, hz: Array) -> Array:
+    """(k, 2, F): means over the bins `use` of the cosine and the sine at the frequencies `hz` (F,)."""
+    phase = 2 * np.pi * np.multiply.outer(binned.time_s[use], hz)
+    averaged = np.sinc(np.multiply.outer(binned.duration_s[use], hz))
+    return np.stack([averaged * np.cos(phase), averaged * np.sin(phase)], axis=1)
+
+
 def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places, Array]:
     """(bins in use (k,), covariance (k, k)) of one channel's bin means."""
     use = np.flatnonzero(np.isfinite(binned.mean[channel]))
@@ -301,6 +312,9 @@ def covariance(noise: Noise, binned: BinnedTrial, channel: int) -> tuple[Places,
     matrix = noise.correlated[channel] ** 2 * correlation(binned, use, noise.correlation_s[channel])
     matrix[np.diag_indices(use.size)] += noise.white[channel] ** 2 / binned.count[channel, use]
     matrix += noise.offset[channel] ** 2
+    if noise.hum[channel]:
+        wave = oscillation(binned, use, np.array([noise.hum_hz]))[:, :, 0]
+        matrix += noise.hum[channel] ** 2 * wave @ wave.T
     motion = binned.motion[use]
     matrix += noise.motion[channel] ** 2 * (motion[:, None] == motion[None, :])
     rate = np.zeros(use.size)

@@ -1,4 +1,4 @@
-"""Noise that replicates of one command show: correlated over seconds, and scatter from motion to motion.
+"""Noise that replicates of one command show: correlated over seconds, hum, and scatter from motion to motion.
 
 Replicates share what the model lacks, their contrasts do not hold it. Settled stretches show correlated noise
 too, but they are short: what wanders over longer than a hold looks like an offset there.
@@ -11,17 +11,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, eigh, helmert, solve_triangular
+from scipy.linalg import eigh
 from scipy.optimize import brentq, minimize_scalar
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import (
-    Noise,
-    Places,
-    correlation,
-    covariance,
-)
+from needle_rig.workbench.observations.contrasts import contrasts
+from needle_rig.workbench.observations.hum import with_hum
+from needle_rig.workbench.observations.noise import Noise, correlation
 from needle_rig.workbench.policy import POLICY
 
 CORRELATION_TIMES_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
@@ -32,8 +29,6 @@ know slow noise badly, and noise that is taken too small passes for an effect.""
 SIZES = (1e-3, 10.0)
 """Bounds of the correlated part in units of the white one."""
 _LEAST = float(np.finfo(np.float64).tiny)
-FEWEST_BINS = 8
-"""That replicates have in common: fewer show no correlation."""
 
 
 @dataclass(frozen=True)
@@ -93,22 +88,37 @@ class _Likeliest:
 def with_correlation(
     noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
 ) -> Noise:
-    """Noise with the correlated part that `groups` of replicates show, where they show one.
+    """Noise with the correlated part and the hum that `groups` of replicates show, where they show any.
 
     `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. By restricted
     maximum likelihood; Hall sensors are alike: what all of them show together is taken for each, unless one
-    shows otherwise. Where the model is wrong, replicates differ by what their friction makes of its error:
-    then nothing is taken for noise, and `noise` itself comes back.
+    shows otherwise, and where most of them wander the torque is held to wander as much as it may. Where the
+    model is wrong, replicates differ by what their friction makes of its error: then nothing is taken for
+    noise, and `noise` itself comes back. Hum that is known stays.
     """
     groups = [group for group in groups if len(group) > 1]
     if not groups:
         return noise
-    every = {c: _channel(noise, binned, residuals, groups, c) for c in range(noise.white.size)}
-    if _misfit(every.values()) > POLICY.noise.replicate_misfit:
+    every = [_channel(noise, binned, residuals, groups, c) for c in range(noise.white.size)]
+    if _misfit(every) > POLICY.noise.replicate_misfit:
         return noise
+    found = _likelier(noise, every)
+    if noise.hum.any():
+        return found
+    humming = with_hum(found, binned, residuals, groups)
+    if humming is not found:
+        beside = dataclasses.replace(noise, hum=humming.hum, hum_hz=humming.hum_hz)
+        every = [_channel(beside, binned, residuals, groups, c) for c in range(noise.white.size)]
+        found = with_hum(_likelier(beside, every), binned, residuals, groups)
+    return found
+
+
+def _likelier(noise: Noise, every: Sequence[_Channel]) -> Noise:
+    """Noise with the correlated part by which `every` channel is likelier; itself where that is its own."""
     correlated, correlation_s = noise.correlated.copy(), noise.correlation_s.copy()
     asked = POLICY.noise.replicate_gain / 2.0
-    for together in ([0], list(range(1, noise.white.size))):
+    halls = list(range(1, noise.white.size))
+    for together in ([0], halls):
         channels = {c: every[c] for c in together}
         pooled = _likeliest(list(channels.values()))
         is_shown = pooled.log_likelihood - sum(each.present for each in channels.values()) > asked
@@ -123,6 +133,14 @@ def with_correlation(
                 chosen = own
             if chosen is not None:
                 correlated[c], correlation_s[c] = chosen.size * channel.white, chosen.tau_s
+        if (
+            together == halls
+            and is_shown
+            and not correlated[0]
+            and 2 * (correlated[halls] > 0).sum() > len(halls)
+        ):
+            correlated[0] = every[0].white * _likeliest(every[:1], (pooled.tau_s,)).size
+            correlation_s[0] = pooled.tau_s
     if np.array_equal(correlated, noise.correlated):
         return noise
     return dataclasses.replace(noise, correlated=correlated, correlation_s=correlation_s)
@@ -133,9 +151,9 @@ def _misfit(channels: Iterable[_Channel]) -> float:
     shared = apart = 0.0
     for channel in channels:
         for spectrum in channel.spectra[CORRELATION_TIMES_S[0]]:
-            contrasts = spectrum.contrasts
-            shared += (len(contrasts) + 1) * float(spectrum.shared[0] @ spectrum.shared[0])
-            apart += float((contrasts**2).sum()) / len(contrasts)
+            apart_each = spectrum.contrasts
+            shared += (len(apart_each) + 1) * float(spectrum.shared[0] @ spectrum.shared[0])
+            apart += float((apart_each**2).sum()) / len(apart_each)
     return shared / max(apart, _LEAST)
 
 
@@ -152,8 +170,8 @@ def _channel(
     return _Channel(white, spectra, known)
 
 
-def _likeliest(channels: Sequence[_Channel]) -> _Likeliest:
-    """By size and correlation time; the size at the upper end of its interval."""
+def _likeliest(channels: Sequence[_Channel], times_s: Sequence[float] = CORRELATION_TIMES_S) -> _Likeliest:
+    """By size and correlation time, of `times_s`; the size at the upper end of its interval."""
     low, high = np.log(SIZES)
 
     def at(tau_s: float) -> _Likeliest:
@@ -165,7 +183,7 @@ def _likeliest(channels: Sequence[_Channel]) -> _Likeliest:
         bound = brentq(lambda log: lost(log) - limit, found.x, high) if lost(high) > limit else high
         return _Likeliest(-float(found.fun), float(np.exp(bound)), tau_s)
 
-    every = [at(tau_s) for tau_s in CORRELATION_TIMES_S]
+    every = [at(tau_s) for tau_s in times_s]
     best = max(every, key=lambda each: each.log_likelihood)
     likely = [each for each in every if each.log_likelihood > best.log_likelihood - UPPER]
     rate = max(each.size**2 / each.tau_s for each in likely)
@@ -182,45 +200,20 @@ def _spectra(
 ) -> list[_Spectrum]:
     """Of every group of replicates in this channel, for what is correlated over `tau_s` beside `noise`."""
     found = []
-    for group in groups:
-        alike = _alike([binned[i] for i in group])
-        seen = np.array([residuals[i][channel, places] for i, places in zip(group, alike, strict=True)])
-        common = np.isfinite(seen).all(0)
-        if common.sum() < FEWEST_BINS:
-            continue
-        covariances, correlations = [], []
-        for i, places in zip(group, alike[:, common], strict=True):
-            use, matrix = covariance(noise, binned[i], channel)
-            at = np.searchsorted(use, places)
-            covariances.append(matrix[np.ix_(at, at)])
-            correlations.append(correlation(binned[i], places, tau_s))
-        mean, time_s = seen[:, common].mean(0), binned[group[0]].time_s[alike[0, common]]
-        lower = cholesky(np.mean(covariances, 0), lower=True)
-        half = solve_triangular(lower, np.mean(correlations, 0), lower=True)
-        values, vectors = eigh(solve_triangular(lower, half.T, lower=True))
-        rows = np.vstack([seen[:, common], mean, np.gradient(mean, time_s)])
-        rotated = solve_triangular(lower, rows.T, lower=True).T @ vectors
-        independent, shared = rotated[:-2], rotated[-2:]
+    for each in contrasts(noise, binned, residuals, groups, channel):
+        correlations = [
+            correlation(binned[i], own, tau_s) for i, own in zip(each.group, each.places, strict=True)
+        ]
+        values, vectors = eigh(each.whitened(each.whitened(np.mean(correlations, 0)).T))
         found.append(
             _Spectrum(
                 np.maximum(values, 0.0),
-                helmert(len(group)) @ independent,
-                shared,
-                2.0 * float(np.log(np.diag(lower)).sum()),
+                each.independent @ vectors,
+                each.shared @ vectors,
+                2.0 * float(np.log(np.diag(each.lower)).sum()),
             )
         )
     return found
-
-
-def _alike(trials: Sequence[BinnedTrial]) -> Places:
-    """Bins (R, K) of replicates that stand at the same place of the same motion."""
-    found: list[Places] = []
-    for m in range(min(len(b.motions) for b in trials)):
-        for moving in (True, False):
-            each = [np.flatnonzero((b.motion == m) & (b.moving == moving)) for b in trials]
-            count = min(places.size for places in each)
-            found.append(np.array([places[:count] for places in each]))
-    return np.concatenate(found, axis=1)
 
 
 def with_motion_scatter(

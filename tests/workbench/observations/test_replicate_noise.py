@@ -8,6 +8,7 @@ from needle_rig.numerics import Array
 from needle_rig.units import rad
 from needle_rig.workbench.observations import replicate_noise
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
+from needle_rig.workbench.observations.contrasts import places_alike
 from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise
 from needle_rig.workbench.observations.replicate_noise import with_correlation
 from tests.workbench.hidden import dataset
@@ -84,7 +85,7 @@ def test_where_replicates_share_three_times_what_they_differ_by_the_model_is_wro
 ) -> None:
     residuals = drawn(wandering(white, 0.3, 2.0, ALL), binned, 7)
     error = drawn(wandering(white, 0.3, 2.0, ALL), binned, 8)[GROUP[0]]
-    alike = replicate_noise._alike([binned[i] for i in GROUP])
+    alike = places_alike([binned[i] for i in GROUP])
 
     def wrong_by(size: float) -> list[Array]:
         found = [r.copy() for r in residuals]
@@ -111,9 +112,11 @@ def test_without_replicates_nothing_is_learnt(binned: tuple[BinnedTrial, ...], w
 def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
     binned: tuple[BinnedTrial, ...], white: Noise
 ) -> None:
+    wave = drawn(wandering(white, 1.0, 2.0, ALL), binned, 4)[GROUP[0]][1]
+    alike = places_alike([binned[i] for i in GROUP])
     quiet = [np.full(b.mean.shape, np.nan) for b in binned]
-    for i, way in zip(GROUP, (1.0, -1.0, 0.0), strict=True):
-        quiet[i][1] = way * np.sin(0.7 * binned[i].time_s)
+    for i, way, places in zip(GROUP, (1.0, -1.0, 0.0), alike, strict=True):
+        quiet[i][1, places] = way * wave[alike[0]] / np.nanstd(wave)
 
     def found(size: float) -> Noise:
         return with_correlation(white, binned, [size * q for q in quiet], [GROUP])
