@@ -84,10 +84,9 @@ class _Channels:
             ]
         )
 
-    def likeliest(self, hz: Array) -> tuple[Array, Array]:
-        """(F,) gain of all channels, each at its likeliest size or without a line, and (C, S, F) as above."""
-        every = self.gains(hz)
-        return np.maximum(every.max(1), 0.0).sum(0), every
+    def gain(self, hz: Array) -> Array:
+        """(F,): of all channels, each at its likeliest size or without a line."""
+        return np.asarray(np.maximum(self.gains(hz).max(1), 0.0).sum(0))
 
 
 def with_hum(
@@ -106,17 +105,19 @@ def with_hum(
     channels = _Channels(noise, binned, every)
     span_s = float(np.median([float(np.ptp(binned[i].time_s)) for group in groups for i in group]))
     step_hz = 1.0 / (STEPS_PER_LINE * span_s)
-    tried_hz = np.arange(PERIODS / span_s, HIGHEST_HZ, step_hz)
+    most_bins = max(group.lower.shape[0] for channel in every for group in channel)
+    # more lines than half the bins are not told apart
+    tried_hz = np.arange(PERIODS / span_s, HIGHEST_HZ, step_hz)[: most_bins * STEPS_PER_LINE // 2]
     if not tried_hz.size:
         return noise
-    total, _ = channels.likeliest(tried_hz)
-    best = int(np.argmax(total))
+    gain = channels.gain(tried_hz)
+    best = int(np.argmax(gain))
     chance = POLICY.noise.hum_significance * STEPS_PER_LINE / tried_hz.size
-    if 2.0 * total[best] < chi2.isf(chance, len(every)):
+    if 2.0 * gain[best] < chi2.isf(chance, len(every)):
         return noise
     around = tried_hz[best] + step_hz * np.array([-1.0, 1.0])
     found = minimize_scalar(
-        lambda hz: -float(channels.likeliest(np.array([hz]))[0][0]), bounds=around, method="bounded"
+        lambda hz: -float(channels.gain(np.array([hz]))[0]), bounds=around, method="bounded"
     )
     by_size = channels.gains(np.array([found.x]))[:, :, 0]
     likely = by_size > np.maximum(by_size.max(1), 0.0)[:, None] - UPPER

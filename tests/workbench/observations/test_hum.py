@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from needle_rig.numerics import Array
-from needle_rig.units import deg, nm, rad
+from needle_rig.units import nm, rad
 from needle_rig.workbench.observations import hum
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.contrasts import contrasts
@@ -103,11 +103,12 @@ def test_hum_is_taken_from_odds_of_a_thousand_over_all_frequencies(
         size = np.sqrt(low * high)
         low, high = (low, size) if found(size).hum.any() else (size, high)
     every: list[Array] = [high * q for q in quiet]
-    channels = hum._Channels(white, binned, [contrasts(white, binned, every, [GROUP], c) for c in range(5)])
+    each = [contrasts(white, binned, every, [GROUP], c) for c in range(5)]
+    channels = hum._Channels(white, binned, each)
     span_s = float(np.median([np.ptp(binned[i].time_s) for i in GROUP]))
-    # lines of a trial's length in the band of 2 periods to 5 Hz, five channels with a size each
-    lines = span_s * (hum.HIGHEST_HZ - 2.0 / span_s)
-    gain = channels.likeliest(np.arange(2.0 / span_s, 5.0, 0.25 / span_s))[0].max()
+    lines = each[1][0].lower.shape[0] / 2  # that so many bins tell apart
+    assert lines < 5.0 * span_s - 2.0
+    tried_hz = (2.0 + 0.25 * np.arange(4 * lines)) / span_s
+    gain = channels.gain(tried_hz).max()
     assert 2.0 * gain == pytest.approx(chi2.isf(0.001 / lines, 5), rel=0.02)
     assert POLICY.noise.hum_significance == 0.001
-    assert deg(high) < 1.0
