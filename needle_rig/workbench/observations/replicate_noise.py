@@ -92,9 +92,9 @@ def with_correlation(
 
     `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. By restricted
     maximum likelihood; Hall sensors are alike: what all of them show together is taken for each, unless one
-    shows otherwise, and where most of them wander the torque is held to wander as much as it may. Where the
-    model is wrong, replicates differ by what their friction makes of its error: then nothing is taken for
-    noise, and `noise` itself comes back. Hum that is known stays.
+    shows another size or time, and where most of them wander the torque is held to wander as much as it may.
+    Where the model is wrong, replicates differ by what their friction makes of its error: then nothing is
+    taken for noise, and `noise` itself comes back. Hum that is known stays.
     """
     groups = [group for group in groups if len(group) > 1]
     if not groups:
@@ -123,14 +123,14 @@ def _likelier(noise: Noise, every: Sequence[_Channel]) -> Noise:
         pooled = _likeliest(list(channels.values()))
         is_shown = pooled.log_likelihood - sum(each.present for each in channels.values()) > asked
         for c, channel in channels.items():
-            own = _likeliest([channel])
+            own, own_size = _likeliest([channel]), _likeliest([channel], (pooled.tau_s,))
             chosen, value = None, channel.present
             if is_shown:
                 chosen, value = pooled, channel.log_likelihood(pooled.size, pooled.tau_s)
             if channel.present - value > asked:
                 chosen, value = None, channel.present
             if own.log_likelihood - value > asked:
-                chosen = own
+                chosen = own if own.log_likelihood - own_size.log_likelihood > asked else own_size
             if chosen is not None:
                 correlated[c], correlation_s[c] = chosen.size * channel.white, chosen.tau_s
         if (
