@@ -170,6 +170,8 @@ class RankedFormula:
 def ranked(made: SplineLaw, quadratic: Quadratic, coefficients: Array, price: float) -> list[RankedFormula]:
     """The best formula of each form by cost: −2 log likelihood and `price` a parameter; best first.
 
+    Forms of which the data see nothing are left out.
+
     The spline of a factor is of its logarithm: coefficients follow from it by Gauss–Newton steps, the first
     about the spline's own `coefficients`.
     """
@@ -195,7 +197,7 @@ def ranked(made: SplineLaw, quadratic: Quadratic, coefficients: Array, price: fl
         best = partial(best_of, form)
         shapes = _polished(form, spline, best)
         fall, at = best(shapes)
-        if math.isfinite(fall):
+        if math.isfinite(fall) and at.any():
             cost = price * (len(form.coefficients) + len(form.shapes)) - fall
             found.append(RankedFormula(Formula(form, reach, low, (*(float(a) for a in at), *shapes)), cost))
     return sorted(found, key=lambda each: each.cost)

@@ -23,6 +23,11 @@ def ranking(values: Any, law: Any = ANGLE) -> Any:
     return ranked(SplineLaw(law, FAMILY, "law"), quadratic, quadratic.fall(np.eye(FAMILY.count))[1], PRICE)
 
 
+def test_a_form_of_which_the_data_see_nothing_is_left_out() -> None:
+    quadratic = Quadratic(np.zeros((FAMILY.count, FAMILY.count)), np.zeros(FAMILY.count))
+    assert ranked(SplineLaw(ANGLE, FAMILY, "law"), quadratic, np.zeros(FAMILY.count), PRICE) == []
+
+
 @pytest.mark.parametrize(
     ("form", "values"),
     [
