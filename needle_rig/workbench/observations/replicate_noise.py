@@ -16,7 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.contrasts import contrasts
+from needle_rig.workbench.observations.contrasts import Contrasts, contrasts
 from needle_rig.workbench.observations.hum import with_hum
 from needle_rig.workbench.observations.noise import Noise, correlation
 from needle_rig.workbench.policy import POLICY
@@ -123,14 +123,15 @@ def _likelier(noise: Noise, every: Sequence[_Channel]) -> Noise:
         pooled = _likeliest(list(channels.values()))
         is_shown = pooled.log_likelihood - sum(each.present for each in channels.values()) > asked
         for c, channel in channels.items():
-            own, own_size = _likeliest([channel]), _likeliest([channel], (pooled.tau_s,))
+            own = _likeliest([channel])
             chosen, value = None, channel.present
             if is_shown:
                 chosen, value = pooled, channel.log_likelihood(pooled.size, pooled.tau_s)
             if channel.present - value > asked:
                 chosen, value = None, channel.present
             if own.log_likelihood - value > asked:
-                chosen = own if own.log_likelihood - own_size.log_likelihood > asked else own_size
+                at_their_time = _likeliest([channel], (pooled.tau_s,))
+                chosen = own if own.log_likelihood - at_their_time.log_likelihood > asked else at_their_time
             if chosen is not None:
                 correlated[c], correlation_s[c] = chosen.size * channel.white, chosen.tau_s
         if (
@@ -162,8 +163,9 @@ def _channel(
 ) -> _Channel:
     white, present_s = float(noise.white[c]), float(noise.correlation_s[c])
     alone = dataclasses.replace(noise, correlated=np.zeros_like(noise.correlated))
+    every = contrasts(alone, binned, residuals, groups, c)
     spectra = {
-        tau_s: _spectra(alone, binned, residuals, groups, c, tau_s)
+        tau_s: [_spectrum(each, binned, tau_s) for each in every]
         for tau_s in {*CORRELATION_TIMES_S, present_s}
     }
     known = _Channel(white, spectra, 0.0).log_likelihood(float(noise.correlated[c]) / white, present_s)
@@ -190,30 +192,18 @@ def _likeliest(channels: Sequence[_Channel], times_s: Sequence[float] = CORRELAT
     return dataclasses.replace(best, size=float(np.sqrt(rate * best.tau_s)))
 
 
-def _spectra(
-    noise: Noise,
-    binned: Sequence[BinnedTrial],
-    residuals: Sequence[Array],
-    groups: list[list[int]],
-    channel: int,
-    tau_s: float,
-) -> list[_Spectrum]:
-    """Of every group of replicates in this channel, for what is correlated over `tau_s` beside `noise`."""
-    found = []
-    for each in contrasts(noise, binned, residuals, groups, channel):
-        correlations = [
-            correlation(binned[i], own, tau_s) for i, own in zip(each.group, each.places, strict=True)
-        ]
-        values, vectors = eigh(each.whitened(each.whitened(np.mean(correlations, 0)).T))
-        found.append(
-            _Spectrum(
-                np.maximum(values, 0.0),
-                each.independent @ vectors,
-                each.shared @ vectors,
-                2.0 * float(np.log(np.diag(each.lower)).sum()),
-            )
-        )
-    return found
+def _spectrum(each: Contrasts, binned: Sequence[BinnedTrial], tau_s: float) -> _Spectrum:
+    """For what is correlated over `tau_s` beside the noise by which the contrasts are white."""
+    correlations = [
+        correlation(binned[i], own, tau_s) for i, own in zip(each.group, each.places, strict=True)
+    ]
+    values, vectors = eigh(each.whitened(each.whitened(np.mean(correlations, 0)).T))
+    return _Spectrum(
+        np.maximum(values, 0.0),
+        each.independent @ vectors,
+        each.shared @ vectors,
+        2.0 * float(np.log(np.diag(each.lower)).sum()),
+    )
 
 
 def with_motion_scatter(
