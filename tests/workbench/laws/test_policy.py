@@ -15,7 +15,7 @@ from needle_rig.workbench.laws.learn import _Learning, goes_on, reaches, verdict
 from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, changes_matter, kept, tied
 from needle_rig.workbench.policy import POLICY
 
-NO_PROBLEM: Any = None
+NO_PROBLEM: Any = SimpleNamespace(size=1000)
 
 
 def fitted(score: Any, loss: Any = 0.0, error: Any = 1.0, law: Any = None) -> Any:
@@ -82,6 +82,14 @@ def test_a_law_is_not_named_where_a_library_effect_does_as_well(rival: Any, is_k
 def test_a_law_that_foretells_nothing_is_not_kept() -> None:
     before = parent(1000.0)
     assert not kept(NO_PROBLEM, before, before, FoundLaw(fitted(900.0, loss=101.0), None, before), 70)
+
+
+@pytest.mark.parametrize(("fall", "is_kept"), [(0.0, False), (9.9, False), (10.1, True)])
+def test_commands_left_out_tell_a_law_from_what_one_command_has(fall: Any, is_kept: Any) -> None:
+    before = parent(1000.0)
+    error = math.sqrt(before.validation.error**2 - fall / NO_PROBLEM.size)
+    found = FoundLaw(fitted(900.0, loss=50.0, error=error), None, before)
+    assert kept(NO_PROBLEM, before, before, found, 70) is is_kept
 
 
 def test_a_law_that_cannot_be_solved_without_a_command_is_kept_until_more_is_found() -> None:
