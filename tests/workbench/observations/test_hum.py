@@ -59,10 +59,11 @@ def test_what_wanders_is_no_hum(binned: tuple[BinnedTrial, ...], white: Noise, t
         assert not with_correlation(white, binned, drawn(noise, binned, seed), GROUPS).hum.any(), seed
 
 
-def test_what_replicates_share_is_no_hum(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
+@pytest.mark.parametrize("phase", [0, 1])
+def test_what_replicates_share_is_no_hum(binned: tuple[BinnedTrial, ...], white: Noise, phase: int) -> None:
     residuals = drawn(white, binned, 3)
     waves = [
-        np.outer(white.white, oscillation(b, np.arange(b.time_s.size), np.array([HUM_HZ]))[:, 0, 0])
+        np.outer(white.white, oscillation(b, np.arange(b.time_s.size), np.array([HUM_HZ]))[:, phase, 0])
         for b in binned
     ]
     alike = [r + w for r, w in zip(residuals, waves, strict=True)]

@@ -73,6 +73,48 @@ def test_a_sensor_that_wanders_alone_is_told_from_the_others(
         assert not np.delete(found.correlated, 2).any()
 
 
+def test_a_sensor_of_another_size_keeps_the_time_of_the_others(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    """Of one sensor alone the time is known badly, and noise of too short a time passes for an effect."""
+    larger = []
+    for seed in range(5):
+        true = wandering(wandering(white, 0.15, 5.0, ALL), 0.6, 5.0, slice(2, 3))
+        found = with_correlation(white, binned, drawn(true, binned, 20 + seed), [GROUP, [2], [3]])
+        assert np.unique(found.correlation_s[ALL]).size == 1, seed
+        larger.append(found.correlated[2] / np.median(found.correlated[[1, 3, 4]]))
+    assert 2.0 < np.median(larger) < 8.0
+
+
+def test_a_sensor_of_another_time_has_its_own(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
+    times = []
+    for seed in range(5):
+        true = wandering(wandering(white, 0.3, 10.0, ALL), 0.6, 0.5, slice(2, 3))
+        found = with_correlation(white, binned, drawn(true, binned, 30 + seed), [GROUP, [2], [3]])
+        times.append(found.correlation_s[ALL])
+    own, others = np.median(times, axis=0)[1], np.median(np.delete(times, 1, axis=1))
+    assert own <= 1.0 < 5.0 <= others
+
+
+def test_the_torque_wanders_as_much_as_it_may_where_most_halls_do(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    """It has one channel to show it in: 0.15 of the white part over 10 s is not found there, and is there."""
+    covered = []
+    for seed in range(10):
+        true = wandering(white, 0.15, 10.0, ALL)
+        true.correlated[0], true.correlation_s[0] = 0.15 * white.white[0], 10.0
+        residuals = drawn(true, binned, 40 + seed)
+        found = with_correlation(white, binned, residuals, [GROUP, [2], [3]])
+        assert found.correlation_s[0] == np.median(found.correlation_s[ALL]), seed
+        rate, true_rate = (each.correlated[0] ** 2 / each.correlation_s[0] for each in (found, true))
+        covered.append(rate > true_rate)
+        fewer = wandering(wandering(true, 0.6, 10.0, ALL), 0.0, 0.4, slice(3, 5))
+        found = with_correlation(white, binned, drawn(fewer, binned, 60 + seed), [GROUP, [2], [3]])
+        assert not found.correlated[0], seed
+    assert np.mean(covered) >= 0.9
+
+
 def test_white_noise_stays_white(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
     for seed in range(20):
         found = with_correlation(white, binned, drawn(white, binned, 100 + seed), [GROUP, [2], [3]])
