@@ -149,7 +149,9 @@ class Page:
             given["effects"] = [*self._settings.effects, *drafts]
         if kind in ("diagnose", "strategies", "learn"):
             given["jobs"] = self._settings.jobs
-        if kind == "adopt":
+        if kind == "diagnose":
+            given["quick"] = asked.get("quick") is True
+        elif kind == "adopt":
             given["diagnosis"] = self._file(asked.get("diagnosis"), DIAGNOSIS)
             given["chosen"] = texts(asked.get("chosen", []))
         elif kind == "learn":

@@ -79,7 +79,7 @@ def _traces(found: TraceComparison) -> Document:
 
 
 def diagnose(
-    voice: Voice, *, data: list[str], model: str | None, effects: list[str], out: str, jobs: int
+    voice: Voice, *, data: list[str], model: str | None, effects: list[str], out: str, jobs: int, quick: bool
 ) -> Document:
     """Which effect is missing: the ranking, ties and verdict, and the diagnosis file that `adopt` takes."""
     saved = load_model(model, effects=effects) if model else None
@@ -87,6 +87,7 @@ def diagnose(
     found = observed.diagnose(
         _library(effects),
         saved.model if saved else None,
+        quick=quick,
         work=workers(jobs, None, voice.progress),
         say=voice.step,
     )
@@ -99,6 +100,7 @@ def diagnose(
         "ties": list(found.ties),
         "left_over": found.left_in_words(),
         "reasons": [reason.as_json() for reason in found.reasons],
+        "quick": quick,
         "candidates": {},
     }
     if isinstance(found, Diagnosis):

@@ -41,7 +41,7 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
     assert page.get_by_role("button", name="Whole trial").is_visible()
     pictured(page, "where-it-fails")
     look_at(page, "workbench-where-it-fails")
-    page.get_by_role("button", name="Diagnose").click()
+    page.get_by_role("button", name="Diagnose", exact=True).click()
     page.wait_for_selector(".verdict")
     assert page.locator(".verdict").inner_text().lower().startswith("tissue elasticity missing")
     page.locator("tbody button", has_text="tissue elasticity").hover()
@@ -65,7 +65,7 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
 def test_cancel_ends_a_diagnosis_and_its_processes_within_a_second(visit: Open, page_server: Served) -> None:
     page = visit("workbench")
     page.get_by_label("data/mine").check()
-    page.get_by_role("button", name="Diagnose").click()
+    page.get_by_role("button", name="Diagnose", exact=True).click()
     page.get_by_text("trying every effect").wait_for()
     page.get_by_role("button", name="Cancel").click()
     page.locator(".job").wait_for(state="detached", timeout=3000)
@@ -315,8 +315,9 @@ def test_a_law_that_nobody_told_it_is_learnt_added_and_taken_back(
     for served in started(shell, str(tmp_path / "data"), "--dir", str(tmp_path / "runs")):
         page = visit("workbench", served=served)
         page.get_by_label("data/hidden").check()
-        page.get_by_role("button", name="Diagnose").click()
+        page.get_by_role("button", name="Diagnose quickly").click()
         page.wait_for_selector(".verdict")
+        assert page.get_by_role("button", name="Look for several").is_enabled()
         assert "no effect of the library explains" in page.locator(".verdict").inner_text()
         page.get_by_role("button", name="Learn the law").click()
         page.locator("section.law h4", has_text="a torque in tissue section 3").wait_for()

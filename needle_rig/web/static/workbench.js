@@ -57,9 +57,10 @@ export async function compareChosen() {
   if (found) compared.value = found;
 }
 
-async function diagnose() {
-  diagnosed.value = null;
-  const found = await run({ kind: "diagnose", data: chosen.value, model: model()?.key ?? null });
+/** @param {boolean} quick for one effect alone */
+async function diagnose(quick) {
+  diagnosed.value = learnt.value = null;
+  const found = await run({ kind: "diagnose", data: chosen.value, model: model()?.key ?? null, quick });
   if (found) diagnosed.value = found;
 }
 
@@ -290,8 +291,10 @@ function Missing() {
   if (!compared.value) return null;
   const found = diagnosed.value;
   return html`<section class="card wide"><h2>3 · What is missing</h2>
-    ${found ? html`<${Verdict} found=${found} />` : html`<p><button class="go" disabled=${Boolean(job.value)} onClick=${diagnose}>Diagnose</button>
-      <span class="quiet"> tries every effect of the library on commands that were left out</span></p>`}</section>`;
+    ${found ? html`<${Verdict} found=${found} />` : html`<p><button class="go" disabled=${Boolean(job.value)} onClick=${() => diagnose(false)}>Diagnose</button>
+      <span class="quiet"> tries every effect of the library on commands that were left out</span></p>
+      <p><button disabled=${Boolean(job.value)} onClick=${() => diagnose(true)}>Diagnose quickly</button>
+      <span class="quiet"> one effect alone, in half the time or less</span></p>`}</section>`;
 }
 
 /** @param {{found: any}} props */
@@ -299,6 +302,7 @@ function Verdict({ found }) {
   const choices = found.verdict !== "effect" ? [] : found.ties.length ? [...found.effects, ...found.ties] : [""];
   return html`<p class="verdict">${found.sentence.charAt(0).toUpperCase() + words(found.sentence.slice(1))}</p>
     <p>${found.errors_sentence}</p>
+    ${found.quick ? html`<p>One effect alone was looked for. <button disabled=${Boolean(job.value)} onClick=${() => diagnose(false)}>Look for several</button></p>` : null}
     ${found.reasons.length ? html`<ul>${found.reasons.map((/** @type {any} */ r) => html`<li>${r.sentence ?? r.text ?? words(String(r.rule ?? r.name ?? ""))}</li>`)}</ul>` : null}
     <p>${choices.map((effect) => html`<button class="go" disabled=${Boolean(job.value)} onClick=${() => adopt(effect ? [effect] : [])}>
       Add ${words(effect || found.effects.join(" and "))}</button> `)}</p>
