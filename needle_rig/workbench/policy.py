@@ -410,6 +410,14 @@ class VerdictPolicy:
         " `scripts/bench_effects`: a needle that snaps left 1.66",
         _RULES,
     )
+    wandering: float = _threshold(
+        1.0,
+        "what may be left beyond the noise, in units of a sample's white noise, where no command was"
+        " repeated: noise that wanders over seconds is not told there from what is missing",
+        "noise that wanders by as much as it is white; by half as much it left 0.51 at most in 48 sets"
+        " with nothing hidden, of `no replicates` in `scripts/messy_shapes.py`",
+        _RULES,
+    )
     at_any_value: int = _threshold(
         2,
         "effects that may be named together whatever their values: more can stand for anything",

@@ -32,6 +32,7 @@ from needle_rig.workbench.selection.residual_patterns import find_residual_patte
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
 from needle_rig.workbench.selection.unknown_starts import from_found_starts
+from needle_rig.workbench.selection.unrepeated import left_to_white, may_wander, note
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
@@ -174,8 +175,11 @@ def _conclude(
     seen = snaps(baseline.dataset)
     scale = baseline.dataset.torque_scale
     fitted_error = math.sqrt(best.chi2 / problem.size)
+    share = left_to_white(problem, best)
     why = reasons(
-        Findings(tuple(named), left, lack, explained_fraction, validation.error, seen, scale, fitted_error)
+        Findings(
+            tuple(named), left, lack, explained_fraction, validation.error, seen, scale, fitted_error, share
+        )
     )
     verdict = judge(named, why)
     ordered = order(search, named)
@@ -207,6 +211,7 @@ def _conclude(
             *baseline.dataset.notes,
             *baseline.notes,
             *(_negligible_notes(search) if decisions_stand(named, validation.error) else ()),
+            *([note(share)] if may_wander(share) and not decisions_stand(named, validation.error) else ()),
             *_mean_notes(best),
             *(_screening_notes(search, named) if verdict == "effect" else []),
             *(

@@ -11,6 +11,7 @@ from needle_rig.workbench.observations.snaps import Snap, sentence
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
+from needle_rig.workbench.selection.unrepeated import may_wander
 
 Verdict = Literal["none", "effect", "unknown"]
 """Nothing is missing, the named effects are, or something that they are not."""
@@ -30,6 +31,8 @@ class Findings:
     torque_scale: float = 1.0
     fitted_error: float = 1.0
     """Root mean square of what is left in the trials that were fitted, in units of the noise."""
+    left_to_white: float = math.inf
+    """`unrepeated.left_to_white`."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,11 @@ def noise_not_reached(found: Findings) -> str | None:
 
     Effects that are named are held to it where what they leave shows a pattern: without one it is the few
     commands that leave their sizes open, but then the trials that were fitted are met to within the noise.
-    Where nothing is named and no pattern is seen, the noise itself may be known badly.
+    Where nothing is named and no pattern is seen, the noise itself may be known badly. Where no command was
+    repeated, that holds whatever is seen.
     """
+    if may_wander(found.left_to_white):
+        return None
     policy = POLICY.verdict
     limit = policy.reached if found.left.significant else policy.reached_without_pattern
     open_sizes = found.named and not found.left.significant

@@ -1,0 +1,48 @@
+"""What is left where no command was repeated, held against noise that wanders.
+
+Settled stretches are short: noise that is correlated over seconds, or hum, is an offset there. Replicates
+tell it from what a model lacks; without them what is left, if noise may wander by as much, can be either.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.observations.noise import covariance
+from needle_rig.workbench.policy import POLICY
+
+
+def left_to_white(problem: Problem, found: Fit) -> float:
+    """Root mean square of the residuals beyond the noise, in units of a sample's white noise, of the channel
+    with most; infinite with replicates."""
+    noise = problem.noise
+    if noise.replicates:
+        return math.inf
+    readings = problem.predict(found.parameters, found.vector)
+    largest = 0.0
+    for c, white in enumerate(noise.white):
+        square = variance = 0.0
+        for trial, model in zip(problem.trials, readings, strict=True):
+            use, stated = covariance(noise, trial, c)
+            square += float(((trial.mean[c] - model[c])[use] ** 2).sum()) - float(np.trace(stated))
+            variance += use.size * float(white) ** 2
+        largest = max(largest, square / variance)
+    return math.sqrt(largest)
+
+
+def may_wander(share: float) -> bool:
+    """Whether noise that wanders may leave this `left_to_white`."""
+    return share <= POLICY.verdict.wandering
+
+
+def note(share: float) -> str:
+    """What cannot be told, and the experiment that would."""
+    return (
+        f"What is left beyond the noise, {share:.2g} × the white noise of a sample at most, may be noise that"
+        " wanders over seconds or a missing effect as small: without a repeated command nobody can tell."
+        " Repeat one command three times."
+    )

@@ -1,0 +1,52 @@
+"""No command was repeated: noise that wanders is not called a missing effect, a missing effect still is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from diagnosis_sets import SETUPS
+from messy_shapes import SHAPES, recorded
+
+from needle_rig.dataset import Dataset
+from needle_rig.physics.effect import Effect
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.unrepeated import left_to_white
+from tests.workbench.hidden import effect, few
+
+WITHOUT = few("torque_bias", "hall_offset", "clock_offset")
+
+
+def unrepeated(kind: str, *hidden: Effect, seed: int = 77_001, shape: str = "no replicates") -> Dataset:
+    """Hall sensors of 0.12°: what wanders is smaller than what matters."""
+    return recorded(SHAPES[shape], hidden, kind, SETUPS[1].noise, seed)
+
+
+@pytest.mark.parametrize("kind", ["hum", "wanders over 2 s", "wanders over 10 s"])
+def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
+    found = diagnose(unrepeated(kind), WITHOUT)
+    assert found.verdict == "none"
+    assert found.held_out_error_before > 1.1
+    if found.held_out_error_before > 1.3:
+        assert any("without a repeated command nobody can tell" in note for note in found.notes)
+        assert {d.decision for d in found.decisions.values()} == {"cannot_tell"}
+
+
+def test_what_is_missing_and_matters_is_unknown() -> None:
+    hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.1)
+    for kind in ("white", "wanders over 2 s"):
+        found = diagnose(unrepeated(kind, hidden), WITHOUT)
+        assert found.verdict == "unknown", kind
+        assert not any("nobody can tell" in note for note in found.notes)
+
+
+def test_what_is_left_is_measured_in_white_noise() -> None:
+    def left(kind: str, *hidden: Effect, shape: str = "no replicates") -> float:
+        baseline = fit_baseline(unrepeated(kind, *hidden, shape=shape), None, WITHOUT)
+        return left_to_white(baseline.problem, baseline.current)
+
+    assert left("white") < 0.3
+    assert 0.2 < left("hum") < 0.7  # half the white noise, of which friction and offsets take a part
+    assert left("white", effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)) > 2.0
+    assert left("hum", shape="standard series") == math.inf
