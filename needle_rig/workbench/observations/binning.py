@@ -41,8 +41,10 @@ ALLOWANCE = 1.3
 SAME_TIME_S = 1e-9
 """Points of the grid closer than this are one."""
 MOST_MISSING = 0.5
-"""Share of a bin's samples below which the others do not stand for what is missing: data and model are then
-averaged at the samples that are there."""
+"""Share of the rows below which a channel was read more slowly than another."""
+BRIDGED = NEIGHBOURS // 2
+"""Missing samples in a row that their neighbours stand for. Across a longer gap the base may begin to turn:
+in the bins that it touches data and model are averaged at the samples that are there."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,8 @@ class BinnedTrial:
     trial: Trial
     """The grid: times, base angles and torques on the tip (m,) that drive the model."""
     averages: tuple[csr_array, ...]
-    """Weights (K, m), a channel each, that take the model on the grid to bin means: where a bin has few
-    samples of a channel, to the mean at their times."""
+    """Weights (K, m), a channel each, that take the model on the grid to bin means: where
+    a gap of the channel touches a bin, to the mean at the times of its samples."""
     mean: Array
     """Bin means (C, K) of the data; NaN where a channel has none. N·m and rad."""
     count: Array
@@ -217,18 +219,23 @@ def sample_weights(given: DatasetTrial) -> tuple[csr_array, ...]:
 
 
 def _weights(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> csr_array:
-    """Weights (K, M) of equal shares: of a bin's samples, or of the valid ones where most are missing."""
-    used = np.flatnonzero(valid | ~_sparse(of_sample, valid)[of_sample])
+    """Weights (K, M) of equal shares: of a bin's samples, or of the valid ones where a gap touches it."""
+    used = np.flatnonzero(valid | ~_with_gap(of_sample, valid)[of_sample])
     bins = int(of_sample[-1]) + 1
     share = 1.0 / np.maximum(np.bincount(of_sample[used], minlength=bins), 1)
     return csr_array((share[of_sample[used]], (of_sample[used], used)), shape=(bins, of_sample.size))
 
 
-def _sparse(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Which bins (K,) lack most of their samples."""
-    bins = int(of_sample[-1]) + 1
-    have = np.bincount(of_sample, valid, bins)
-    return np.asarray(have < MOST_MISSING * np.bincount(of_sample, minlength=bins))
+def _with_gap(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Which bins (K,) hold samples of a gap."""
+    edges = np.flatnonzero(np.diff(np.r_[True, valid, True]))
+    begins, ends = edges[::2], edges[1::2]
+    long = ends - begins > BRIDGED
+    depth = np.zeros(valid.size + 1, int)
+    np.add.at(depth, begins[long], 1)
+    np.add.at(depth, ends[long], -1)
+    gone = np.cumsum(depth[:-1]) > 0
+    return np.asarray(np.bincount(of_sample, gone, int(of_sample[-1]) + 1) > 0)
 
 
 def driven_by_samples(binned: BinnedTrial, given: DatasetTrial) -> BinnedTrial:
@@ -295,11 +302,11 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
         count.append(bin_sum(np.add.reduceat(valid.astype(float), first)))
         average = bin_sum(block_mean(filled) * size) / samples
         at_samples = whole
-        if (sparse := _sparse(of_sample, valid)).any():
+        if (with_gap := _with_gap(of_sample, valid)).any():
             own = _weights(of_sample, valid)
-            average = np.where(count[-1] > 0, np.where(sparse, own @ filled, average), np.nan)
+            average = np.where(count[-1] > 0, np.where(with_gap, own @ filled, average), np.nan)
             at_times = own @ interpolation(grid_time, time_s)
-            rows = sparse.astype(float)
+            rows = with_gap.astype(float)
             at_samples = csr_array(diags_array(rows) @ at_times + diags_array(1.0 - rows) @ whole)
         mean.append(average)
         averages.append(at_samples)
