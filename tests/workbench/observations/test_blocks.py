@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
+from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.observations.blocks import BLOCKS, NOTE, in_blocks
+from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few
 
 
@@ -66,3 +71,13 @@ def test_the_error_left_out_of_one_command_is_a_number_that_tells_a_right_model(
     baseline = fit_baseline(alone(dataset(*hidden, seed=2)), None, few())
     assert low < baseline.validation.error < high
     assert NOTE in baseline.dataset.notes
+
+
+def test_the_blocks_of_a_trial_are_no_trend_of_friction() -> None:
+    """Friction that differs from trial to trial, as it may, does so alike in all blocks of a trial."""
+    for seed in range(4):
+        protocol = Protocol("thrice", (compensation(45.0),) * 3)
+        data = simulate_dataset(load_parameters("rig_rigid"), protocol, seed, Noise(friction_scatter=0.05))
+        there = fit_baseline(data, None, few("torque_bias"))
+        assert len(there.problem.trials) == 3 * BLOCKS
+        assert not find_residual_patterns(there.problem, there.current, data.sensor_names).patterns, seed
