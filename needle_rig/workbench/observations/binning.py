@@ -41,7 +41,8 @@ ALLOWANCE = 1.3
 SAME_TIME_S = 1e-9
 """Points of the grid closer than this are one."""
 MOST_MISSING = 0.5
-"""Share of the rows below which a channel was read more slowly than another."""
+"""Share of the rows below which a channel was read more slowly than another, and of a bin's samples below
+which the others do not stand for what is missing."""
 BRIDGED = NEIGHBOURS // 2
 """Missing samples in a row that their neighbours stand for. Across a longer gap the base may begin to turn:
 in the bins that it touches data and model are averaged at the samples that are there."""
@@ -227,7 +228,7 @@ def _weights(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> 
 
 
 def _with_gap(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Which bins (K,) hold samples of a gap."""
+    """Which bins (K,) hold samples of a gap, or lack most of theirs."""
     edges = np.flatnonzero(np.diff(np.r_[True, valid, True]))
     begins, ends = edges[::2], edges[1::2]
     long = ends - begins > BRIDGED
@@ -235,7 +236,9 @@ def _with_gap(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) ->
     np.add.at(depth, begins[long], 1)
     np.add.at(depth, ends[long], -1)
     gone = np.cumsum(depth[:-1]) > 0
-    return np.asarray(np.bincount(of_sample, gone, int(of_sample[-1]) + 1) > 0)
+    bins = int(of_sample[-1]) + 1
+    most = np.bincount(of_sample, valid, bins) < MOST_MISSING * np.bincount(of_sample, minlength=bins)
+    return np.asarray(most | (np.bincount(of_sample, gone, bins) > 0))
 
 
 def driven_by_samples(binned: BinnedTrial, given: DatasetTrial) -> BinnedTrial:

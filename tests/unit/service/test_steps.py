@@ -13,16 +13,17 @@ import pytest
 from needle_rig.errors import NeedleRigError
 from needle_rig.service.steps import AwaitProcesses
 
-ACCOUNT = "games"
-"""Of Debian's base system, and nobody's in tests."""
+ENDING, OBEYING, STUBBORN = "games", "news", "uucp"
+"""Accounts of Debian's base system, and nobody's in tests: one a test, as all processes of an account are
+waited for, and tests run side by side."""
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root starts a process of another user")
 
 
 @contextmanager
-def running(script: str) -> Iterator[subprocess.Popen[bytes]]:
+def running(account: str, script: str) -> Iterator[subprocess.Popen[bytes]]:
     """A shell of the account, reaped as soon as it ends, as init does with what a service leaves."""
-    process = subprocess.Popen(["sh", "-c", f"{script}"], user=ACCOUNT, stdout=subprocess.PIPE)
+    process = subprocess.Popen(["sh", "-c", f"{script}"], user=account, stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n"
     reaper = threading.Thread(target=process.wait)
@@ -36,8 +37,8 @@ def running(script: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_it_waits_for_a_process_that_ends_by_itself() -> None:
-    with running("echo ready; sleep 0.5") as process:
-        step = AwaitProcesses(ACCOUNT, patience_s=10.0)
+    with running(ENDING, "echo ready; sleep 0.5") as process:
+        step = AwaitProcesses(ENDING, patience_s=10.0)
         assert not step.is_done()
         step.do()
         assert step.is_done()
@@ -45,14 +46,14 @@ def test_it_waits_for_a_process_that_ends_by_itself() -> None:
 
 
 def test_what_goes_on_is_told_to_end() -> None:
-    with running("echo ready; exec sleep 60") as process:
-        AwaitProcesses(ACCOUNT, patience_s=0.3).do()
+    with running(OBEYING, "echo ready; exec sleep 60") as process:
+        AwaitProcesses(OBEYING, patience_s=0.3).do()
         assert process.returncode == -15
 
 
 def test_what_does_not_obey_is_named() -> None:
     with (
-        running("trap '' TERM; echo ready; while :; do sleep 0.1; done"),
-        pytest.raises(NeedleRigError, match=r"process \d+ of games still runs; kill -KILL"),
+        running(STUBBORN, "trap '' TERM; echo ready; while :; do sleep 0.1; done"),
+        pytest.raises(NeedleRigError, match=r"process \d+ of uucp still runs; kill -KILL"),
     ):
-        AwaitProcesses(ACCOUNT, patience_s=0.3).do()
+        AwaitProcesses(STUBBORN, patience_s=0.3).do()
