@@ -30,7 +30,8 @@ def left_to_white(problem: Problem, found: Fit) -> float:
             use, stated = covariance(noise, trial, c)
             square += float(((trial.mean[c] - model[c])[use] ** 2).sum()) - float(np.trace(stated))
             variance += use.size * float(white) ** 2
-        largest = max(largest, square / variance)
+        if variance > 0.0:  # not so of a sensor that is dead
+            largest = max(largest, square / variance)
     return math.sqrt(largest)
 
 

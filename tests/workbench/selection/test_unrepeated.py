@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
+import numpy as np
 import pytest
 from diagnosis_sets import SETUPS
 from messy_shapes import SHAPES, recorded
@@ -39,6 +41,19 @@ def test_what_is_missing_and_matters_is_unknown() -> None:
         found = diagnose(unrepeated(kind, hidden), WITHOUT)
         assert found.verdict == "unknown", kind
         assert not any("nobody can tell" in note for note in found.notes)
+
+
+def test_a_dead_sensor_leaves_nothing() -> None:
+    data = unrepeated("hum")
+    trials = []
+    for given in data.trials:
+        hall_rad = given.hall_rad.copy()
+        hall_rad[:, 1] = np.nan
+        trials.append(
+            dataclasses.replace(given, torque_nm=np.full_like(given.torque_nm, np.nan), hall_rad=hall_rad)
+        )
+    baseline = fit_baseline(dataclasses.replace(data, trials=tuple(trials)), None, WITHOUT)
+    assert 0.0 < left_to_white(baseline.problem, baseline.current) < 1.0
 
 
 def test_what_is_left_is_measured_in_white_noise() -> None:
