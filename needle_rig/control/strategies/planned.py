@@ -19,6 +19,7 @@ from needle_rig.control.planning.belief import (
 )
 from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.planning.fallback import doubted_at, reed_remaining
+from needle_rig.control.planning.repetition import begun, next_repetition
 from needle_rig.control.planning.search import (
     ROBUST_EVALUATIONS,
     Aim,
@@ -30,6 +31,7 @@ from needle_rig.control.planning.search import (
 )
 from needle_rig.control.strategy import History, Reason, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.units import deg, nmm, rad
 
@@ -63,6 +65,11 @@ class Planned(Strategy):
     It refuses a model whose error on runs held out of its fit is above `largest_error` times the noise floor.
     When torque or Hall angles are more than `doubt_sigma` from what any likely needle gives, it says so and
     goes on as reed2008.
+
+    Where friction falls as the shaft begins to slip, small causes move it far. If a Hall angle in tissue is
+    more than `repeat_above_deg` from the target in the end, the base is turned back, and alternating turns
+    are repeated, corrected by these angles, at most `repetitions` times (`planning.repetition`). With
+    `use_hall` that is done for every model.
     """
 
     slow = True
@@ -76,12 +83,16 @@ class Planned(Strategy):
     doubt_sigma: float = 5.0
     use_hall: bool = False
     motions: int = 8
+    repetitions: int = 8
+    repeat_above_deg: float = 0.4
 
     def __post_init__(self) -> None:
         if not 0.0 < self.largest_overshoot_deg <= 720.0 or not 0.0 < self.rotation_price_deg <= 20.0:
             raise BadInput("planned: largest_overshoot_deg must be 0 to 720, rotation_price_deg 0 to 20")
         if not 0.5 <= self.quantile <= 1.0 or not 0.0 < self.friction_scatter <= 0.5:
             raise BadInput("planned: quantile must be 0.5 to 1 and friction_scatter above 0, to 0.5")
+        if not 0 <= self.repetitions <= 50 or self.repetitions % 1 or not 0.0 < self.repeat_above_deg <= 20.0:
+            raise BadInput("planned: repetitions must be a whole number 0 to 50, repeat_above_deg 0 to 20")
         if not self.largest_error > 0 or not self.doubt_sigma > 0 or not 1 <= self.motions <= 20:
             raise BadInput("planned: largest_error and doubt_sigma must be above 0, motions 1 to 20")
 
@@ -110,9 +121,19 @@ class Planned(Strategy):
             )
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The next motion of the newest plan, or None when nothing is to be gained."""
+        """The next motion of the newest plan or of a repetition; None when nothing is to be gained."""
         self.check(task)
-        task = _in_this_rig(task)
+        inside = _in_this_rig(task)
+        if not begun(history):
+            waypoint = self._planned(inside, history)
+            if waypoint is not None:
+                return waypoint
+        assert task.model is not None
+        if not (self.use_hall or _weakens(replace(task.model, layout=task.layout))):
+            return None
+        return self._repeated(inside, history)
+
+    def _planned(self, task: Task, history: History) -> Waypoint | None:
         before = doubted_at(history)
         if before is not None:
             return reed_remaining(task, history, before, history[-1].reason)
@@ -136,6 +157,25 @@ class Planned(Strategy):
             "final" if last else f"step_{len(history)}",
             settle_s=None if last else self._settle_s(task),
             note=note,
+        )
+
+    def _repeated(self, task: Task, history: History) -> Waypoint | None:
+        assert task.model is not None
+        most, enough = self.repetitions, rad(self.repeat_above_deg)
+        with suppress(Spent, SolverError):
+            return next_repetition(
+                self._aim(task, history), task.model, history, most, enough, Effort(PLAN_SOLVES)
+            )
+        return None
+
+    def _aim(self, task: Task, history: History) -> Aim:
+        return Aim(
+            task,
+            history[-1].base_angle_rad,
+            rad(self.largest_overshoot_deg),
+            self._settle_s(task),
+            self.quantile,
+            rad(self.rotation_price_deg),
         )
 
     def expected_motions(self) -> int:
@@ -164,14 +204,7 @@ class Planned(Strategy):
         SolverError when a sample cannot be followed.
         """
         samples = needles(belief, task, history, SAMPLES, effort)
-        aim = Aim(
-            task,
-            history[-1].base_angle_rad,
-            rad(self.largest_overshoot_deg),
-            self._settle_s(task),
-            self.quantile,
-            rad(self.rotation_price_deg),
-        )
+        aim = self._aim(task, history)
         left = min(MOST_AHEAD, self.motions + 1 - len(history))
         likely = likeliest_plans(aim, samples[0], left, effort.part(LIKELY_SHARE))
         if len(history) == 1:
@@ -231,21 +264,29 @@ def _without_snaps(model: NeedleModel) -> NeedleModel:
     Following snaps takes so many solves that a search with them ends far from the best plan: on a needle
     with e = 0.25 it left 2.3° where the kinetic friction's plan left 0.5° and reed2008 0.9°.
     """
-    from needle_rig.physics.effect import Trial
-
-    place, bare = Trial(np.empty(0), np.empty(0)), replace(model, effects=())
-    if not model.rod(place).snaps:
+    if not _snaps(model):
         return model
+    place, bare = Trial(np.empty(0), np.empty(0)), replace(model, effects=())
     return model.without(
         *(e.name() for e in model.effects if bare.with_effects(e).rod(place).static_excess.any())
     )
 
 
 @lru_cache(maxsize=8)
+def _snaps(model: NeedleModel) -> bool:
+    """Whether the model's static friction is above its kinetic friction by so much that the shaft snaps."""
+    return model.rod(Trial(np.empty(0), np.empty(0))).snaps
+
+
+@lru_cache(maxsize=8)
+def _weakens(model: NeedleModel) -> bool:
+    """Whether the friction falls as the shaft begins to slip, so that small causes move it far."""
+    return bool(model.rod(Trial(np.empty(0), np.empty(0))).static_excess.any())
+
+
+@lru_cache(maxsize=8)
 def _takes_time(model: NeedleModel) -> bool:
     """Whether the needle goes on moving while its base stands still."""
-    from needle_rig.physics.effect import Trial
-
     rod = model.rod(Trial(np.empty(0), np.empty(0)))
     creeps = np.isfinite(rod.creep_viscosity_nms_per_rad) & np.isfinite(rod.creep_stiffness_nm_per_rad)
     return bool(creeps.any() or rod.viscous_nms_per_rad.any())
