@@ -15,6 +15,7 @@ from needle_rig.workbench.estimation.baseline import Baseline
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, at_strength
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.selection.evidence import gain_of
 
 EXPECTED_GAIN = 16.0
 """Fall of the objective (4σ) at which an effect is found in most datasets."""
@@ -28,7 +29,7 @@ def smallest_strength(parameters: Sequence[FreeParameter]) -> float:
 
 
 def detection_limit(baseline: Baseline, effect: str, turn: float = 1.0) -> float:
-    """Strength, in typical sizes, at which `effect` would lower the objective by 16 on average.
+    """Strength, in typical sizes, at which `effect` would gain 16 on average.
 
     From readings without noise of the model with the effect: what the current model, all its parameters
     fitted again, cannot take up. Infinite where not even thirty typical sizes show.
@@ -39,7 +40,8 @@ def detection_limit(baseline: Baseline, effect: str, turn: float = 1.0) -> float
 
     def above(log_strength: float) -> float:
         missed = _missed(problem, parent, parameters, at_strength(parameters, math.exp(log_strength), turn))
-        return math.log(max(missed - idle, 1e-6) / EXPECTED_GAIN)
+        gain = 0.0 if missed is None or idle is None else gain_of(missed, idle)
+        return math.log(max(gain, 1e-6) / EXPECTED_GAIN)
 
     low, high = math.log(smallest_strength(parameters)), math.log(smallest_strength(parameters))
     while above(high) < 0:
@@ -55,10 +57,10 @@ def detection_limit(baseline: Baseline, effect: str, turn: float = 1.0) -> float
 
 def _missed(
     problem: Problem, parent: Fit, parameters: Sequence[FreeParameter], scaled_values: Array
-) -> float:
-    """Objective of the current model, fitted to what it would read without noise with an effect in it.
+) -> Fit | None:
+    """The current model, fitted to what it would read without noise with an effect in it.
 
-    0 where the model cannot be solved.
+    None where the model cannot be solved.
     """
     vector = dataclasses.replace(
         parent.vector, scaled_values=np.r_[parent.vector.scaled_values, scaled_values]
@@ -68,7 +70,6 @@ def _missed(
         models = [problem.model((*parent.parameters, *parameters), vector, t) for t in every]
         readings = problem.readings(models, every)
     except (SolverError, BadInput):
-        return 0.0
+        return None
     trials = tuple(dataclasses.replace(b, mean=r) for b, r in zip(problem.trials, readings, strict=True))
-    found = fit(dataclasses.replace(problem, trials=trials), parent.effects, parent.vector)
-    return found.objective if found is not None else 0.0
+    return fit(dataclasses.replace(problem, trials=trials), parent.effects, parent.vector)

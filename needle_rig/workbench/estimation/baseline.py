@@ -149,7 +149,11 @@ def with_noise_at(baseline: Baseline, problem: Problem, found: Fit) -> Baseline:
 
     Itself where that shows no other noise than is known, or cannot be solved under it.
     """
-    noise = _correlated(baseline.dataset, problem, found)
+    return under(baseline, problem, _correlated(baseline.dataset, problem, found))
+
+
+def under(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
+    """The baseline under `noise`; itself where that is `problem`'s own, or cannot be solved under it."""
     if noise is problem.noise:
         return baseline
     try:

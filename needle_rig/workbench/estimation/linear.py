@@ -7,8 +7,9 @@ random effect of each of T trials; q coefficients of nuisances), −2 log poster
 
 with whitened residuals r_t (n,) and design matrix A_t of a trial, the distance d of the parameters from the
 priors' centre, and the priors' precision W (diagonal). Constraints on means of items are linear: δ lies in
-their null space. The random effects are draws about a common level, so tests leave their mean free; the steps
-of a fit constrain it, too (`level`), since it is not identifiable beside the common friction.
+their null space. So does it in that of the differences between the random effects of blocks of one recorded
+trial. The random effects are draws about a common level, so tests leave their mean free; the steps of a fit
+constrain it, too (`level`), since it is not identifiable beside the common friction.
 """
 
 from __future__ import annotations
@@ -94,6 +95,8 @@ class LinearisedFit:
     """Prior precisions (P,); 0 where there is no prior."""
     constrained_means: tuple[Array, ...]
     """Places of the items whose mean is constrained, an array for each such field."""
+    recorded: Places
+    """The place (T,) of each trial's recorded trial: blocks of one have one random effect."""
 
     @classmethod
     def at(
@@ -109,28 +112,25 @@ class LinearisedFit:
 
         The last of p + 1 columns is by the random effect; of p columns the first serves for it, too.
         """
-        p = 2 + len(parameters)
+        p, recorded = 2 + len(parameters), problem.recorded
+        precisions = random_effect_precision / np.bincount(recorded)[recorded]
         trials = tuple(
             TrialTerms(
                 rows,
                 np.column_stack([j[:, :p], j[:, p if j.shape[1] > p else 0], n]),
                 p,
-                random_effect_precision,
+                float(precise),
             )
-            for rows, j, n in zip(residuals, jacobians, problem.nuisance, strict=True)
+            for rows, j, n, precise in zip(residuals, jacobians, problem.nuisance, precisions, strict=True)
         )
         from_centre = x.copy()
         from_centre[0] = 0.0
         from_centre[1] -= float(np.log(problem.base.torsional_rigidity_nm2))
         widths = np.array([a.prior_sd for a in parameters])
-        random_effect, nuisances = (
-            np.full(len(trials), random_effect_precision),
-            np.ones(x.size - p - len(trials)),
-        )
-        precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, random_effect, nuisances]
-        return cls(
-            trials, from_centre, precision, tuple(2 + places for places in constrained_means(parameters))
-        )
+        nuisances = np.ones(x.size - p - len(trials))
+        precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, precisions, nuisances]
+        means = tuple(2 + places for places in constrained_means(parameters))
+        return cls(trials, from_centre, precision, means, recorded)
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit) -> LinearisedFit:
@@ -199,7 +199,20 @@ class LinearisedFit:
         curvature = np.zeros((self.precision.size, self.precision.size))
         for places in (self.random_effects, *self.constrained_means):
             curvature[places[:, None], places] += LEVEL / places.size**2
+        curvature[np.ix_(self.random_effects, self.random_effects)] += LEVEL * self._apart
         return curvature
+
+    @property
+    def _apart(self) -> Array:
+        """Projection (T, T) onto differences between blocks of one recorded trial; 0 without blocks."""
+        alike = self.recorded[:, None] == self.recorded
+        return np.asarray(np.eye(self.recorded.size) - alike / alike.sum(axis=1))
+
+    def constraints(self) -> Array:
+        """Rows (m, P) to which every step is orthogonal."""
+        apart = np.zeros((self.recorded.size, self.precision.size))
+        apart[:, self.random_effects] = self._apart
+        return np.vstack([_means(self.constrained_means, np.ones_like(self.precision)), apart])
 
     @cached_property
     def descent(self) -> Array:
@@ -239,7 +252,7 @@ class LinearisedFit:
         cross = self.curvature[np.ix_(inside, outside)]
         rest = self.curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
         left = self.curvature[np.ix_(inside, inside)] - cross @ np.linalg.solve(rest, cross.T)
-        free = _free([places - 2 for places in self.constrained_means], np.ones(inside.size))
+        free = _free(_means([places - 2 for places in self.constrained_means], np.ones(inside.size)))
         return max(
             1, int((np.linalg.eigvalsh(free.T @ left @ free) > POLICY.evidence.seen_information).sum())
         )
@@ -273,7 +286,7 @@ class LinearisedFit:
         left = whole - sum(self.information[t] for t in group)
         size = np.sqrt(np.diag(left))
         alike = left / np.outer(size, size)
-        free = _free(self.constrained_means, size)
+        free = _free(_means(self.constrained_means, size))
         seen = np.linalg.pinv(free.T @ alike @ free, rcond=UNSEEN, hermitian=True)
         return left, free @ seen @ free.T / np.outer(size, size)
 
@@ -298,9 +311,7 @@ class Projection:
         self._prior_weight = np.sqrt(fit.precision)
         self.size = residuals.size
         self._random_effects = self.size + fit.random_effects
-        matrix = np.vstack([columns, np.diag(self._prior_weight)]) @ _free(
-            fit.constrained_means, np.ones_like(fit.precision)
-        )
+        matrix = np.vstack([columns, np.diag(self._prior_weight)]) @ _free(fit.constraints())
         self._basis, _ = np.linalg.qr(matrix)
         self._random_effect_weight = self._prior_weight[fit.random_effects]
         left = np.r_[residuals, -self._prior_weight * fit.from_centre]
@@ -336,12 +347,14 @@ def prediction_covariance(covariance: Array, random_effect_variance: float, colu
     return np.asarray(shared @ covariance @ shared.T + random_effect_variance * np.outer(last, last))
 
 
-def _free(constrained_means: Sequence[Array], size: Array) -> Array:
-    """Orthonormal directions (m, ≤ m) of m parameters, in units of 1 / `size`, that change no constrained
-    mean."""
-    if not constrained_means:
-        return np.eye(size.size)
+def _means(constrained_means: Sequence[Array], size: Array) -> Array:
+    """Rows (m, n) of the constrained means of n parameters in units of 1 / `size`."""
     rows = np.zeros((len(constrained_means), size.size))
     for row, places in zip(rows, constrained_means, strict=True):
         row[places] = 1.0 / size[places]
-    return np.asarray(null_space(rows))
+    return rows
+
+
+def _free(rows: Array) -> Array:
+    """Orthonormal directions (n, ≤ n) of n parameters that are orthogonal to the rows (m, n)."""
+    return np.asarray(null_space(rows)) if rows.any() else np.eye(rows.shape[1])

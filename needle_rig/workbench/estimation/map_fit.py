@@ -211,14 +211,14 @@ def _finish(
     linear = LinearisedFit.at(
         problem, objective.parameters, x, residuals, jacobians, objective.random_effect_precision(x)
     )
-    trial_friction = x[p : p + trials]
+    recorded, blocks = objective.recorded, objective.blocks
+    random_effects = objective.random_effects(x)
     room = noise.scatter_dof * noise.scatter**2
-    log_det = np.array(
-        [np.log1p(t.random_effect @ t.random_effect * noise.scatter**2) for t in linear.trials]
-    )
-    share = np.log1p((trial_friction**2).sum() / room) * (noise.scatter_dof + trials)
-    part = trial_friction**2 / max((trial_friction**2).sum(), 1e-30)
-    loss = np.array([r @ r for r in residuals]) + log_det + share * part
+    seen = np.bincount(recorded, [t.random_effect @ t.random_effect for t in linear.trials])
+    log_det = np.log1p(seen * noise.scatter**2)
+    share = np.log1p((random_effects**2).sum() / room) * (noise.scatter_dof + random_effects.size)
+    part = random_effects**2 / max((random_effects**2).sum(), 1e-30)
+    loss = np.array([r @ r for r in residuals]) + ((log_det + share * part) / blocks)[recorded]
     return Fit(
         effects=effects,
         parameters=objective.parameters,
@@ -229,7 +229,7 @@ def _finish(
         trial_loss=loss,
         pull_rigidity=float((x[1] - objective.stated) / problem.rigidity_prior),
         scatter=objective.random_effect_precision(x) ** -0.5,
-        scatter_dof=noise.scatter_dof + trials,
+        scatter_dof=noise.scatter_dof + random_effects.size,
         covariance=linear.covariance,
         residuals=tuple(residuals),
         jacobians=tuple(t.columns[:, : p + 1] for t in linear.trials),

@@ -59,6 +59,7 @@ class Objective:
     def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...]) -> None:
         self.problem, self.parameters = problem, parameters
         self.k, self.trials = len(parameters), len(problem.trials)
+        self.recorded, self.blocks = problem.recorded, np.bincount(problem.recorded)
         self.q = problem.nuisance[0].shape[1]
         self.p = 2 + self.k
         self.random_effect_column = self.p if problem.lumps_friction(parameters) else 0
@@ -107,26 +108,35 @@ class Objective:
         ]
         return found if all(np.all(np.isfinite(r)) for r in found) else None
 
+    def random_effects(self, x: Array) -> Array:
+        """Of each recorded trial: the mean of its blocks', which differ by nothing."""
+        return np.asarray(np.bincount(self.recorded, x[self.p : self.p + self.trials]) / self.blocks)
+
     def prior(self, x: Array) -> float:
         """−2 log prior, up to a constant."""
         noise = self.problem.noise
-        trial_friction = x[self.p : self.p + self.trials]
+        random_effects = self.random_effects(x)
+        apart = x[self.p : self.p + self.trials] - random_effects[self.recorded]
         room = noise.scatter_dof * noise.scatter**2
         return float(
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.prior_sd) ** 2).sum()
-            + (noise.scatter_dof + self.trials) * np.log1p((trial_friction**2).sum() / room)
+            + (noise.scatter_dof + random_effects.size) * np.log1p((random_effects**2).sum() / room)
             + LEVEL
-            * (trial_friction.mean() ** 2 + sum(x[places].mean() ** 2 for places in self.constrained_means))
+            * (
+                x[self.p : self.p + self.trials].mean() ** 2
+                + (apart**2).sum()
+                + sum(x[places].mean() ** 2 for places in self.constrained_means)
+            )
             + (x[self.p + self.trials :] ** 2).sum()
         )
 
     def random_effect_precision(self, x: Array) -> float:
         """Precision of the normal prior of the random effects that majorises −2 log of their prior at `x`."""
         noise = self.problem.noise
-        trial_friction = x[self.p : self.p + self.trials]
+        random_effects = self.random_effects(x)
         room = noise.scatter_dof * noise.scatter**2
-        return float((noise.scatter_dof + self.trials) / (room + (trial_friction**2).sum()))
+        return float((noise.scatter_dof + random_effects.size) / (room + (random_effects**2).sum()))
 
     def derivatives(self, x: Array, residuals: list[Array]) -> list[Array] | None:
         """Whitened model derivatives (n, p or p + 1) a trial, None where the model cannot be solved near x.

@@ -6,9 +6,11 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
@@ -22,6 +24,8 @@ from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Noise, Whitener, replicate_groups, whitener
 
 FRICTION_SCALE_N = 1e-3
+
+Places = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,11 @@ class Problem:
     def groups(self) -> list[list[int]]:
         """Trials by command."""
         return replicate_groups([b.command for b in self.trials])
+
+    @cached_property
+    def recorded(self) -> Places:
+        """The place (T,) of each trial's recorded trial: blocks of one have one friction."""
+        return np.unique([b.trial.index for b in self.trials], return_inverse=True)[1]
 
     @property
     def size(self) -> int:

@@ -208,7 +208,8 @@ def expected_power(
     """
     old = problem.with_means(problem.predict(first.parameters, first.vector)).trials
     binned, _ = planned(problem, first, command)
-    joint = problem.over((*old, *([binned] * replicates)))
+    places = [dataclasses.replace(binned.trial, index=binned.trial.index + k) for k in range(replicates)]
+    joint = problem.over((*old, *(dataclasses.replace(binned, trial=place) for place in places)))
     trial_friction = np.r_[second.vector.trial_friction, np.zeros(replicates)]
     rival = fit(joint, second.effects, dataclasses.replace(second.vector, trial_friction=trial_friction))
     truth = fit(

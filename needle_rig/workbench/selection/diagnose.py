@@ -32,7 +32,7 @@ from needle_rig.workbench.selection.residual_patterns import find_residual_patte
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
 from needle_rig.workbench.selection.unknown_starts import from_found_starts
-from needle_rig.workbench.selection.unrepeated import left_to_white, may_wander, note
+from needle_rig.workbench.selection.unrepeated import hum_note, left_to_white, may_wander, note, under_hum
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
@@ -126,6 +126,12 @@ def diagnose(
             fits = (at_noise.problem, names, at_noise.current, at_noise.validation)
             return search(*fits, max_effects=max_effects, work=at, quick=quick, known=start, say=say)
 
+        def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
+            say("looking for what cannot be told apart")
+            apart, rivals = find_rivals(trace, at, seed)
+            say("testing the answer against the discretisation error")
+            return _conclude(of, apart, rivals, dataset.sensor_names)
+
         trace = searched(baseline, known)
         renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
         if renewed is not baseline:
@@ -133,10 +139,16 @@ def diagnose(
             say(f"trying every effect again, under the noise that shows now, {again}")
             known = known and fit(renewed.problem, known.effects, known.vector)
             baseline, trace = renewed, searched(renewed, known)
-        say("looking for what cannot be told apart")
-        trace, rivals = find_rivals(trace, at, seed)
-        say("testing the answer against the discretisation error")
-        found = _conclude(baseline, trace, rivals, dataset.sensor_names)
+        found = concluded(baseline, trace)
+        if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
+            humming = under_hum(baseline, trace.problem, trace.fits[trace.best][0])
+            if humming is not None:
+                say(f"trying every effect again, under hum, {expected(fit_s, at.processes, quick)}")
+                start = known and fit(humming.problem, known.effects, known.vector)
+                anew = concluded(humming, searched(humming, start))
+                if anew.verdict != "unknown":
+                    notes = (hum_note(humming.problem.noise.hum_hz), *anew.notes)
+                    found = dataclasses.replace(anew, notes=notes)
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
 
 

@@ -11,22 +11,35 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 
 
+def gain_of(parent: Fit, child: Fit) -> float:
+    """Fall of −2 log posterior from a parent to its child, as χ² of the directions gained.
+
+    The part that a smaller scatter of the random effects brings counts as in an F test on the trials alone:
+    over a few chance makes a trend, and how much friction scatters is not known before.
+    """
+    gain = max(parent.objective - child.objective, 0.0)
+    freedom = _freedom(parent, child)
+    steadier = 2.0 * parent.scatter_dof * float(np.log(parent.scatter / child.scatter))
+    if steadier > 0.0:
+        left = parent.scatter_dof - POLICY.noise.scatter_dof - 1.0 - freedom
+        ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
+        worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300))) if left > 0 else 0.0
+        gain = max(gain - steadier + min(worth, steadier), 0.0)
+    return gain
+
+
+def _freedom(parent: Fit, child: Fit) -> int:
+    """Directions that a child has over its parent."""
+    return max(1, child.rank - parent.rank)
+
+
 def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
     """Šidák-adjusted p value of the likelihood-ratio test of a child against its parent.
 
-    The part of the gain that a smaller scatter of the random effects brings counts as in an F test: over a
-    few trials chance alone makes a trend. Strengths at the boundary of their range halve p (Chernoff 1954).
+    Strengths at the boundary of their range halve p (Chernoff 1954).
     """
-    gain = max(parent.objective - child.objective, 0.0)
-    freedom = max(1, child.rank - parent.rank)
-    steadier = 2.0 * parent.scatter_dof * float(np.log(parent.scatter / child.scatter))
-    if steadier > 0.0:
-        left = max(1.0, parent.scatter_dof - 1.0 - freedom)
-        ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
-        worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300)))
-        gain = max(gain - steadier + min(worth, steadier), 0.0)
     new = [a for a in child.parameters if a.effect not in parent.effects and not a.info.shapes]
-    p = float(chdtrc(freedom, gain))
+    p = float(chdtrc(_freedom(parent, child), gain_of(parent, child)))
     if all(a.one_sided for a in new):
         p *= 0.5
     return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))

@@ -198,14 +198,14 @@ def _trend(problem: Problem, found: Fit) -> list[Pattern]:
 
     Blocks of one recorded trial have one friction: their mean counts once.
     """
-    indices, recorded = np.unique([b.trial.index for b in problem.trials], return_inverse=True)
+    recorded = problem.recorded
 
     def mean(values: Array | list[float]) -> Array:
         return np.asarray(np.bincount(recorded, values) / np.bincount(recorded))
 
     trial_friction = mean(found.vector.trial_friction)
     along = {
-        "changes with the order of the trials": indices.astype(float),
+        "changes with the order of the trials": mean([float(b.trial.index) for b in problem.trials]),
         "changes with the angle turned before": mean([b.trial.travel_before_rad for b in problem.trials]),
     }
     freedom = trial_friction.size - 2

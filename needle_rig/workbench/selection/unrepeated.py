@@ -1,7 +1,9 @@
-"""What is left where no command was repeated, held against noise that wanders.
+"""What is left where too little was repeated, held against noise that wanders, and against hum.
 
 Settled stretches are short: noise that is correlated over seconds, or hum, is an offset there. Replicates
-tell it from what a model lacks; without them what is left, if noise may wander by as much, can be either.
+tell it from what a model lacks; without them what is left, if noise may wander by as much, can be either. Hum
+has one frequency, and a phase of its own in each trial and channel: what no effect explains, and such a line
+takes down to the noise, is hum.
 """
 
 from __future__ import annotations
@@ -10,8 +12,12 @@ import math
 
 import numpy as np
 
+from needle_rig.workbench.estimation.baseline import Baseline, under
+from needle_rig.workbench.estimation.cross_validation import cross_validate
+from needle_rig.workbench.estimation.discretisation_error import refitted
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.observations.hum import with_hum_left
 from needle_rig.workbench.observations.noise import covariance
 from needle_rig.workbench.policy import POLICY
 
@@ -38,6 +44,28 @@ def left_to_white(problem: Problem, found: Fit) -> float:
 def may_wander(share: float) -> bool:
     """Whether noise that wanders may leave this `left_to_white`."""
     return share <= POLICY.verdict.wandering
+
+
+def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | None:
+    """The baseline under noise with the hum that all trials show beyond `found`; None where they show none,
+    or it leaves more than noise of what `found` foretells."""
+    if problem.noise.hum.any():
+        return None
+    noise = with_hum_left(problem.noise, problem.trials, problem.whiteners, found.residuals)
+    humming = under(baseline, problem, noise)
+    if humming is baseline:
+        return None
+    validation = cross_validate(humming.problem, refitted(humming.problem, found))
+    return humming if validation.error <= POLICY.verdict.reached else None
+
+
+def hum_note(hum_hz: float) -> str:
+    """What was taken for noise, and the experiment that would tell."""
+    return (
+        f"What is left oscillates at {hum_hz:.2g} Hz, with a phase of its own in each trial and channel, and"
+        " no effect explains it: it is taken for noise, hum as the sampling sees it, or what wanders"
+        " about as slowly. Sample faster, or repeat one command three times, to be sure."
+    )
 
 
 def note(share: float) -> str:

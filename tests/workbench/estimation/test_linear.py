@@ -40,7 +40,7 @@ def toy(
     from_centre[P : P + T] -= from_centre[P : P + T].mean()
     for places in constrained:
         from_centre[places] -= from_centre[places].mean()
-    return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(constrained))
+    return LinearisedFit(tuple(trials), from_centre, PRECISION, tuple(constrained), np.arange(T))
 
 
 def dense(

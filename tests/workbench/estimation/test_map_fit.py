@@ -19,6 +19,7 @@ from needle_rig.workbench.estimation.multistart import over_forms
 from needle_rig.workbench.estimation.parameters import free_parameters, make_effects, scaled_values_of
 from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import dataset, effect, few, fit, try_effect
@@ -84,8 +85,10 @@ def test_a_trend_of_friction_over_a_few_trials_is_no_evidence() -> None:
     steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
     assert parent.scatter_dof == 9.0
     assert adjusted_p(parent, seen, 22) < 0.01
-    # t² = (2² - 1) · 7 with 7 degrees of freedom: p = 0.00254, halved for want of a second sign
-    assert adjusted_p(parent, steadier, 22) == pytest.approx(22 * 0.00254 / 2, rel=0.05)
+    # t² = (2² - 1) · 3 with the 3 degrees of freedom of five trials: p = 0.0577, halved for its one sign
+    assert adjusted_p(parent, steadier, 22) == pytest.approx(1.0 - (1.0 - 0.0577 / 2) ** 22, rel=0.01)
+    two = dataclasses.replace(parent, scatter_dof=POLICY.noise.scatter_dof + 2.0)
+    assert adjusted_p(two, dataclasses.replace(two, objective=two.objective - 30.0, scatter=1e-4), 22) > 0.4
 
 
 def test_a_child_is_never_worse_than_its_parent() -> None:

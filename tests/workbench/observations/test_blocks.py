@@ -11,6 +11,8 @@ from needle_rig.physics.effect import Effect
 from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.observations.blocks import BLOCKS, NOTE, in_blocks
+from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
@@ -73,11 +75,16 @@ def test_the_error_left_out_of_one_command_is_a_number_that_tells_a_right_model(
     assert NOTE in baseline.dataset.notes
 
 
-def test_the_blocks_of_a_trial_are_no_trend_of_friction() -> None:
-    """Friction that differs from trial to trial, as it may, does so alike in all blocks of a trial."""
+def test_the_blocks_of_a_trial_have_one_friction_whose_scatter_is_no_trend() -> None:
+    """Three draws may lie along a line, and twelve blocks are three draws."""
     for seed in range(4):
         protocol = Protocol("thrice", (compensation(45.0),) * 3)
         data = simulate_dataset(load_parameters("rig_rigid"), protocol, seed, Noise(friction_scatter=0.05))
         there = fit_baseline(data, None, few("torque_bias"))
         assert len(there.problem.trials) == 3 * BLOCKS
         assert not find_residual_patterns(there.problem, there.current, data.sensor_names).patterns, seed
+        assert there.problem.recorded.tolist() == [0] * BLOCKS + [1] * BLOCKS + [2] * BLOCKS
+        each = there.current.vector.trial_friction.reshape(3, BLOCKS)
+        assert np.ptp(each, axis=1) == pytest.approx(np.zeros(3), abs=0.002)
+        assert there.current.scatter_dof == POLICY.noise.scatter_dof + 3
+        assert diagnose(data, few("friction_wear", "torque_bias")).verdict == "none", seed

@@ -1,4 +1,5 @@
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ from needle_rig.units import nm, rad
 from needle_rig.workbench.observations import hum
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.contrasts import contrasts
-from needle_rig.workbench.observations.hum import with_hum
-from needle_rig.workbench.observations.noise import Noise, measure_noise, oscillation
+from needle_rig.workbench.observations.hum import with_hum, with_hum_left
+from needle_rig.workbench.observations.noise import Noise, measure_noise, oscillation, whitener
 from needle_rig.workbench.observations.replicate_noise import with_correlation
 from needle_rig.workbench.policy import POLICY
 from tests.workbench.hidden import dataset
@@ -77,6 +78,27 @@ def test_without_replicates_nothing_is_learnt(binned: tuple[BinnedTrial, ...], w
     assert with_hum(white, binned, residuals, [[i] for i in range(5)]) is white
 
 
+def test_a_line_in_the_residuals_of_all_trials_is_seen_without_replicates(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    def found(noise: Noise, seed: int, first: int = 0) -> Noise:
+        trials = [dataclasses.replace(b, mean=b.mean.copy()) for b in binned]
+        for b in trials:
+            b.mean[:first] = np.nan
+        each = [whitener(white, b) for b in trials]
+        residuals = [w(r) for w, r in zip(each, drawn(noise, binned, seed), strict=True)]
+        return with_hum_left(white, trials, each, residuals)
+
+    true = humming(white, 0.12, 0.0004)
+    for seed in range(4):
+        seen, alone = found(true, seed), found(true, seed, first=4)
+        assert seen.hum_hz == pytest.approx(HUM_HZ, abs=0.005), seed
+        assert np.all(seen.hum > 0.7 * true.hum), seed
+        assert alone.hum_hz == pytest.approx(HUM_HZ, abs=0.01), seed
+        assert not alone.hum[:4].any(), seed
+        assert found(white, seed) is white, seed
+
+
 def test_bins_average_it(binned: tuple[BinnedTrial, ...]) -> None:
     b = binned[0]
     hz = np.array([0.17, 1.3])
@@ -105,11 +127,12 @@ def test_hum_is_taken_from_odds_of_a_thousand_over_all_frequencies(
         low, high = (low, size) if found(size).hum.any() else (size, high)
     every: list[Array] = [high * q for q in quiet]
     each = [contrasts(white, binned, every, [GROUP], c) for c in range(5)]
-    channels = hum._Channels(white, binned, each)
+    lines = [[partial(hum._Line.of_contrasts, group, binned) for group in channel] for channel in each]
+    channels = hum._Channels(white.white, lines)
     span_s = float(np.median([np.ptp(binned[i].time_s) for i in GROUP]))
-    lines = each[1][0].lower.shape[0] / 2  # that so many bins tell apart
-    assert lines < 5.0 * span_s - 2.0
-    tried_hz = (2.0 + 0.25 * np.arange(4 * lines)) / span_s
+    told = each[1][0].lower.shape[0] / 2  # that so many bins tell apart
+    assert told < 5.0 * span_s - 2.0
+    tried_hz = (2.0 + 0.25 * np.arange(4 * told)) / span_s
     gain = channels.gain(tried_hz).max()
-    assert 2.0 * gain == pytest.approx(chi2.isf(0.001 / lines, 5), rel=0.02)
+    assert 2.0 * gain == pytest.approx(chi2.isf(0.001 / told, 5), rel=0.02)
     assert POLICY.noise.hum_significance == 0.001

@@ -1,4 +1,4 @@
-"""No command was repeated: noise that wanders is not called a missing effect, a missing effect still is."""
+"""No command was repeated: noise that wanders or hums is not called a missing effect, a missing effect is."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.unrepeated import left_to_white
+from needle_rig.workbench.selection.unrepeated import left_to_white, under_hum
 from tests.workbench.hidden import effect, few
 
 WITHOUT = few("torque_bias", "hall_offset", "clock_offset")
@@ -25,7 +25,7 @@ def unrepeated(kind: str, *hidden: Effect, seed: int = 77_001, shape: str = "no 
     return recorded(SHAPES[shape], hidden, kind, SETUPS[1].noise, seed)
 
 
-@pytest.mark.parametrize("kind", ["hum", "wanders over 2 s", "wanders over 10 s"])
+@pytest.mark.parametrize("kind", ["wanders over 2 s", "wanders over 10 s"])
 def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
     found = diagnose(unrepeated(kind), WITHOUT)
     assert found.verdict == "none"
@@ -33,6 +33,32 @@ def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
     if found.held_out_error_before > 1.3:
         assert any("without a repeated command nobody can tell" in note for note in found.notes)
         assert {d.decision for d in found.decisions.values()} == {"cannot_tell"}
+
+
+def test_hum_is_found_by_its_frequency() -> None:
+    found = diagnose(unrepeated("hum"), WITHOUT)
+    problem, _, validation = found.concluded
+    assert found.verdict == "none"
+    assert validation.error < 1.1
+    assert problem.noise.hum_hz == pytest.approx(0.17, abs=0.005)
+    assert "oscillates at 0.17 Hz" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.02),
+        effect("guide_friction", torque_nmm=0.004),
+        effect("hall_eccentricity", sine_deg=0.4),
+        effect("torque_bias", bias_nmm=0.002),
+    ],
+)
+def test_what_an_effect_leaves_is_no_hum(hidden: Effect) -> None:
+    library = few("hall_offset", "clock_offset")
+    data = unrepeated("white", hidden)
+    assert diagnose(data, library).verdict == "unknown"
+    baseline = fit_baseline(data, None, library)
+    assert under_hum(baseline, baseline.problem, baseline.current) is None
 
 
 def test_what_is_missing_and_matters_is_unknown() -> None:
