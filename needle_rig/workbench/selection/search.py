@@ -54,7 +54,8 @@ def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
     """A candidate that was not significant before a nuisance was added, at the new parent's objective."""
     if candidate.fit is None:
         return candidate
-    level = dataclasses.replace(candidate.fit, objective=parent.objective)
+    nuisance = np.append(candidate.fit.nuisance, np.zeros(parent.nuisance.size - candidate.fit.nuisance.size))
+    level = dataclasses.replace(candidate.fit, objective=parent.objective, nuisance=nuisance)
     return Candidate(candidate.effect, level, None, candidate.screening)
 
 
@@ -438,8 +439,10 @@ def _back(trace: SearchTrace, work: Work) -> SearchTrace:
 
 
 def _with_rest(trace: SearchTrace, work: Work, found: Fit, effect: str) -> SearchTrace:
-    """The search with a fit's set refitted without one effect."""
+    """The search with a fit's set refitted without one effect; a fit that was silenced counts for none."""
     names = tuple(e for e in found.effects if e != effect)
-    if frozenset(names) in trace.fits:
+    key = frozenset(names)
+    if key in trace.fits and trace.fits[key][1] is not None:
         return trace
+    trace = dataclasses.replace(trace, fits={k: v for k, v in trace.fits.items() if k != key})
     return trace.keep(*work.run(refit, [(names, without(found, effect))])[0])

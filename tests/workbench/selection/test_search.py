@@ -1,0 +1,53 @@
+"""The bookkeeping of a search: fits that stand for one problem, and what a removed effect is compared with."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from needle_rig.physics.library import find_effects
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.selection.candidates import refit
+from needle_rig.workbench.selection.search import SearchTrace, _back, expand, set_aside
+from tests.workbench.hidden import dataset, few
+
+NAMES = ("chuck_backlash", "hall_offset", "tip_friction", "torque_bias")
+HIDDEN = frozenset({"chuck_backlash"})
+
+
+def aside() -> SearchTrace:
+    """A search that stands at backlash, once a torque bias too small to matter is set aside."""
+    hidden = find_effects()["chuck_backlash"].at_strength(1.0)
+    baseline = fit_baseline(dataset(hidden), None, few(*NAMES))
+    work = Work()
+    work.share(baseline.problem)
+    trace = SearchTrace.begin(baseline.problem, NAMES, baseline.current, baseline.validation)
+    trace = expand(trace, work, trace.start)
+    trace = expand(dataclasses.replace(trace, best=HIDDEN), work, HIDDEN)
+    return set_aside(trace, work, HIDDEN | {"torque_bias"}, "torque_bias")
+
+
+def test_an_effect_set_aside_is_a_nuisance_of_every_fit() -> None:
+    trace = aside()
+    directions = trace.problem.nuisance[0].shape[1]
+    assert directions == 2  # of the discretisation error, and of the bias
+    assert len(trace.fits) > 2
+    for found, _ in trace.fits.values():
+        assert found.nuisance.size == directions
+
+
+def test_what_is_needed_is_not_dropped_for_a_fit_that_was_never_cross_validated() -> None:
+    trace = aside()
+    pair, three = HIDDEN | {"hall_offset"}, HIDDEN | {"hall_offset", "tip_friction"}
+    assert trace.fits[pair][1] is None
+    best, start = trace.fits[pair][0], trace.problem.parameters(sorted(three))
+    vector = dataclasses.replace(
+        best.vector,
+        scaled_values=np.r_[best.vector.scaled_values, np.zeros(len(start) - best.vector.scaled_values.size)],
+    )
+    trace = trace.keep(*refit(trace.problem, ("chuck_backlash", "hall_offset", "tip_friction"), vector))
+    work = Work()
+    work.share(trace.problem)
+    assert _back(dataclasses.replace(trace, best=three), work).best == HIDDEN
