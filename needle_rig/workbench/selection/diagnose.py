@@ -24,6 +24,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide, may_snap
 from needle_rig.workbench.selection.design import best_experiment
+from needle_rig.workbench.selection.duration import START_TIMES, expected, spell
 from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
@@ -36,17 +37,6 @@ from needle_rig.workbench.selection.unrepeated import hum_note, left_to_white, m
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
-SEARCH_TIMES = (8.0, 50.0)
-"""Processor time of a search over that of the first fit: 9 to 46 on the practice sets, on nothing hidden and
-on 20 minutes of recording."""
-QUICK_TIMES = (5.0, 20.0)
-"""The same of a quick one: 9 and 12 on a camera at 10 Hz beside torque at 2 kHz."""
-START_TIMES = (3.0, 60.0)
-"""The same of finding unknown starts: 3 with nothing hidden, 38 where an effect holds the shaft."""
-SHORT_S = 120.0
-"""Up to which a time is told in seconds."""
-LONG_S = 60.0
-"""From which a quick diagnosis is offered."""
 QUICK = (
     "quick: one effect was looked for, each by itself; whether a second is missing, and what else could stand"
     " beside it, was not asked. Without --quick it is."
@@ -116,7 +106,7 @@ def diagnose(
     fit_s = time.monotonic() - begun_s
     with work or Work() as at:
         if any(trial.start != "relaxed" for trial in dataset.trials):
-            told = _spell(fit_s / at.processes, START_TIMES)
+            told = spell(fit_s / at.processes, START_TIMES)
             say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
             baseline, known = from_found_starts(dataset, model, library, baseline, at, quick)
         say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
@@ -150,21 +140,6 @@ def diagnose(
                     notes = (hum_note(humming.problem.noise.hum_hz), *anew.notes)
                     found = dataclasses.replace(anew, notes=notes)
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
-
-
-def expected(fit_s: float, processes: int, quick: bool = False) -> str:
-    """How long a diagnosis will take, in words, by how long the first fit took, and what would take less."""
-    told = _spell(fit_s / processes, QUICK_TIMES if quick else SEARCH_TIMES)
-    if quick or SEARCH_TIMES[1] * fit_s / processes < LONG_S:
-        return told
-    return f"{told} (--quick: {_spell(fit_s / processes, QUICK_TIMES)}, for one effect alone)"
-
-
-def _spell(unit_s: float, times: tuple[float, float]) -> str:
-    low_s, high_s = (each * unit_s for each in times)
-    if high_s < SHORT_S:
-        return f"some {max(low_s, 1.0):.0f} to {max(high_s, 2.0):.0f} s"
-    return f"some {low_s / 60:.1f} to {high_s / 60:.0f} min"
 
 
 def _conclude(

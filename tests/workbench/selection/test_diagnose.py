@@ -16,7 +16,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.candidates import refit
-from needle_rig.workbench.selection.diagnose import diagnose, expected
+from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
 from tests.workbench.hidden import dataset, effect, few, try_effect
@@ -328,21 +328,6 @@ def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() 
     assert known(found.search.fits[found.search.best][1]).error < 1.1
     assert found.verdict == "unknown"
     assert not found.effects
-
-
-@pytest.mark.parametrize(
-    ("fit_s", "processes", "told"),
-    [
-        (0.5, 2, "some 2 to 12 s"),
-        (0.01, 2, "some 1 to 2 s"),
-        (2.39, 2, "some 10 to 60 s"),
-        (2.41, 2, "some 10 to 60 s (--quick: some 6 to 24 s, for one effect alone)"),
-        (9.0, 2, "some 0.6 to 4 min (--quick: some 22 to 90 s, for one effect alone)"),
-    ],
-)
-def test_how_long_it_will_take_is_told_after_the_first_fit(fit_s: float, processes: int, told: str) -> None:
-    assert expected(fit_s, processes) == told
-    assert "--quick" not in expected(fit_s, processes, quick=True)
 
 
 def test_a_quick_diagnosis_names_one_effect_and_says_what_it_left_out() -> None:

@@ -1,4 +1,4 @@
-"""The bookkeeping of a search: fits that stand for one problem, and what a removed effect is compared with."""
+"""A search: its fits stand for one problem, what is dropped is compared, how long it takes is told."""
 
 from __future__ import annotations
 
