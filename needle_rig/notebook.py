@@ -169,6 +169,16 @@ class Diagnosis(Shown):
         """What is missing, when the verdict is `effect`."""
         return self.found.effects
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be known: of the data, of what was taken for noise, of what was not asked."""
+        return self.found.notes
+
+    def _repr_html_(self) -> str:
+        from needle_rig.figures import page
+
+        return super()._repr_html_() + "".join(map(page.paragraph, self.notes))
+
     def headline(self) -> str:
         """The verdict with the error left out, before and after."""
         found = self.found
@@ -384,18 +394,21 @@ def diagnose(
     *,
     effects: Sequence[PathLike] = (),
     max_effects: int = 3,
+    quick: bool = False,
     seed: int = 0,
     jobs: int | None = 1,
 ) -> Diagnosis:
     """Which effect is missing from `model` (default: the null model). Raises BadInput, SolverError.
 
-    `jobs` processes try the effects; None takes one a core. The answer does not depend on it.
+    `quick` looks for one effect alone, in half the time or less; its notes say what it left out. `jobs`
+    processes try the effects; None takes one a core. The answer does not depend on it.
     """
     observed, saved = observations(data), model.saved if model else None
     found = observed.diagnose(
         _library(effects),
         saved.model if saved else None,
         max_effects=max_effects,
+        quick=quick,
         seed=seed,
         work=workers(jobs, None),
     )

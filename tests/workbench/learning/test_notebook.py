@@ -15,6 +15,7 @@ import pytest
 import needle_rig as nr
 from needle_rig.errors import BadInput
 from needle_rig.notebook import Shown
+from tests.workbench.hidden import dataset, effect
 
 ROOT = Path(__file__).parents[3]
 NOTEBOOK = ROOT / "docs/tutorial/circle.ipynb"
@@ -104,3 +105,12 @@ def test_importing_the_package_imports_no_workbench() -> None:
     loaded = "any('workbench' in name or name == 'numpy' for name in sys.modules)"
     code = f"import sys, needle_rig; sys.exit({loaded})"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_quick_diagnosis_says_what_it_left_out() -> None:
+    found = nr.diagnose(
+        dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), quick=True
+    )
+    assert found.effects == ("tissue_elasticity",)
+    assert "whether a second is missing" in found.notes[0]
+    assert found.notes[0] in found._repr_html_()

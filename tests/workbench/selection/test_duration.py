@@ -7,9 +7,9 @@ import pytest
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection import duration
-from needle_rig.workbench.selection.duration import expected
+from needle_rig.workbench.selection.duration import _solution_s, expected
 from needle_rig.workbench.selection.search import search
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, try_effect
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,14 @@ def test_what_is_slow_to_solve_is_told_once(monkeypatch: pytest.MonkeyPatch, tim
     assert all(
         s.startswith("a model with tissue_elasticity takes 5 times as long to solve: some ") for s in said
     )
+
+
+def test_a_solution_that_is_kept_is_timed_anew() -> None:
+    hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
+    baseline = fit_baseline(dataset(hidden), None, few())
+    stiff = try_effect(baseline.problem, baseline.current, "tissue_elasticity").fit
+    times = sorted(
+        _solution_s(baseline.problem, stiff) / _solution_s(baseline.problem, baseline.current)
+        for _ in range(5)
+    )
+    assert 0.5 < times[2] < 2.0
