@@ -17,6 +17,7 @@ from needle_rig.dataset.description import (
     read_description,
     unknown_keys,
 )
+from needle_rig.dataset.notes import gathered
 from needle_rig.dataset.records import Dataset, DatasetTrial, in_series
 from needle_rig.dataset.samples import LeftOut
 from needle_rig.dataset.trial_file import read_trial
@@ -150,6 +151,6 @@ def _read_one(path: Path) -> Dataset:
         sensors,
         needle,
         in_series(tuple(kept)),
-        tuple(notes),
+        gathered(notes),
         simulated=description.simulated,
     )

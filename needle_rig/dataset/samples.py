@@ -17,6 +17,8 @@ from needle_rig.physics.effect import Trial
 
 FEWEST_SAMPLES = 10
 LONGEST_BLIND_S = 0.25
+SLOW_SHARE = 0.5
+"""Of missing samples, from which a channel was read more slowly than the others."""
 """Without the encoder for longer than this, and the base elsewhere afterwards, the path is unknown."""
 AT_REST_DEG = 1.0
 AT_REST_DEG_S = 3.0
@@ -51,7 +53,7 @@ def checked_trial(
     """
     if len(values) > 1.05 * MAX_SAMPLES:
         every = -(-len(values) // MAX_SAMPLES)
-        notes.append(f"{shown}: has {len(values):,} samples; every {every}th is used")
+        notes.append(f"{shown}: has {len(values):,} samples; one in {every} is used")
         values, phase, line = values[::every], phase[::every], line[::every]
     time_s = values[:, 0]
     keep = np.concatenate(([True], np.diff(time_s) > 0.0))
@@ -143,7 +145,12 @@ def _note_gaps(
         missing = np.flatnonzero(~np.isfinite(values[:, k]))
         if missing.size == len(values) and name not in absent:
             notes.append(f"{shown}: {name} is missing in every sample; nothing is compared in this channel")
-        if 0 < missing.size < len(values):
+        if name != "base_angle" and SLOW_SHARE * len(values) < missing.size < len(values):
+            notes.append(
+                f"{shown}: {name} has a reading in one of {round(len(values) / (len(values) - missing.size))}"
+                " samples: compared where it was read"
+            )
+        elif 0 < missing.size < len(values):
             how = "filled along a straight line" if name == "base_angle" else "not compared"
             notes.append(
                 f"{shown}:{int(line[missing[0]])}: {name} is missing in {missing.size} samples; {how}"

@@ -102,7 +102,7 @@ def read_table(path: Path, folder: Path, shown: str, text_column: str, time_stem
             f"{shown}:{header_line}: no rows below the header; record again or leave the trial out"
         )
     if every > 1:
-        notes.append(f"{shown}: has about {about:,} rows; every {every}th is used, {len(used):,} in all")
+        notes.append(f"{shown}: has about {about:,} rows; one in {every} is used, {len(used):,} in all")
     return Table(
         tuple(c for i, c in enumerate(columns) if i != text_at),
         _numbers(used, form),
@@ -196,17 +196,30 @@ def _numbers(used: list[tuple[int, bytes]], form: _Format) -> Array:
     """(rows, columns of numbers); NaN where a field says that there is no value."""
     places = [i for i in range(len(form.columns)) if i != form.text_at]
     try:
-        rows = [row.translate(_COMMA_IS_POINT) if form.comma else row for _, row in used]
+        rows = [
+            _filled(row.translate(_COMMA_IS_POINT) if form.comma else row, form.delimiter) for _, row in used
+        ]
         values = np.loadtxt(rows, delimiter=form.delimiter.decode(), usecols=places, comments=None, ndmin=2)
         if not np.isinf(values).any():
             return values
     except ValueError:
-        pass  # a missing value, quotes or what is no number: field by field
+        pass  # another word for a missing value, quotes or what is no number: field by field
     values = np.empty((len(used), len(places)))
     for i, (line, row) in enumerate(used):
         fields = row.split(form.delimiter)
         values[i] = [_number(fields[place], line, place, form) for place in places]
     return values
+
+
+def _filled(row: bytes, delimiter: bytes) -> bytes:
+    """The row with a word where a field is empty."""
+    empty, named = delimiter + delimiter, delimiter + b"nan" + delimiter
+    whole = row.rstrip(b"\r\n")
+    if whole.startswith(delimiter):
+        whole = b"nan" + whole
+    if whole.endswith(delimiter):
+        whole += b"nan"
+    return whole.replace(empty, named).replace(empty, named)
 
 
 def _number(field: bytes, line: int, place: int, form: _Format) -> float:

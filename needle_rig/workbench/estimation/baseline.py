@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,12 +95,13 @@ def fit_baseline(
     model: NeedleModel | None,
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
+    solved: Callable[[float], None] = lambda _: None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each.
+    alone, whole trials have one friction each. `solved` is told how long one solution of all trials takes, s.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -131,6 +134,9 @@ def fit_baseline(
     )
     names = tuple(effects)
     at = scaled_values_of(problem.parameters(names), current.effects)
+    with suppress(SolverError):
+        start = start_vector(problem, math.log(current.friction_n), problem.parameters(names))
+        solved(problem.solution_s(problem.parameters(names), dataclasses.replace(start, scaled_values=at)))
     first = _first_fit(problem, names, at, current.friction_n if model else None)
     notes = list(_notes(problem))
     if noise.replicates:

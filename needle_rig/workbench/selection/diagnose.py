@@ -38,8 +38,9 @@ from needle_rig.workbench.selection.verdict import Findings, decisions_stand, re
 from needle_rig.workbench.selection.verdict import verdict as judge
 
 QUICK = (
-    "quick: one effect was looked for, each by itself; whether a second is missing, and what else could stand"
-    " beside it, was not asked. Without --quick it is."
+    "quick: one effect was looked for, each by itself, and fitted where a straight line promises more than"
+    " chance; whether a second is missing, and what else could stand beside it, was not asked. Without"
+    " --quick it is."
 )
 
 
@@ -99,17 +100,23 @@ def diagnose(
 
     Raises BadInput when the dataset cannot be used, SolverError when the current model cannot be solved.
     """
-    say("measuring the noise, fitting the current model")
-    begun_s = time.monotonic()
-    baseline = fit_baseline(dataset, model, library)
     known: Fit | None = None
-    fit_s = time.monotonic() - begun_s
     with work or Work() as at:
+        say("measuring the noise")
+        solution_s = 0.0
+
+        def solved(one_s: float) -> None:
+            nonlocal solution_s
+            solution_s = one_s
+            say(f"fitting the current model, trying every effect, {expected(one_s, at.processes, quick)}")
+
+        begun_s = time.monotonic()
+        baseline = fit_baseline(dataset, model, library, solved=solved)
+        fit_s = time.monotonic() - begun_s
         if any(trial.start != "relaxed" for trial in dataset.trials):
             told = spell(fit_s / at.processes, START_TIMES)
             say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
             baseline, known = from_found_starts(dataset, model, library, baseline, at, quick)
-        say(f"trying every effect, {expected(fit_s, at.processes, quick)}")
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
 
         def searched(at_noise: Baseline, start: Fit | None) -> SearchTrace:
@@ -125,7 +132,7 @@ def diagnose(
         trace = searched(baseline, known)
         renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
         if renewed is not baseline:
-            again = expected(fit_s, at.processes, quick)
+            again = expected(solution_s, at.processes, quick)
             say(f"trying every effect again, under the noise that shows now, {again}")
             known = known and fit(renewed.problem, known.effects, known.vector)
             baseline, trace = renewed, searched(renewed, known)
@@ -133,7 +140,7 @@ def diagnose(
         if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
             humming = under_hum(baseline, trace.problem, trace.fits[trace.best][0])
             if humming is not None:
-                say(f"trying every effect again, under hum, {expected(fit_s, at.processes, quick)}")
+                say(f"trying every effect again, under hum, {expected(solution_s, at.processes, quick)}")
                 start = known and fit(humming.problem, known.effects, known.vector)
                 anew = concluded(humming, searched(humming, start))
                 if anew.verdict != "unknown":

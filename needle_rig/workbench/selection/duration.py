@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import time
-
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.estimation.simulator import Simulator
 
-SEARCH_TIMES = (8.0, 50.0)
-"""Processor time of a search over that of the first fit: 9 to 46 on the practice sets, on nothing hidden and
-on 20 minutes of recording."""
-QUICK_TIMES = (5.0, 20.0)
-"""The same of a quick one: 9 and 12 on a camera at 10 Hz beside torque at 2 kHz."""
+SEARCH_TIMES = (2000.0, 9000.0)
+"""Processor time of a diagnosis over that of one solution of all trials: 2100 to 3400 with nothing hidden,
+6200 to 8000 with an effect, in five shapes of experiment of 1.5 to 15 minutes."""
+QUICK_TIMES = (400.0, 3200.0)
+"""The same of a quick one: 610 to 1300 with nothing hidden, 420 to 3100 with an effect."""
 START_TIMES = (3.0, 60.0)
-"""The same of finding unknown starts: 3 with nothing hidden, 38 where an effect holds the shaft."""
+"""Processor time of finding unknown starts over that of the first fit: 3 with nothing hidden, 38 where an
+effect holds the shaft."""
 MORE_TIMES = (0.3, 1.5)
 """What follows the first step of a search, over that step times the ratio of solutions' times: 0.7 where
 `stribeck` is found, whose solution takes twenty times as long as that of the model without."""
-TIMINGS = 3
-"""Of which the shortest counts: others hold what else the machine did."""
 SLOWER = 2.0
 """Ratio of solutions' times from which it is told: below it the first telling stands."""
 SHORT_S = 120.0
@@ -30,18 +24,20 @@ LONG_S = 60.0
 """From which a quick diagnosis is offered."""
 
 
-def expected(fit_s: float, processes: int, quick: bool = False) -> str:
-    """How long a diagnosis will take, by how long the first fit took, and what would take less."""
-    told = spell(fit_s / processes, QUICK_TIMES if quick else SEARCH_TIMES)
-    if quick or SEARCH_TIMES[1] * fit_s / processes < LONG_S:
+def expected(solution_s: float, processes: int, quick: bool = False) -> str:
+    """How long a diagnosis will take, by how long one solution of all trials takes, and what would take
+    less."""
+    told = spell(solution_s / processes, QUICK_TIMES if quick else SEARCH_TIMES)
+    if quick or SEARCH_TIMES[1] * solution_s / processes < LONG_S:
         return told
-    return f"{told} (--quick: {spell(fit_s / processes, QUICK_TIMES)}, for one effect alone)"
+    return f"{told} (--quick: {spell(solution_s / processes, QUICK_TIMES)}, for one effect alone)"
 
 
 def slower(problem: Problem, found: Fit, root: Fit, step_s: float) -> str:
     """What a search that has found more says after its first step of `step_s`; "" where it goes on as
     fast."""
-    times = _solution_s(problem, found) / max(_solution_s(problem, root), 1e-9)
+    mine, other = (problem.solution_s(fit.parameters, fit.vector) for fit in (found, root))
+    times = mine / max(other, 1e-9)
     if times < SLOWER:
         return ""
     names = [e for e in found.effects if e not in root.effects]
@@ -57,15 +53,3 @@ def spell(unit_s: float, times: tuple[float, float]) -> str:
     if high_s < SHORT_S:
         return f"some {max(low_s, 1.0):.0f} to {max(high_s, 2.0):.0f} s"
     return f"some {low_s / 60:.1f} to {high_s / 60:.0f} min"
-
-
-def _solution_s(problem: Problem, found: Fit) -> float:
-    shortest_s = math.inf
-    for _ in range(TIMINGS):
-        unsolved = dataclasses.replace(
-            problem, simulator=Simulator()
-        )  # the search's own keeps what it solved
-        begun_s = time.monotonic()
-        unsolved.predict(found.parameters, found.vector)
-        shortest_s = min(shortest_s, time.monotonic() - begun_s)
-    return shortest_s

@@ -163,7 +163,8 @@ def search(
 ) -> SearchTrace:
     """Search among `names` on top of `root`, until nothing more passes or more would be named.
 
-    `quick` ends with the best single effect that is large enough to matter; `known` is a fit to the same
+    `quick` ends with the best single effect that is large enough to matter, and fits those alone of which
+    screening promises more than chance; `known` is a fit to the same
     problem with one effect more than `root`, in a valley that this one's signature may not lead to.
     """
     work.share(problem)
@@ -172,8 +173,8 @@ def search(
         trace = trace.keep(known, cross_validate(problem, known))
     frontier = [trace.start]
     if quick:
-        trace, options = _forward(trace, work, frontier)
-        best = next((key for key in options if trace.named(key)), trace.start)
+        trace = expand(trace, work, trace.start, POLICY.search.promising)
+        best = next((key for key in _passing(trace) if trace.named(key)), trace.start)
         trace = _over_friction(trace, work, best)
         return dataclasses.replace(trace, best=best).stepped("forward")
     begun_s = time.monotonic()
@@ -386,9 +387,14 @@ def _forward(
     for key in frontier[1:]:
         needed = trace.fits[key][0].objective - min(fitted, default=np.inf)
         trace = expand(trace, work, key, asked_beside(needed))
+    return trace, _passing(trace)
+
+
+def _passing(trace: SearchTrace) -> list[EffectSet]:
+    """The sets with one effect more that pass, best first."""
     size = len(trace.best) + 1
     options = [k for k in trace.fits if len(k) == size and trace.start <= k and trace.passes(trace.best, k)]
-    return trace, sorted(options, key=trace.by_score)
+    return sorted(options, key=trace.by_score)
 
 
 def _chosen(trace: SearchTrace, options: Sequence[EffectSet]) -> EffectSet:

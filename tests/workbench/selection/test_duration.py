@@ -1,37 +1,53 @@
-"""How long a diagnosis takes is told from the first fit, and again where what was found is slow to solve."""
+"""How long a diagnosis takes is told at the beginning, and again where what was found is slow to solve."""
 
 from __future__ import annotations
 
 import pytest
 
+from needle_rig.workbench.estimation import baseline as baseline_module
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
-from needle_rig.workbench.selection import duration
-from needle_rig.workbench.selection.duration import _solution_s, expected
+from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.duration import expected
 from needle_rig.workbench.selection.search import search
 from tests.workbench.hidden import dataset, effect, few, try_effect
 
 
 @pytest.mark.parametrize(
-    ("fit_s", "processes", "told"),
+    ("solution_s", "processes", "told"),
     [
-        (0.5, 2, "some 2 to 12 s"),
-        (0.01, 2, "some 1 to 2 s"),
-        (2.39, 2, "some 10 to 60 s"),
-        (2.41, 2, "some 10 to 60 s (--quick: some 6 to 24 s, for one effect alone)"),
-        (9.0, 2, "some 0.6 to 4 min (--quick: some 22 to 90 s, for one effect alone)"),
+        (0.0028, 1, "some 6 to 25 s"),
+        (0.00001, 2, "some 1 to 2 s"),
+        (0.0132, 2, "some 13 to 59 s"),
+        (0.0134, 2, "some 13 to 60 s (--quick: some 3 to 21 s, for one effect alone)"),
+        (0.18, 2, "some 3.0 to 14 min (--quick: some 0.6 to 5 min, for one effect alone)"),
     ],
 )
-def test_how_long_it_will_take_is_told_after_the_first_fit(fit_s: float, processes: int, told: str) -> None:
-    assert expected(fit_s, processes) == told
-    assert "--quick" not in expected(fit_s, processes, quick=True)
+def test_how_long_it_will_take_is_told_at_the_beginning(solution_s: float, processes: int, told: str) -> None:
+    assert expected(solution_s, processes) == told
+    assert "--quick" not in expected(solution_s, processes, quick=True)
+
+
+def test_it_is_told_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Told(Exception):
+        pass
+
+    def fitted(*_: object) -> None:
+        raise Told
+
+    said: list[str] = []
+    monkeypatch.setattr(baseline_module, "_first_fit", fitted)
+    with pytest.raises(Told):
+        diagnose(dataset(), few(), say=said.append)
+    assert said[-1].startswith("fitting the current model, trying every effect, some ")
 
 
 @pytest.mark.parametrize(("times", "told"), [(1.9, 0), (5.0, 1)])
 def test_what_is_slow_to_solve_is_told_once(monkeypatch: pytest.MonkeyPatch, times: float, told: int) -> None:
     hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
     baseline = fit_baseline(dataset(hidden), None, few())
-    monkeypatch.setattr(duration, "_solution_s", lambda _, found: times if found.effects else 1.0)
+    monkeypatch.setattr(Problem, "solution_s", lambda _, added, __: times if added else 1.0)
     said: list[str] = []
     fits = (baseline.problem, tuple(few()), baseline.current, baseline.validation)
     search(*fits, max_effects=3, work=Work(), say=said.append)
@@ -45,8 +61,9 @@ def test_a_solution_that_is_kept_is_timed_anew() -> None:
     hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
     baseline = fit_baseline(dataset(hidden), None, few())
     stiff = try_effect(baseline.problem, baseline.current, "tissue_elasticity").fit
+    problem, root = baseline.problem, baseline.current
     times = sorted(
-        _solution_s(baseline.problem, stiff) / _solution_s(baseline.problem, baseline.current)
+        problem.solution_s(stiff.parameters, stiff.vector) / problem.solution_s(root.parameters, root.vector)
         for _ in range(5)
     )
     assert 0.5 < times[2] < 2.0
