@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +18,9 @@ from needle_rig.workbench.estimation.discretisation_error import refitted, with_
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
-from needle_rig.workbench.observations.binning import bin_trial
+from needle_rig.workbench.observations.binning import bin_trial, driven_by_samples
 from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.earlier_path import with_known_paths
 from needle_rig.workbench.observations.noise import Noise, measure_noise
@@ -44,6 +42,10 @@ OUTLIERS, OUTLIER_SHARE = 3, 0.0005
 """Outliers of a channel that are not worth a note: so many, or this share of its samples."""
 SMALLEST_RIGIDITY_SIGMA = 1e-4
 """Relative prior standard deviation of a rigidity that is stated as exact."""
+
+
+Solved = Callable[[float, float], None]
+"""Told how long one solution of all trials takes, s: driven by a few points a motion, and by every sample."""
 
 
 @dataclass(frozen=True)
@@ -95,13 +97,13 @@ def fit_baseline(
     model: NeedleModel | None,
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
-    solved: Callable[[float], None] = lambda _: None,
+    solved: Solved = lambda *_: None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each. `solved` is told how long one solution of all trials takes, s.
+    alone, whole trials have one friction each. `solved` is told how long a solution takes.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -134,10 +136,14 @@ def fit_baseline(
     )
     names = tuple(effects)
     at = scaled_values_of(problem.parameters(names), current.effects)
-    with suppress(SolverError):
-        start = start_vector(problem, math.log(current.friction_n), problem.parameters(names))
-        solved(problem.solution_s(problem.parameters(names), dataclasses.replace(start, scaled_values=at)))
-    first = _first_fit(problem, names, at, current.friction_n if model else None)
+
+    def rated(vector: ParameterVector) -> None:
+        driven = map(driven_by_samples, problem.trials, dataset.trials)
+        whole = dataclasses.replace(problem, trials=tuple(driven))
+        parameters = problem.parameters(names)
+        solved(problem.solution_s(parameters, vector), whole.solution_s(parameters, vector))
+
+    first = _first_fit(problem, names, at, current.friction_n if model else None, rated)
     notes = list(_notes(problem))
     if noise.replicates:
         noise = with_motion_scatter(
@@ -203,7 +209,13 @@ def _correlated(dataset: Dataset, problem: Problem, found: Fit) -> Noise:
     return with_correlation(problem.noise, problem.trials, _left(problem, found), problem.groups)
 
 
-def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: float | None) -> Fit:
+def _first_fit(
+    problem: Problem,
+    names: tuple[str, ...],
+    at: Array,
+    friction_n: float | None,
+    tell_rated: Callable[[ParameterVector], None],
+) -> Fit:
     """The current model's best fit from several levels of friction."""
     levels = tuple(problem.base.torque_scale * level for level in FRICTIONS_N)
     if friction_n is not None:
@@ -221,6 +233,8 @@ def _first_fit(problem: Problem, names: tuple[str, ...], at: Array, friction_n: 
             continue
         rated.append((sum(float(r @ r) for r in residuals), level, vector))
     rated.sort(key=lambda r: r[0])
+    if rated:
+        tell_rated(rated[0][2])
     for _, _, vector in rated[:FIRST_FITS]:
         found = fit(problem, names, vector)
         if found is not None and (best is None or found.objective < best.objective):

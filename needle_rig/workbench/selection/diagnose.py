@@ -103,21 +103,22 @@ def diagnose(
     known: Fit | None = None
     with work or Work() as at:
         say("measuring the noise")
-        solution_s = 0.0
 
-        def solved(one_s: float) -> None:
-            nonlocal solution_s
-            solution_s = one_s
-            say(f"fitting the current model, trying every effect, {expected(one_s, at.processes, quick)}")
+        def solved(least_s: float, most_s: float) -> None:
+            told = expected((least_s, most_s), at.processes, quick)
+            say(f"fitting the current model, trying every effect, {told}")
 
         begun_s = time.monotonic()
         baseline = fit_baseline(dataset, model, library, solved=solved)
         fit_s = time.monotonic() - begun_s
         if any(trial.start != "relaxed" for trial in dataset.trials):
-            told = spell(fit_s / at.processes, START_TIMES)
+            told = spell((START_TIMES[0] * fit_s / at.processes, START_TIMES[1] * fit_s / at.processes))
             say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
             baseline, known = from_found_starts(dataset, model, library, baseline, at, quick)
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
+        solution_s = baseline.problem.solution_s(baseline.current.parameters, baseline.current.vector)
+        left = expected((solution_s, solution_s), at.processes, quick)
+        say(f"trying every effect, {left}")
 
         def searched(at_noise: Baseline, start: Fit | None) -> SearchTrace:
             fits = (at_noise.problem, names, at_noise.current, at_noise.validation)
@@ -132,15 +133,14 @@ def diagnose(
         trace = searched(baseline, known)
         renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
         if renewed is not baseline:
-            again = expected(solution_s, at.processes, quick)
-            say(f"trying every effect again, under the noise that shows now, {again}")
+            say(f"trying every effect again, under the noise that shows now, {left}")
             known = known and fit(renewed.problem, known.effects, known.vector)
             baseline, trace = renewed, searched(renewed, known)
         found = concluded(baseline, trace)
         if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
             humming = under_hum(baseline, trace.problem, trace.fits[trace.best][0])
             if humming is not None:
-                say(f"trying every effect again, under hum, {expected(solution_s, at.processes, quick)}")
+                say(f"trying every effect again, under hum, {left}")
                 start = known and fit(humming.problem, known.effects, known.vector)
                 anew = concluded(humming, searched(humming, start))
                 if anew.verdict != "unknown":

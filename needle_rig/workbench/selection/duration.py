@@ -24,13 +24,18 @@ LONG_S = 60.0
 """From which a quick diagnosis is offered."""
 
 
-def expected(solution_s: float, processes: int, quick: bool = False) -> str:
-    """How long a diagnosis will take, by how long one solution of all trials takes, and what would take
-    less."""
-    told = spell(solution_s / processes, QUICK_TIMES if quick else SEARCH_TIMES)
-    if quick or SEARCH_TIMES[1] * solution_s / processes < LONG_S:
-        return told
-    return f"{told} (--quick: {spell(solution_s / processes, QUICK_TIMES)}, for one effect alone)"
+def expected(solution_s: tuple[float, float], processes: int, quick: bool = False) -> str:
+    """How long a diagnosis will take, and what would take less.
+
+    By how long one solution of all trials takes at least and at most.
+    """
+    whole, fast = (
+        spell((low * solution_s[0] / processes, high * solution_s[1] / processes))
+        for low, high in (SEARCH_TIMES, QUICK_TIMES)
+    )
+    if quick or SEARCH_TIMES[1] * solution_s[1] / processes < LONG_S:
+        return fast if quick else whole
+    return f"{whole} (--quick: {fast}, for one effect alone)"
 
 
 def slower(problem: Problem, found: Fit, root: Fit, step_s: float) -> str:
@@ -43,13 +48,14 @@ def slower(problem: Problem, found: Fit, root: Fit, step_s: float) -> str:
     names = [e for e in found.effects if e not in root.effects]
     return (
         f"a model with {' and '.join(names)} takes {times:.0f} times as long to solve:"
-        f" {spell(times * step_s, MORE_TIMES)} more"
+        f" {spell((MORE_TIMES[0] * times * step_s, MORE_TIMES[1] * times * step_s))} more"
     )
 
 
-def spell(unit_s: float, times: tuple[float, float]) -> str:
-    """From the lower to the higher multiple of a time."""
-    low_s, high_s = (each * unit_s for each in times)
+def spell(between_s: tuple[float, float]) -> str:
+    """From the shorter to the longer time."""
+    low_s, high_s = between_s
     if high_s < SHORT_S:
         return f"some {max(low_s, 1.0):.0f} to {max(high_s, 2.0):.0f} s"
-    return f"some {low_s / 60:.1f} to {high_s / 60:.0f} min"
+    low = f"{max(low_s, 1.0):.0f} s" if low_s < LONG_S else f"{low_s / 60:.1f}"
+    return f"some {low} to {high_s / 60:.0f} min"

@@ -21,12 +21,14 @@ from tests.workbench.hidden import dataset, effect, few, try_effect
         (0.00001, 2, "some 1 to 2 s"),
         (0.0132, 2, "some 13 to 59 s"),
         (0.0134, 2, "some 13 to 60 s (--quick: some 3 to 21 s, for one effect alone)"),
-        (0.18, 2, "some 3.0 to 14 min (--quick: some 0.6 to 5 min, for one effect alone)"),
+        (0.18, 2, "some 3.0 to 14 min (--quick: some 36 s to 5 min, for one effect alone)"),
     ],
 )
 def test_how_long_it_will_take_is_told_at_the_beginning(solution_s: float, processes: int, told: str) -> None:
-    assert expected(solution_s, processes) == told
-    assert "--quick" not in expected(solution_s, processes, quick=True)
+    assert expected((solution_s, solution_s), processes) == told
+    assert "--quick" not in expected((solution_s, solution_s), processes, quick=True)
+    slow = expected((solution_s, 12.0 * solution_s), processes)
+    assert slow.split(" to ")[1] != told.split(" to ")[1] or told == "some 1 to 2 s"
 
 
 def test_it_is_told_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,7 +39,7 @@ def test_it_is_told_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -
         raise Told
 
     said: list[str] = []
-    monkeypatch.setattr(baseline_module, "_first_fit", fitted)
+    monkeypatch.setattr(baseline_module, "fit", fitted)
     with pytest.raises(Told):
         diagnose(dataset(), few(), say=said.append)
     assert said[-1].startswith("fitting the current model, trying every effect, some ")
