@@ -154,13 +154,14 @@ def _conclude(
 ) -> Diagnosis:
     root, root_validation = search.root, search.root_validation
     named = search.named(search.best)
-    contrived = _contrived(search, named)
-    if contrived:
-        named = []
+    not_named = _contrived(search, named)
     gain = max(0.0, root.objective - search.fits[search.best][0].objective)
     problem, best, validation = search.problem, root, root_validation
-    if named:
+    if named and not not_named:
         problem, best, validation = as_baseline(baseline, problem, *search.fits[search.best])
+        not_named = _of_no_use(named, root_validation.error, validation.error)
+    if not_named:
+        named, problem, best, validation = [], search.problem, root, root_validation
     left = find_residual_patterns(problem, best, sensors)
     explained_fraction = gain / (gain + left.gain) if gain + left.gain > 0 else 1.0
     if not named:
@@ -213,7 +214,7 @@ def _conclude(
                 if verdict == "unknown" and named
                 else []
             ),
-            *contrived,
+            *not_named,
         ),
         baseline=baseline,
         search=search,
@@ -231,6 +232,17 @@ def _contrived(search: SearchTrace, named: list[str]) -> list[str]:
     return [
         f"{', '.join(named[:-1])} and {named[-1]} together come near the data, but only with values outside"
         f" what is plausible ({said}): they describe what is missing, they are not named for it."
+    ]
+
+
+def _of_no_use(named: list[str], before: float, after: float) -> list[str]:
+    """What to say of effects that pass, but foretell commands left out no better where the noise is reached
+    without."""
+    if before > POLICY.verdict.reached or after < before:
+        return []
+    return [
+        f"{' and '.join(named)} gains more than chance where it was fitted and foretells commands left out no"
+        f" better ({before:.3f} → {after:.3f} × the noise, which is reached without): not named."
     ]
 
 

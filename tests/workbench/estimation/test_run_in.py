@@ -167,7 +167,7 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts() -> None:
         trials[place] = begun_late(trials[place], "overshoot", "wound")
     said: list[str] = []
     found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few(), say=said.append)
-    assert re.search(r"unknown starts .*, some .* (s|min), before a search", said[1])
+    assert re.search(r"unknown starts .*, some .* (s|min), before a search", said[2])
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
     assert found.held_out_error_after < 1.1

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -355,3 +356,22 @@ def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
     assert (found.verdict, found.effects) == ("effect", ("clock_offset",))
     assert any("again, under the noise that shows now" in each for each in said)
     assert found.baseline.problem.noise.correlated.min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (1.02, 1.03, True),
+        (1.02, 1.02, True),
+        (1.02, 0.99, False),
+        (1.3, 1.31, False),
+        (math.inf, math.inf, False),
+    ],
+)
+def test_what_foretells_commands_left_out_no_better_is_not_named(
+    before: float, after: float, said: bool
+) -> None:
+    """Where the noise is reached without it; far from the noise the verdict has rules of its own."""
+    notes = diagnose_module._of_no_use(["hall_gain"], before, after)
+    assert bool(notes) == said
+    assert all("hall_gain gains more than chance" in note and "not named" in note for note in notes)
