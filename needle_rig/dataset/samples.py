@@ -16,9 +16,9 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 
 FEWEST_SAMPLES = 10
+MOST_MISSING = 0.5
+"""Share of missing samples from which a channel was read more slowly than the others."""
 LONGEST_BLIND_S = 0.25
-SLOW_SHARE = 0.5
-"""Of missing samples, from which a channel was read more slowly than the others."""
 """Without the encoder for longer than this, and the base elsewhere afterwards, the path is unknown."""
 AT_REST_DEG = 1.0
 AT_REST_DEG_S = 3.0
@@ -145,7 +145,7 @@ def _note_gaps(
         missing = np.flatnonzero(~np.isfinite(values[:, k]))
         if missing.size == len(values) and name not in absent:
             notes.append(f"{shown}: {name} is missing in every sample; nothing is compared in this channel")
-        if name != "base_angle" and SLOW_SHARE * len(values) < missing.size < len(values):
+        if name != "base_angle" and is_slow(np.isfinite(values[:, k])):
             notes.append(
                 f"{shown}: {name} has a reading in one of {round(len(values) / (len(values) - missing.size))}"
                 " samples: compared where it was read"
@@ -161,6 +161,11 @@ def _note_gaps(
         notes.append(
             f"{shown}:{int(line[wide[0]])}: {wide.size} gaps in time, the longest {steps[wide].max():.2f} s"
         )
+
+
+def is_slow(valid: npt.NDArray[np.bool_]) -> bool:
+    """Whether a channel has samples in few of the rows (M,): beside a faster one, it was read more slowly."""
+    return bool(valid.any() and valid.mean() < MOST_MISSING)
 
 
 def _tip_torque(

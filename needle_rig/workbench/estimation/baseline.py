@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,7 +98,7 @@ def fit_baseline(
     model: NeedleModel | None,
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
-    solved: Solved = lambda *_: None,
+    solved: Solved | None = None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
@@ -138,10 +139,13 @@ def fit_baseline(
     at = scaled_values_of(problem.parameters(names), current.effects)
 
     def rated(vector: ParameterVector) -> None:
+        if solved is None:
+            return
         driven = map(driven_by_samples, problem.trials, dataset.trials)
         whole = dataclasses.replace(problem, trials=tuple(driven))
         parameters = problem.parameters(names)
-        solved(problem.solution_s(parameters, vector), whole.solution_s(parameters, vector))
+        with suppress(SolverError):  # the fit says so itself, if it cannot be solved there
+            solved(problem.solution_s(parameters, vector), whole.solution_s(parameters, vector))
 
     first = _first_fit(problem, names, at, current.friction_n if model else None, rated)
     notes = list(_notes(problem))
@@ -161,10 +165,10 @@ def with_noise_at(baseline: Baseline, problem: Problem, found: Fit) -> Baseline:
 
     Itself where that shows no other noise than is known, or cannot be solved under it.
     """
-    return under(baseline, problem, _correlated(baseline.dataset, problem, found))
+    return under_noise(baseline, problem, _correlated(baseline.dataset, problem, found))
 
 
-def under(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
+def under_noise(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
     """The baseline under `noise`; itself where that is `problem`'s own, or cannot be solved under it."""
     if noise is problem.noise:
         return baseline

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
@@ -22,13 +21,11 @@ from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Noise, Whitener, replicate_groups, whitener
+from needle_rig.workbench.observations.noise import Noise, Places, Whitener, replicate_groups, whitener
 
 FRICTION_SCALE_N = 1e-3
 TIMINGS = 3
 """Of which the shortest counts: others hold what else the machine did."""
-
-Places = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

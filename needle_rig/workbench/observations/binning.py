@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array
 
 from needle_rig.dataset import DatasetTrial
+from needle_rig.dataset.samples import is_slow
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.units import rad
@@ -135,11 +136,6 @@ def _reversals(path_rad: Array) -> list[int]:
 def direction_of(move_rad: Array) -> Array:
     """Sign of motions by this much, 0 for one that is too small to have a direction."""
     return np.asarray(np.sign(move_rad) * (np.abs(move_rad) > POLICY.noise.smallest_motion_rad))
-
-
-def is_slow(valid: npt.NDArray[np.bool_]) -> bool:
-    """Whether a channel has samples in few of the rows (M,): beside a faster one, it was read more slowly."""
-    return bool(valid.any() and valid.mean() < MOST_MISSING)
 
 
 def set_aside(values: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:

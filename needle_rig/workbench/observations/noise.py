@@ -17,12 +17,12 @@ from scipy.optimize import nnls
 from scipy.stats import chi2
 
 from needle_rig.dataset import DatasetTrial
+from needle_rig.dataset.samples import is_slow
 from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import (
     BinnedTrial,
     channels,
-    is_slow,
     motions_of,
     set_aside,
 )

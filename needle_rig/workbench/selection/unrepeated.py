@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from needle_rig.workbench.estimation.baseline import Baseline, under
+from needle_rig.workbench.estimation.baseline import Baseline, under_noise
 from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.discretisation_error import refitted
 from needle_rig.workbench.estimation.map_fit import Fit
@@ -52,7 +52,7 @@ def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | No
     if problem.noise.hum.any():
         return None
     noise = with_hum_left(problem.noise, problem.trials, problem.whiteners, found.residuals)
-    humming = under(baseline, problem, noise)
+    humming = under_noise(baseline, problem, noise)
     if humming is baseline:
         return None
     validation = cross_validate(humming.problem, refitted(humming.problem, found))

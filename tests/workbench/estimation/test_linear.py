@@ -1,5 +1,6 @@
 """The algebra of the linearised fit against one dense stacked matrix, on three trials."""
 
+import dataclasses
 from collections.abc import Collection
 
 import numpy as np
@@ -200,3 +201,16 @@ def test_of_trials_with_friction_of_one_kind_the_mean_makes_no_new_direction() -
     mean[0], mean[P : P + T] = 1.0, -1.0
     assert np.linalg.norm(linear.columns @ mean) < 1e-9
     assert mean @ linear.curvature @ mean == pytest.approx(400.0 * T)
+
+
+def test_blocks_of_one_recorded_trial_move_alike() -> None:
+    apart, alike = toy(), dataclasses.replace(toy(), recorded=np.r_[0, np.arange(T - 1)])
+    ends = [
+        np.linalg.solve(linear.curvature + linear.level, linear.descent) + linear.from_centre
+        for linear in (apart, alike)
+    ]
+    free, tied = (abs(float(after[P] - after[P + 1])) for after in ends)
+    assert tied < 0.02 * free  # the constraint is a spring of LEVEL beside the data's curvature
+    difference = alike.columns[:, P] - alike.columns[:, P + 1]
+    left = [float(np.linalg.norm(linear.projection(difference))) for linear in (apart, alike)]
+    assert left[1] > 1.5 * left[0]

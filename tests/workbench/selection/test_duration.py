@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from needle_rig.physics.solver import solve_batch
 from needle_rig.workbench.estimation import baseline as baseline_module
+from needle_rig.workbench.estimation import simulator
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.duration import expected
 from needle_rig.workbench.selection.search import search
-from tests.workbench.hidden import dataset, effect, few, try_effect
+from tests.workbench.hidden import dataset, effect, few
 
 
 @pytest.mark.parametrize(
@@ -27,8 +31,6 @@ from tests.workbench.hidden import dataset, effect, few, try_effect
 def test_how_long_it_will_take_is_told_at_the_beginning(solution_s: float, processes: int, told: str) -> None:
     assert expected((solution_s, solution_s), processes) == told
     assert "--quick" not in expected((solution_s, solution_s), processes, quick=True)
-    slow = expected((solution_s, 12.0 * solution_s), processes)
-    assert slow.split(" to ")[1] != told.split(" to ")[1] or told == "some 1 to 2 s"
 
 
 def test_it_is_told_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,6 +47,10 @@ def test_it_is_told_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -
     assert said[-1].startswith("fitting the current model, trying every effect, some ")
 
 
+def test_it_is_told_between_both_kinds_of_solution() -> None:
+    assert expected((0.015, 0.18), 2, quick=True) == "some 3 s to 5 min"
+
+
 @pytest.mark.parametrize(("times", "told"), [(1.9, 0), (5.0, 1)])
 def test_what_is_slow_to_solve_is_told_once(monkeypatch: pytest.MonkeyPatch, times: float, told: int) -> None:
     hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
@@ -59,13 +65,15 @@ def test_what_is_slow_to_solve_is_told_once(monkeypatch: pytest.MonkeyPatch, tim
     )
 
 
-def test_a_solution_that_is_kept_is_timed_anew() -> None:
-    hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
-    baseline = fit_baseline(dataset(hidden), None, few())
-    stiff = try_effect(baseline.problem, baseline.current, "tissue_elasticity").fit
+def test_a_solution_that_is_kept_is_timed_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    baseline = fit_baseline(dataset(), None, few())
+    solved: list[int] = []
+
+    def counted(rods: Any, *given: Any, **settings: Any) -> Any:
+        solved.append(len(rods))
+        return solve_batch(rods, *given, **settings)
+
+    monkeypatch.setattr(simulator, "solve_batch", counted)
     problem, root = baseline.problem, baseline.current
-    times = sorted(
-        problem.solution_s(stiff.parameters, stiff.vector) / problem.solution_s(root.parameters, root.vector)
-        for _ in range(5)
-    )
-    assert 0.5 < times[2] < 2.0
+    assert problem.solution_s(root.parameters, root.vector) > 0.0
+    assert solved == [len(problem.trials)] * 3
