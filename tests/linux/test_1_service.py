@@ -185,7 +185,7 @@ def test_a_stop_in_mid_run_ends_the_run_in_order(rig: Rig) -> None:
 def test_a_rig_file_that_cannot_be_used_is_told_and_not_tried_again(rig: Rig) -> None:
     good = RIG_FILE.read_text()
     shell("systemctl stop needle-rig")
-    RIG_FILE.write_text(good.replace("tick_hz: 100", "tick_hz: fast"))
+    RIG_FILE.write_text(good.replace("tick_hz: 50", "tick_hz: fast"))
     try:
         shell("systemctl start needle-rig", check=False)
         until(lambda: "failed" in shell("systemctl is-failed needle-rig", check=False).stdout, "it fails")
