@@ -16,8 +16,8 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 
 FEWEST_SAMPLES = 10
-MOST_MISSING = 0.5
-"""Share of missing samples from which a channel was read more slowly than the others."""
+SLOW_SHARE = 0.5
+"""Share of the rows with a reading, below which a channel was read more slowly than the others."""
 LONGEST_BLIND_S = 0.25
 """Without the encoder for longer than this, and the base elsewhere afterwards, the path is unknown."""
 AT_REST_DEG = 1.0
@@ -165,7 +165,7 @@ def _note_gaps(
 
 def is_slow(valid: npt.NDArray[np.bool_]) -> bool:
     """Whether a channel has samples in few of the rows (M,): beside a faster one, it was read more slowly."""
-    return bool(valid.any() and valid.mean() < MOST_MISSING)
+    return bool(valid.any() and valid.mean() < SLOW_SHARE)
 
 
 def _tip_torque(

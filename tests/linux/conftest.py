@@ -193,8 +193,8 @@ def installed(users: None) -> None:
     """The service as one command sets it up, with limits that one busy emulated core can keep.
 
     The tick and the rig have real-time priority: together they leave the core, also a slow one, to the
-    kernel's worker that delivers what comes to a terminal. At 100 and 200 Hz a slow one left it none, and the
-    Hall link was silent for a second at a time, until the kernel held both of them back.
+    kernel's worker that delivers what comes to a terminal. At 100 and 200 Hz the Hall link was silent for a
+    second at a time on a slow one, as if until the kernel held both of them back.
     """
     if BOOT_MARK.exists():
         return

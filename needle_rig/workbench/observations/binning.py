@@ -41,9 +41,8 @@ ALLOWANCE = 1.3
 """Factor on the limit of outliers, as the spread is that of one channel of one trial. Chosen."""
 SAME_TIME_S = 1e-9
 """Points of the grid closer than this are one."""
-MOST_MISSING = 0.5
-"""Share of the rows below which a channel was read more slowly than another, and of a bin's samples below
-which the others do not stand for what is missing."""
+LEAST_OF_A_BIN = 0.5
+"""Share of a bin's samples below which they do not stand for those that are missing."""
 BRIDGED = NEIGHBOURS // 2
 """Missing samples in a row that their neighbours stand for. Across a longer gap the base may begin to turn:
 in the bins that it touches data and model are averaged at the samples that are there."""
@@ -233,7 +232,7 @@ def _with_gap(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) ->
     np.add.at(depth, ends[long], -1)
     gone = np.cumsum(depth[:-1]) > 0
     bins = int(of_sample[-1]) + 1
-    most = np.bincount(of_sample, valid, bins) < MOST_MISSING * np.bincount(of_sample, minlength=bins)
+    most = np.bincount(of_sample, valid, bins) < LEAST_OF_A_BIN * np.bincount(of_sample, minlength=bins)
     return np.asarray(most | (np.bincount(of_sample, gone, bins) > 0))
 
 
