@@ -47,8 +47,8 @@ Task = tuple[tuple[str, ...], ParameterVector]
 class Holder:
     """An effect with the starts that it holds."""
 
-    shaft: NeedleModel
-    """With which the starts were found."""
+    at: ParameterVector
+    """Of the effects, with which the starts were found."""
     fit: Fit
     error: float
     """On commands left out, in units of the noise; on those fitted where there is one alone."""
@@ -85,7 +85,8 @@ def from_found_starts(
     best = min(holders, key=lambda h: h.error, default=None)
     if best is None or best.error >= least:
         return baseline, None
-    renewed = fit_baseline(dataset, model, library, lambda given: judged(given, best.shaft))
+    shaft = problem.model(problem.parameters(best.fit.effects), best.at)
+    renewed = fit_baseline(dataset, model, library, lambda given: judged(given, shaft))
     return renewed, over_strength(renewed.problem, best.fit.effects, best.fit.vector)
 
 
@@ -109,7 +110,7 @@ def held(
         if found is None:
             break
         error = _error(cross_validate(here, found).error, found, here)
-        last, best = best, Holder(shaft, found, error) if best is None or error < best.error else best
+        last, best = best, Holder(vector, found, error) if best is None or error < best.error else best
         if error > below or (last is not None and error > BETTER * last.error):
             break
         vector = found.vector

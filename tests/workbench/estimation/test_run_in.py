@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,13 +10,15 @@ import pytest
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.dataset.records import Start
 from needle_rig.model import load_parameters
+from needle_rig.physics import effects as built_in
+from needle_rig.physics.library import load_effect
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
 from needle_rig.workbench.estimation.baseline import fit_baseline, judged
 from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.observations.earlier_path import PHASE
-from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.parallel import Processes, Work
 from needle_rig.workbench.selection import unknown_starts
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
@@ -190,3 +193,18 @@ def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
         assert from_found_starts(data, None, library, baseline, Work(), quick) == (baseline, None)
         assert len(asked[: unknown_starts.MOST_PROMISING]) >= 1
         assert set(asked[unknown_starts.MOST_PROMISING :]) == rest
+
+
+def test_a_users_effect_that_holds_the_shaft_is_found_in_processes_of_their_own(tmp_path: Path) -> None:
+    given = (Path(built_in.__path__[0]) / "tissue_elasticity.py").read_text()
+    (tmp_path / "my_elasticity.py").write_text(given)
+    effects = {"my_elasticity": load_effect(tmp_path / "my_elasticity.py")}
+    whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
+    late = begun_late(whole.trials[2], "overshoot", "wound")
+    data = dataclasses.replace(whole, trials=(*whole.trials[:2], late))
+    baseline = fit_baseline(data, None, effects)
+    with Processes(2) as work:
+        found, known = from_found_starts(data, None, effects, baseline, work, quick=True)
+    assert known is not None
+    assert known.effects == ("my_elasticity",)
+    assert known.chi2 < 1.3 * found.problem.size
