@@ -105,6 +105,8 @@ class DatasetTrial:
     start_change: Array | None = None
     """What an unknown start changes of the readings, (changes, channels, samples), torque first: independent
     standard deviations."""
+    start_found: bool = False
+    """Whether what is compared depends on the start that was found for it; not after a run-in."""
 
     @property
     def torque_ok(self) -> Mask:

@@ -114,9 +114,12 @@ def test_wound_up_cable_forgets_a_reversal_exponentially() -> None:
 
 def test_a_ripple_is_of_the_angle_alone() -> None:
     base_rad = 0.8 * np.sin(4.0 * math.pi * TIME_S)
-    rippled = CABLE.with_effects(made("gear_ripple", sine_deg=0.2, cosine_deg=-0.1, per_turn=14.0))
+    first = {"sine_deg": 0.2, "cosine_deg": -0.1, "per_turn": 14.0}
+    second = {"second_sine_deg": -0.05, "second_cosine_deg": 0.08, "second_per_turn": 31.0}
+    rippled = CABLE.with_effects(made("gear_ripple", **first, **second))
     left_deg = np.degrees(rippled.predict(Trial(TIME_S, base_rad)).hall_rad[:, 0] - base_rad)
     expected = 0.2 * np.sin(14.0 * base_rad) - 0.1 * np.cos(14.0 * base_rad)
+    expected += -0.05 * np.sin(31.0 * base_rad) + 0.08 * np.cos(31.0 * base_rad)
     assert left_deg == pytest.approx(expected, abs=1e-6)
 
 

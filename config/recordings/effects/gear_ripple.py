@@ -1,6 +1,7 @@
 """Teeth or windings between the tip and its encoder carry it unevenly.
 
-Law: m = θ + s sin nθ + c cos nθ, n times a turn.
+Law: m = θ + s sin nθ + c cos nθ + s₂ sin n₂θ + c₂ cos n₂θ, n and n₂ times a turn: two stages, or one whose
+teeth or windings do not repeat as a sine.
 
 Source: transmission error of gears repeats with their teeth: e.g. Smith, "Gear noise and vibration" (2003).
 
@@ -42,10 +43,39 @@ class GearRipple(Effect):
     per_turn: float = parameter(
         off=0.0,
         lower=6.0,
-        upper=40.0,
+        upper=20.0,
         typical=12.0,
         smallest=1.0,
-        literature=(6.0, 40.0),
+        literature=(6.0, 20.0),
+        unit="1",
+        shapes=True,
+    )
+
+    second_sine_deg: float = parameter(
+        off=0.0,
+        lower=-2.0,
+        upper=2.0,
+        typical=0.1,
+        smallest=0.05,
+        literature=(-0.5, 0.5),
+        unit="°",
+    )
+    second_cosine_deg: float = parameter(
+        off=0.0,
+        lower=-2.0,
+        upper=2.0,
+        typical=0.1,
+        smallest=0.05,
+        literature=(-0.5, 0.5),
+        unit="°",
+    )
+    second_per_turn: float = parameter(
+        off=0.0,
+        lower=20.0,
+        upper=60.0,
+        typical=24.0,
+        smallest=1.0,
+        literature=(20.0, 60.0),
         unit="1",
         shapes=True,
     )
@@ -53,6 +83,11 @@ class GearRipple(Effect):
     def observe(self, reading: Reading) -> Reading:
         """Add the ripple to the column of the last sensor."""
         hall_rad = reading.hall_rad.copy()
-        phase = self.per_turn * hall_rad[:, -1]
-        hall_rad[:, -1] += rad(self.sine_deg) * np.sin(phase) + rad(self.cosine_deg) * np.cos(phase)
+        angle_rad = hall_rad[:, -1].copy()
+        for sine_deg, cosine_deg, per_turn in (
+            (self.sine_deg, self.cosine_deg, self.per_turn),
+            (self.second_sine_deg, self.second_cosine_deg, self.second_per_turn),
+        ):
+            phase = per_turn * angle_rad
+            hall_rad[:, -1] += rad(sine_deg) * np.sin(phase) + rad(cosine_deg) * np.cos(phase)
         return replace(reading, hall_rad=hall_rad)

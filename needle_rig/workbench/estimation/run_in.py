@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.dataset.records import Start
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import build_rod
@@ -52,13 +53,13 @@ REVERSALS, SHRINK = 20, 0.8
 """Turns to and fro that relax a shaft, the last a hundredth of the first; the slower they shrink, the less is
 left."""
 WORDS = {
-    "wound": "begins with an unknown twist",
-    "zeroed": "begins with an unknown twist, from which torque and angles are counted",
+    "wound": "an unknown twist",
+    "zeroed": "an unknown twist, from which torque and angles are counted",
 }
 
 
 def after_run_in(dataset: Dataset, model: NeedleModel, *, friction_known: bool) -> Dataset:
-    """The dataset; trials with an unknown start as far as they can be judged, each with a sentence.
+    """The dataset; trials with an unknown start as far as they can be judged, with notes.
 
     The path of such a trial gets turns before it that wind the shaft as it was found to be. `model` has the
     dataset's geometry; its friction is guessed where it is not known. Raises SolverError, BadInput.
@@ -69,14 +70,20 @@ def after_run_in(dataset: Dataset, model: NeedleModel, *, friction_known: bool) 
     rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
     noise = measure_noise(rests, [bin_trial(t) for t in rests], dataset.torque_scale)
     shaft = _shaft_of(dataset, noise, model, friction_known)
-    trials, notes = [], []
+    trials: list[DatasetTrial] = []
+    notes: list[str] = []
+    run_ins: dict[Start, list[_RunIn]] = {}
     for given in dataset.trials:
         if given.start == "relaxed":
             trials.append(given)
             continue
-        trial, note = shaft.judged(given)
+        trial, found = shaft.judged(given)
         trials.append(trial)
-        notes.append(note)
+        if isinstance(found, _RunIn):
+            run_ins.setdefault(given.start, []).append(found)
+        else:
+            notes.append(found)
+    notes += [_note(start, each) for start, each in run_ins.items()]
     return dataclasses.replace(dataset, trials=tuple(trials), notes=(*dataset.notes, *notes))
 
 
@@ -86,6 +93,41 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     relaxed_rad = base_rad - turn_rad
     ends = [relaxed_rad + 2.0 * lag_rad * (-SHRINK) ** k for k in range(REVERSALS)]
     return with_path_before(trial, [*ends, relaxed_rad])
+
+
+@dataclass(frozen=True)
+class _RunIn:
+    """What is judged of a trial after its run-in."""
+
+    file: str
+    share: float
+    """Of its readings."""
+    since_s: Mapping[str, float]
+    """By channel; inf where none is judged."""
+
+
+def _note(start: Start, run_ins: Sequence[_RunIn]) -> str:
+    """What trials that are judged after a run-in have left."""
+    first, *others = run_ins
+    whose = f"{first.file} begins" if not others else f"{first.file} and {len(others)} more begin"
+    share = _from_to([100.0 * r.share for r in run_ins], "{:.0f}", "%")
+    since = []
+    for name in first.since_s:
+        at_s = [r.since_s[name] for r in run_ins if name in r.since_s]
+        told = [each for each in at_s if math.isfinite(each)]
+        if told:
+            since.append(f"{name} from {_from_to(told, '{:.3g}', ' s')}")
+        if len(told) < len(at_s):
+            since.append(f"{name} never" + (f" in {len(at_s) - len(told)}" if told else ""))
+    return (
+        f"{whose} with {WORDS[start]}; after a run-in {share} of the readings do not depend on that and are"
+        f" judged: {', '.join(since)}"
+    )
+
+
+def _from_to(values: Sequence[float], spelt: str, unit: str) -> str:
+    low, high = (spelt.format(end) for end in (min(values), max(values)))
+    return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"
 
 
 def _shaft_of(dataset: Dataset, noise: Noise, given: NeedleModel, friction_known: bool) -> _Shaft:
@@ -145,8 +187,8 @@ class _Shaft:
         )
         return float(found.x) if found.fun < least else best_rad
 
-    def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, str]:
-        """The trial without readings that depend on its start, or with these uncertain; and what was done."""
+    def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, _RunIn | str]:
+        """The trial without readings that depend on its start, or with these uncertain and what was done."""
         turn_rad = self._finer(given)
         trial = wound(given, turn_rad, self.lag_rad)
         binned = bin_trial(trial)
@@ -177,9 +219,9 @@ class _Shaft:
         trial = dataclasses.replace(trial, start_change=changed)
         if share < POLICY.noise.start_free_share:
             limit = f"{POLICY.noise.start_free_share:.0%}"
-            return trial, (
-                f"{given.file}: {WORDS[given.start]}; {share:.0%} of the readings do not depend on it, too"
-                f" few for a run-in (limit {limit}): the start is fitted as a turn of"
+            return dataclasses.replace(trial, start_found=True), (
+                f"{given.file} begins with {WORDS[given.start]}; {share:.0%} of the readings do not depend on"
+                f" it, too few for a run-in (limit {limit}): the start is fitted as a turn of"
                 f" {deg(turn_rad):.0f}° from a relaxed shaft, and what another start would change counts as"
                 " uncertainty"
             )
@@ -188,8 +230,9 @@ class _Shaft:
             trial,
             torque_nm=np.where(keep[0], trial.torque_nm, np.nan),
             hall_rad=np.where(keep[1:].T, trial.hall_rad, np.nan),
+            start_found=given.start == "zeroed",
         )
-        return trial, f"{given.file}: {WORDS[given.start]}; {self._run_in(binned, free, known, share)}"
+        return trial, self._run_in(given.file, binned, free & known, known, share)
 
     def _recorded(self, given: DatasetTrial, turns_rad: Sequence[float], harder: float) -> Array:
         """Means of the recorded bins (turns, C, K) from each start, of a shaft that is held `harder`."""
@@ -200,17 +243,19 @@ class _Shaft:
         return np.array([r[:, b.time_s >= begin_s] for r, b in zip(readings, starts, strict=True)])
 
     def _run_in(
-        self, binned: BinnedTrial, free: npt.NDArray[np.bool_], known: npt.NDArray[np.bool_], share: float
-    ) -> str:
-        since = []
-        for name, is_free, is_known in zip(("torque", *self.sensor_names), free, known, strict=True):
-            judged = np.flatnonzero(is_free & is_known)
-            if judged.size:
-                since.append(f"{name} from {binned.time_s[judged[0]]:.3g} s")
-            elif is_known.any():
-                since.append(f"{name} never")
-        first = ", ".join(since)
-        return f"after a run-in {share:.0%} of the readings do not depend on that and are judged: {first}"
+        self,
+        file: str,
+        binned: BinnedTrial,
+        judged: npt.NDArray[np.bool_],
+        known: npt.NDArray[np.bool_],
+        share: float,
+    ) -> _RunIn:
+        since_s = {
+            name: float(binned.time_s[of_channel].min(initial=np.inf))
+            for name, of_channel, measured in zip(("torque", *self.sensor_names), judged, known, strict=True)
+            if measured.any()
+        }
+        return _RunIn(file, share, since_s)
 
     def _from(self, given: DatasetTrial, turn_rad: float) -> BinnedTrial:
         """In bins, with `turn_rad` before it; what is counted from the start may be off by any lag."""

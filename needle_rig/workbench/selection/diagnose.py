@@ -111,7 +111,7 @@ def diagnose(
         begun_s = time.monotonic()
         baseline = fit_baseline(dataset, model, library, solved=solved)
         fit_s = time.monotonic() - begun_s
-        if any(trial.start != "relaxed" for trial in dataset.trials):
+        if any(trial.start_found for trial in baseline.dataset.trials):
             told = spell((START_TIMES[0] * fit_s / at.processes, START_TIMES[1] * fit_s / at.processes))
             say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
             baseline, known = from_found_starts(dataset, model, library, baseline, at, quick)

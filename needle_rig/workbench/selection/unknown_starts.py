@@ -51,7 +51,7 @@ class Holder:
     """Of the effects, with which the starts were found."""
     fit: Fit
     error: float
-    """On commands left out, in units of the noise; on those fitted where there is one alone."""
+    """On commands left out, on those fitted where there is one alone; see `_error`."""
 
 
 def from_found_starts(
@@ -70,7 +70,7 @@ def from_found_starts(
     """
     problem, current = baseline.problem, baseline.current
     others = sorted(set(library) - set(current.effects))
-    least = _error(baseline.validation.error, current, problem)
+    least = _error(baseline.validation.error, current, problem, problem)
     work.share(problem)
     ahead = work.run(screen, [(current, name) for name in others])
     ahead = sorted((s for s in ahead if s.starts and s.gain > 0.0), key=lambda s: -s.gain)
@@ -109,7 +109,7 @@ def held(
             break
         if found is None:
             break
-        error = _error(cross_validate(here, found).error, found, here)
+        error = _error(cross_validate(here, found).error, found, here, problem)
         last, best = best, Holder(vector, found, error) if best is None or error < best.error else best
         if error > below or (last is not None and error > BETTER * last.error):
             break
@@ -128,5 +128,17 @@ def _typical(problem: Problem, current: Fit, name: str) -> list[Task]:
     return [_start(problem, current, name, way) for way in either_way(problem.parameters([name]), 1.0)]
 
 
-def _error(held_out: float, found: Fit, problem: Problem) -> float:
-    return held_out if math.isfinite(held_out) else math.sqrt(found.chi2 / problem.size)
+def _error(held_out: float, found: Fit, here: Problem, first: Problem) -> float:
+    """Root mean square of what is left, in the noise of `first`.
+
+    In that of `here`, which what other starts would change is part of, times the ratio of the two noises'
+    geometric means: its logarithm is, up to a constant, −log of the predictive density a value. The error in
+    its own noise alone would prefer starts that leave more uncertain.
+    """
+    in_own = held_out if math.isfinite(held_out) else math.sqrt(found.chi2 / here.size)
+    return in_own * math.exp(_log_noise(here) - _log_noise(first))
+
+
+def _log_noise(problem: Problem) -> float:
+    """Logarithm of the noise, mean of all values."""
+    return sum(w.log_det for w in problem.whiteners) / (2.0 * problem.size)

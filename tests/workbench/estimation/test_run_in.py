@@ -82,9 +82,12 @@ def test_readings_that_depend_on_the_start_are_left_out(wide: Dataset, wide_begu
         assert judged_hall[-50:].all()
     assert found.trials[2] is wide_begun_late.trials[2]
     said = [note for note in found.notes if "run-in" in note]
-    assert len(said) == 2
-    assert "torque from" in said[0]
-    assert "hall_4 from" in said[0]
+    assert len(said) == 1
+    whose, *_, judged_from = said[0].split("; ")
+    assert whose == "trials/01.csv and 1 more begin with an unknown twist"
+    assert "torque from" in judged_from
+    assert "hall_4 from" in judged_from
+    assert not any(t.start_found for t in found.trials)
 
 
 def test_the_friction_found_after_a_run_in_is_that_of_relaxed_starts(
@@ -208,3 +211,10 @@ def test_a_users_effect_that_holds_the_shaft_is_found_in_processes_of_their_own(
     assert known is not None
     assert known.effects == ("my_elasticity",)
     assert known.chi2 < 1.3 * found.problem.size
+
+
+def test_after_a_run_in_no_starts_are_looked_for(wide_begun_late: Dataset) -> None:
+    said: list[str] = []
+    found = diagnose(wide_begun_late, few("torque_bias"), quick=True, say=said.append)
+    assert found.verdict == "none"
+    assert not any("unknown starts" in line for line in said)
