@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,7 +32,7 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.unknown_starts import from_found_starts
+from needle_rig.workbench.selection.unknown_starts import from_found_starts, own_start_error
 from needle_rig.workbench.selection.unrepeated import hum_note, left_to_white, may_wander, note, under_hum
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
@@ -128,7 +128,11 @@ def diagnose(
             say("looking for what cannot be told apart")
             apart, rivals = find_rivals(trace, at, seed)
             say("testing the answer against the discretisation error")
-            return _conclude(of, apart, rivals, dataset.sensor_names)
+
+            def from_own(fitted: Fit) -> float:
+                return own_start_error(dataset, of.problem, fitted) if known is not None else 0.0
+
+            return _conclude(of, apart, rivals, dataset.sensor_names, from_own)
 
         trace = searched(baseline, known)
         renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
@@ -150,7 +154,11 @@ def diagnose(
 
 
 def _conclude(
-    baseline: Baseline, search: SearchTrace, rivals: dict[str, list[Rival]], sensors: tuple[str, ...]
+    baseline: Baseline,
+    search: SearchTrace,
+    rivals: dict[str, list[Rival]],
+    sensors: tuple[str, ...],
+    from_own: Callable[[Fit], float],
 ) -> Diagnosis:
     root, root_validation = search.root, search.root_validation
     named = search.named(search.best)
@@ -173,7 +181,16 @@ def _conclude(
     share = left_to_white(problem, best)
     why = reasons(
         Findings(
-            tuple(named), left, lack, explained_fraction, validation.error, seen, scale, fitted_error, share
+            tuple(named),
+            left,
+            lack,
+            explained_fraction,
+            validation.error,
+            seen,
+            scale,
+            fitted_error,
+            share,
+            from_own(best) if named else 0.0,
         )
     )
     verdict = judge(named, why)

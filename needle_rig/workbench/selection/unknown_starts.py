@@ -90,6 +90,15 @@ def from_found_starts(
     return renewed, over_strength(renewed.problem, best.fit.effects, best.fit.vector)
 
 
+def own_start_error(dataset: Dataset, problem: Problem, found: Fit) -> float:
+    """Error of a fit's effects from the starts that they find themselves, in the noise of `problem`.
+
+    Infinite where the model cannot be solved there.
+    """
+    own = held((dataset, problem), found.effects, found.vector, 0.0)
+    return math.inf if own is None else own.error
+
+
 def held(
     shared: tuple[Dataset, Problem], names: tuple[str, ...], vector: ParameterVector, below: float
 ) -> Holder | None:

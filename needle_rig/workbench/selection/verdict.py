@@ -33,6 +33,8 @@ class Findings:
     """Root mean square of what is left in the trials that were fitted, in units of the noise."""
     left_to_white: float = math.inf
     """`unrepeated.left_to_white`."""
+    own_start_error: float = 0.0
+    """`unknown_starts.own_start_error` of what is named; 0 where all starts are known."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,19 @@ def stick_slip(found: Findings) -> str | None:
     )
 
 
+def starts_of_another(found: Findings) -> str | None:
+    """Unknown starts were found with an effect that is not named, and what is named does not explain the data
+    from the starts that it finds itself."""
+    limit = POLICY.verdict.reached
+    if not found.named or not above_noise(found.own_start_error, limit):
+        return None
+    return (
+        f"{' and '.join(found.named)} meets the noise from starts that were found with another effect alone;"
+        f" from its own the error on commands left out is {found.own_start_error:.2f} × the noise, more than"
+        f" {limit:g}"
+    )
+
+
 def replicates_agree_on_more(found: Findings) -> str | None:
     """Replicates share a misfit that matters, and no effect is named for it."""
     lack = found.lack
@@ -129,6 +144,7 @@ RULES: tuple[Callable[[Findings], str | None], ...] = (
     noise_not_reached,
     replicates_agree_on_more,
     stick_slip,
+    starts_of_another,
 )
 """Each gives a sentence, or None where it finds nothing unexplained. Their names stand in the JSON answer."""
 

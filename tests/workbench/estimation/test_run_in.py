@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from needle_rig.workbench.parallel import Processes, Work
 from needle_rig.workbench.selection import unknown_starts
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
-from needle_rig.workbench.selection.unknown_starts import from_found_starts
+from needle_rig.workbench.selection.unknown_starts import from_found_starts, own_start_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
 
@@ -166,13 +167,30 @@ def test_friction_at_the_tip_is_not_taken_for_less_wound_starts(start: Start) ->
     assert found.held_out_error_after < 1.1
 
 
-def test_an_effect_is_named_at_its_size_beside_wound_starts() -> None:
+def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
     trials = list(whole.trials)
     for place in (2, 4):
         trials[place] = begun_late(trials[place], "overshoot", "wound")
     said: list[str] = []
-    found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few(), say=said.append)
+    data = dataclasses.replace(whole, trials=tuple(trials))
+    own: list[float] = []
+
+    def from_own(*given: Any) -> float:
+        own.append(own_start_error(*given))
+        return own[-1] + other
+
+    monkeypatch.setattr("needle_rig.workbench.selection.diagnose.own_start_error", from_own)
+    other = 1.0
+    found = diagnose(data, few(), quick=True)
+    assert found.verdict == "unknown"
+    assert [r.rule for r in found.reasons] == ["starts_of_another"]
+    other = 0.0
+    found = diagnose(data, few(), say=said.append)
+    assert own[0] == pytest.approx(own[-1], rel=0.01)
+    assert own[-1] < 1.1
     assert re.search(r"unknown starts .*, some .* (s|min), before a search", said[2])
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
