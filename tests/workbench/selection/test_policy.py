@@ -419,8 +419,11 @@ def test_more_than_two_effects_are_named_with_plausible_values_only(
         scaled_values=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in parameters])
     )
     found = fit(parameters=parameters, vector=vector, scaled_errors=np.ones(len(parameters)))
-    trace: Any = SimpleNamespace(best=frozenset(names), fits={frozenset(names): (found, None)})
-    assert bool(_contrived(trace, names)) is described_only
+    validations: Any = [SimpleNamespace(error=error) for error in (9.0, 2.5)]
+    fits = {frozenset(names): (found, validations[1])}
+    trace: Any = SimpleNamespace(best=frozenset(names), fits=fits, root_validation=validations[0])
+    said = _contrived(trace, names)
+    assert ["9 → 2.5 × the noise" in each for each in said] == [True] * described_only
 
 
 @pytest.mark.parametrize(("freedom", "testable"), [(0.35, False), (0.7, True)])
