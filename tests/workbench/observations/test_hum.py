@@ -99,6 +99,20 @@ def test_a_line_in_the_residuals_of_all_trials_is_seen_without_replicates(
         assert found(white, seed) is white, seed
 
 
+@pytest.mark.parametrize(("periods", "told"), [(2.5, False), (3.1, True)])
+def test_residuals_tell_a_line_from_what_wanders_from_three_periods_on(
+    binned: tuple[BinnedTrial, ...], white: Noise, periods: float, told: bool
+) -> None:
+    hz = periods / float(np.median([np.ptp(b.time_s) for b in binned]))
+    each = [whitener(white, b) for b in binned]
+    residuals = []
+    for b, whiten, way in zip(binned, each, (1.0, -1.0, 1.0, -1.0, 0.5), strict=True):
+        wave = oscillation(b, np.arange(b.time_s.size), np.array([hz]))[:, 0, 0]
+        residuals.append(whiten(np.outer(2.0 * way * white.white, wave)))
+    found = with_hum_left(white, binned, each, residuals)
+    assert (found.hum_hz == pytest.approx(hz, rel=0.04)) is told
+
+
 def test_bins_average_it(binned: tuple[BinnedTrial, ...]) -> None:
     b = binned[0]
     hz = np.array([0.17, 1.3])
