@@ -23,7 +23,7 @@ from needle_rig.workbench.parallel import Processes, Work
 from needle_rig.workbench.selection import unknown_starts
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
-from needle_rig.workbench.selection.unknown_starts import from_found_starts, own_start_error
+from needle_rig.workbench.selection.unknown_starts import _error, from_found_starts, own_start_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
 
@@ -236,3 +236,15 @@ def test_after_a_run_in_no_starts_are_looked_for(wide_begun_late: Dataset) -> No
     found = diagnose(wide_begun_late, few("torque_bias"), quick=True, say=said.append)
     assert found.verdict == "none"
     assert not any("unknown starts" in line for line in said)
+
+
+def test_starts_that_leave_twice_as_much_uncertain_must_leave_half_as_much_of_it(wide: Dataset) -> None:
+    baseline = fit_baseline(wide, None, few("torque_bias"))
+    problem, noise = baseline.problem, baseline.problem.noise
+    parts = ("white", "correlated", "offset", "motion", "jitter_s", "hum")
+    twice = problem.with_noise(dataclasses.replace(noise, **{p: 2.0 * getattr(noise, p) for p in parts}))
+    found = baseline.current
+    assert _error(0.5, found, problem, problem) == pytest.approx(0.5)
+    assert _error(0.5, found, twice, problem) == pytest.approx(1.0, rel=1e-6)
+    # one command alone: what is left of the trials that were fitted
+    assert _error(np.inf, found, problem, problem) == pytest.approx(np.sqrt(found.chi2 / problem.size))
