@@ -16,69 +16,37 @@ from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.units import rad
 
 
+def _amplitude_deg() -> float:
+    return parameter(
+        off=0.0, lower=-2.0, upper=2.0, typical=0.1, smallest=0.05, literature=(-0.5, 0.5), unit="°"
+    )
+
+
+def _per_turn(lower: float, upper: float, typical: float) -> float:
+    return parameter(
+        off=0.0,
+        lower=lower,
+        upper=upper,
+        typical=typical,
+        smallest=1.0,
+        literature=(lower, upper),
+        unit="1",
+        shapes=True,
+    )
+
+
 @dataclass(frozen=True)
 class GearRipple(Effect):
     """Error of the last sensor that repeats several times a turn."""
 
     relatives = ("hall_harmonics", "hall_eccentricity")
 
-    sine_deg: float = parameter(
-        off=0.0,
-        lower=-2.0,
-        upper=2.0,
-        typical=0.1,
-        smallest=0.05,
-        literature=(-0.5, 0.5),
-        unit="°",
-    )
-    cosine_deg: float = parameter(
-        off=0.0,
-        lower=-2.0,
-        upper=2.0,
-        typical=0.1,
-        smallest=0.05,
-        literature=(-0.5, 0.5),
-        unit="°",
-    )
-    per_turn: float = parameter(
-        off=0.0,
-        lower=6.0,
-        upper=20.0,
-        typical=12.0,
-        smallest=1.0,
-        literature=(6.0, 20.0),
-        unit="1",
-        shapes=True,
-    )
-
-    second_sine_deg: float = parameter(
-        off=0.0,
-        lower=-2.0,
-        upper=2.0,
-        typical=0.1,
-        smallest=0.05,
-        literature=(-0.5, 0.5),
-        unit="°",
-    )
-    second_cosine_deg: float = parameter(
-        off=0.0,
-        lower=-2.0,
-        upper=2.0,
-        typical=0.1,
-        smallest=0.05,
-        literature=(-0.5, 0.5),
-        unit="°",
-    )
-    second_per_turn: float = parameter(
-        off=0.0,
-        lower=20.0,
-        upper=60.0,
-        typical=24.0,
-        smallest=1.0,
-        literature=(20.0, 60.0),
-        unit="1",
-        shapes=True,
-    )
+    sine_deg: float = _amplitude_deg()
+    cosine_deg: float = _amplitude_deg()
+    per_turn: float = _per_turn(6.0, 20.0, 12.0)
+    second_sine_deg: float = _amplitude_deg()
+    second_cosine_deg: float = _amplitude_deg()
+    second_per_turn: float = _per_turn(20.0, 60.0, 24.0)
 
     def observe(self, reading: Reading) -> Reading:
         """Add the ripple to the column of the last sensor."""

@@ -112,7 +112,7 @@ def _note(start: Start, run_ins: Sequence[_RunIn]) -> str:
     whose = f"{first.file} begins" if not others else f"{first.file} and {len(others)} more begin"
     share = _from_to([100.0 * r.share for r in run_ins], "{:.0f}", "%")
     since = []
-    for name in first.since_s:
+    for name in dict.fromkeys(name for r in run_ins for name in r.since_s):
         at_s = [r.since_s[name] for r in run_ins if name in r.since_s]
         told = [each for each in at_s if math.isfinite(each)]
         if told:
@@ -188,7 +188,8 @@ class _Shaft:
         return float(found.x) if found.fun < least else best_rad
 
     def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, _RunIn | str]:
-        """The trial without readings that depend on its start, or with these uncertain and what was done."""
+        """The trial without readings that depend on its start and what is judged then, or with these uncertain
+        and a sentence on the start that was fitted."""
         turn_rad = self._finer(given)
         trial = wound(given, turn_rad, self.lag_rad)
         binned = bin_trial(trial)

@@ -34,7 +34,8 @@ class Findings:
     left_to_white: float = math.inf
     """`unrepeated.left_to_white`."""
     own_start_error: float = 0.0
-    """`unknown_starts.own_start_error` of what is named; 0 where all starts are known."""
+    """`unknown_starts.own_start_error` of what is named; 0 where no start was found with another
+    effect."""
 
 
 @dataclass(frozen=True)

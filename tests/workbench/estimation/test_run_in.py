@@ -15,7 +15,9 @@ from needle_rig.physics import effects as built_in
 from needle_rig.physics.library import load_effect
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
-from needle_rig.workbench.estimation.baseline import fit_baseline, judged
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, judged
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.multistart import over_strength
 from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.observations.earlier_path import PHASE
@@ -26,6 +28,8 @@ from needle_rig.workbench.selection.residual_patterns import find_residual_patte
 from needle_rig.workbench.selection.unknown_starts import _error, from_found_starts, own_start_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
+
+DIAGNOSE = "needle_rig.workbench.selection.diagnose"
 
 WIDE = Protocol(
     "wide",
@@ -175,26 +179,39 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself
     for place in (2, 4):
         trials[place] = begun_late(trials[place], "overshoot", "wound")
     said: list[str] = []
-    data = dataclasses.replace(whole, trials=tuple(trials))
-    own: list[float] = []
-
-    def from_own(*given: Any) -> float:
-        own.append(own_start_error(*given))
-        return own[-1] + other
-
-    monkeypatch.setattr("needle_rig.workbench.selection.diagnose.own_start_error", from_own)
-    other = 1.0
-    found = diagnose(data, few(), quick=True)
-    assert found.verdict == "unknown"
-    assert [r.rule for r in found.reasons] == ["starts_of_another"]
-    other = 0.0
-    found = diagnose(data, few(), say=said.append)
-    assert own[0] == pytest.approx(own[-1], rel=0.01)
-    assert own[-1] < 1.1
+    monkeypatch.setattr(DIAGNOSE + ".own_start_error", lambda *_: pytest.fail("they are its own"))
+    found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few(), say=said.append)
     assert re.search(r"unknown starts .*, some .* (s|min), before a search", said[2])
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
     assert found.held_out_error_after < 1.1
+
+
+@pytest.mark.parametrize(("beyond", "verdict"), [(0.0, "effect"), (1.0, "unknown")])
+def test_what_is_named_stands_from_its_own_starts_where_another_effect_found_them(
+    monkeypatch: pytest.MonkeyPatch, beyond: float, verdict: str
+) -> None:
+    whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
+    late = begun_late(whole.trials[2], "overshoot", "wound")
+    own: list[float] = []
+
+    def from_another(*given: Any) -> tuple[Baseline, Fit | None]:
+        found, _ = from_found_starts(*given)
+        vector = dataclasses.replace(found.current.vector, scaled_values=np.zeros(1))
+        return found, over_strength(found.problem, ("torque_bias",), vector)
+
+    def from_own(*given: Any) -> float:
+        own.append(own_start_error(*given))
+        return own[-1] + beyond
+
+    monkeypatch.setattr(DIAGNOSE + ".from_found_starts", from_another)
+    monkeypatch.setattr(DIAGNOSE + ".own_start_error", from_own)
+    data = dataclasses.replace(whole, trials=(*whole.trials[:2], late, *whole.trials[3:]))
+    found = diagnose(data, few("torque_bias", "tissue_elasticity"), quick=True)
+    assert len(own) == 1
+    assert own[0] < 1.1
+    assert found.verdict == verdict
+    assert [r.rule for r in found.reasons] == ["starts_of_another"] * (verdict == "unknown")
 
 
 def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
