@@ -188,8 +188,8 @@ class _Shaft:
         return float(found.x) if found.fun < least else best_rad
 
     def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, _RunIn | str]:
-        """The trial without readings that depend on its start and what is judged then, or with these uncertain
-        and a sentence on the start that was fitted."""
+        """The trial without readings that depend on its start, and what is judged then; or with these
+        uncertain, and a sentence on the start that was fitted."""
         turn_rad = self._finer(given)
         trial = wound(given, turn_rad, self.lag_rad)
         binned = bin_trial(trial)
