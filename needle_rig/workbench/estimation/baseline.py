@@ -151,7 +151,7 @@ def fit_baseline(
     notes = list(_notes(problem))
     if noise.replicates:
         noise = with_motion_scatter(
-            _correlated(dataset, problem, first), binned, _left(problem, first), problem.groups
+            _correlated(dataset, problem, first), binned, problem.raw(first.residuals), problem.groups
         )
         problem = problem.with_noise(noise)
         first = refitted(problem, first)
@@ -210,7 +210,7 @@ def _correlated(dataset: Dataset, problem: Problem, found: Fit) -> Noise:
     """The noise, with what replicates show at this fit of its correlation."""
     if not problem.noise.replicates or snaps(dataset):  # a snap comes at another instant in each replicate
         return problem.noise
-    return with_correlation(problem.noise, problem.trials, _left(problem, found), problem.groups)
+    return with_correlation(problem.noise, problem.trials, problem.raw(found.residuals), problem.groups)
 
 
 def _first_fit(
@@ -250,12 +250,6 @@ def _first_fit(
             f"{problem.name}: the model cannot be solved on these trials; check layout and base angles"
         )
     return best
-
-
-def _left(problem: Problem, found: Fit) -> list[Array]:
-    """Data minus model in bin means (C, K), at each trial's random effect."""
-    readings = problem.predict(found.parameters, found.vector)
-    return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
 
 
 def _notes(problem: Problem) -> list[str]:

@@ -173,6 +173,17 @@ class Problem:
         """Whitened data minus model (n,) for each reading."""
         return [self.whiteners[t](self.trials[t].mean - r) for r, t in zip(readings, trials, strict=True)]
 
+    def raw(self, residuals: Sequence[Array]) -> list[Array]:
+        """Bin means (C, K), a trial each, that whiten to a fit's residuals (n,): data minus model at the
+        trials' random effects and at the coefficients of the nuisances; NaN where nothing was recorded."""
+        found = []
+        for binned, whitening, values in zip(self.trials, self.whiteners, residuals, strict=True):
+            means = np.full(binned.mean.shape, np.nan)
+            known = whitening.raw(values)
+            means[:, : known.shape[1]] = known
+            found.append(means)
+        return found
+
 
 def _of_trial(vector: ParameterVector, trial: int) -> FrictionOfTrial:
     return FrictionOfTrial(float(np.exp(vector.trial_friction[trial])))

@@ -28,13 +28,13 @@ def left_to_white(problem: Problem, found: Fit) -> float:
     noise = problem.noise
     if noise.replicates:
         return math.inf
-    readings = problem.predict(found.parameters, found.vector)
+    left = problem.raw(found.residuals)
     largest = 0.0
     for c, white in enumerate(noise.white):
         square = variance = 0.0
-        for trial, model in zip(problem.trials, readings, strict=True):
+        for trial, residuals in zip(problem.trials, left, strict=True):
             use, stated = covariance(noise, trial, c)
-            square += float(((trial.mean[c] - model[c])[use] ** 2).sum()) - float(np.trace(stated))
+            square += float((residuals[c][use] ** 2).sum()) - float(np.trace(stated))
             variance += use.size * float(white) ** 2
         if variance > 0.0:  # not so of a sensor that is dead
             largest = max(largest, square / variance)
