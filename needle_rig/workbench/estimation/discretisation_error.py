@@ -34,17 +34,26 @@ def with_discretisation_error(
     """The problem with the discretisation error at a fit as its first nuisance, and the fit to that problem.
 
     Where that error is large beside the noise and the fit reaches the noise, the model is driven by every
-    sample from then on, which removes the error of sampling. Raises SolverError where the model cannot be
-    solved finely.
+    sample from then on, which removes the error of sampling; not where the fit then leaves the noise, as an
+    effect of the base's acceleration does: by every sample of 2 kHz that is the encoder's noise. Raises
+    SolverError where the model cannot be solved finely.
     """
     error = whitened_error(problem, found, trials, fine_m)
-    near = excess(problem, found.objective) < problem.size
-    if not near or np.linalg.norm(np.vstack(error)) <= POLICY.noise.straight_error_sigmas:
+    small = np.linalg.norm(np.vstack(error)) <= POLICY.noise.straight_error_sigmas
+    if small or not _near(problem, found):
         return _as_first_nuisance(problem, found, error)
-    problem, found = by_every_sample(problem, found, trials)
+    driven, found_driven = by_every_sample(problem, found, trials)
+    if not _near(driven, found_driven):
+        return _as_first_nuisance(problem, found, error)
+    problem, found = driven, found_driven
     problem, found = _as_first_nuisance(problem, found, whitened_error(problem, found, trials, fine_m))
     found = over_forms(problem, found, (*FORM_STEPS, *FINE_FORM_STEPS))
     return problem, _multiple_imputation(problem, found, trials)
+
+
+def _near(problem: Problem, found: Fit) -> bool:
+    """Whether a fit reaches the noise, but for as much again."""
+    return excess(problem, found.objective) < problem.size
 
 
 def whitened_error(

@@ -141,6 +141,24 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     )
 
 
+def test_an_effect_of_the_acceleration_is_not_driven_by_the_encoder_s_noise() -> None:
+    """Between samples half a millisecond apart 0.02° are thousands of rad/s²."""
+    hidden = effect("chuck_inertia", inertia_gcm2=27.5)
+    model = load_parameters("rig_rigid").with_effects(hidden)
+    noise = Noise(hall_deg=0.25, torque_nmm=0.0025, encoder_deg=0.02, friction_scatter=0.02)
+    data = simulate_dataset(model, PROTOCOL, 44, noise, rate_hz=2000.0)
+    baseline = fit_baseline(data, None, few("chuck_inertia"))
+    at = scaled_values_of(baseline.problem.parameters(["chuck_inertia"]), [hidden])
+    start = dataclasses.replace(baseline.current.vector, scaled_values=at)
+    found = fit(baseline.problem, ["chuck_inertia"], start)
+    error = whitened_error(baseline.problem, found, data.trials, baseline.fine_m)
+    assert np.linalg.norm(np.vstack(error)) > 100.0
+    problem, again = with_discretisation_error(baseline.problem, found, data.trials, baseline.fine_m)
+    assert all(own is kept for own, kept in zip(problem.trials, baseline.problem.trials, strict=True))
+    assert again.chi2 < 1.3 * problem.size
+    assert again.parameters[0].value(float(again.vector.scaled_values[0])) == pytest.approx(27.5, rel=0.05)
+
+
 @pytest.mark.slow
 def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     data, problem, found = slipping(encoder_deg=0.02)
