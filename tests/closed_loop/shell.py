@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import tempfile
@@ -51,14 +52,19 @@ class Shell:
 
     @contextmanager
     def start(self, *arguments: str, before: Sequence[str] = ()) -> Iterator[subprocess.Popen[str]]:
-        process = subprocess.Popen(
-            [*before, *PROGRAM, *arguments],
-            cwd=self.folder,
-            env=self.environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        # of tests that run under nohup a child would inherit that a closed terminal is ignored
+        hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        try:
+            process = subprocess.Popen(
+                [*before, *PROGRAM, *arguments],
+                cwd=self.folder,
+                env=self.environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        finally:
+            signal.signal(signal.SIGHUP, hangup)
         try:
             yield process
         finally:
