@@ -21,7 +21,7 @@ class Contrasts:
     """One channel of R replicates of one command, in K bins, whitened by their mean covariance."""
 
     group: list[int]
-    """The trials."""
+    """The trials; one alone has its residuals themselves, and nothing that it shares."""
     places: Places
     """(R, K) bins that stand at the same place of the same motion."""
     lower: Array
@@ -64,6 +64,21 @@ def contrasts(
         )
         whitened = solve_triangular(lower, rows.T, lower=True).T
         found.append(Contrasts(group, places, lower, whitened[:-2], whitened[-2:]))
+    return found
+
+
+def each_alone(
+    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], channel: int
+) -> list[Contrasts]:
+    """The residuals of every trial that has bins enough, in the place of contrasts."""
+    found = []
+    for i, (trial, left) in enumerate(zip(binned, residuals, strict=True)):
+        use, matrix = covariance(noise, trial, channel)
+        if use.size < FEWEST_BINS:
+            continue
+        lower = cholesky(matrix, lower=True)
+        independent = solve_triangular(lower, left[channel, use], lower=True)[None]
+        found.append(Contrasts([i], use[None], lower, independent, np.zeros((0, use.size))))
     return found
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.contrasts import Contrasts, contrasts
+from needle_rig.workbench.observations.contrasts import Contrasts, contrasts, each_alone
 from needle_rig.workbench.observations.hum import with_hum
 from needle_rig.workbench.observations.noise import Noise, correlation
 from needle_rig.workbench.policy import POLICY
@@ -99,7 +99,15 @@ def with_correlation(
     groups = [group for group in groups if len(group) > 1]
     if not groups:
         return noise
-    every = [_channel(noise, binned, residuals, groups, c) for c in range(noise.white.size)]
+
+    def channels(beside: Noise) -> list[_Channel]:
+        alone = _without_correlation(beside)
+        return [
+            _channel(beside, binned, contrasts(alone, binned, residuals, groups, c), c)
+            for c in range(noise.white.size)
+        ]
+
+    every = channels(noise)
     if _misfit(every) > POLICY.noise.replicate_misfit:
         return noise
     found = _likelier(noise, every)
@@ -108,9 +116,21 @@ def with_correlation(
     humming = with_hum(found, binned, residuals, groups)
     if humming is not found:
         beside = dataclasses.replace(noise, hum=humming.hum, hum_hz=humming.hum_hz)
-        every = [_channel(beside, binned, residuals, groups, c) for c in range(noise.white.size)]
-        found = with_hum(_likelier(beside, every), binned, residuals, groups)
+        found = with_hum(_likelier(beside, channels(beside)), binned, residuals, groups)
     return found
+
+
+def with_correlation_left(noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array]) -> Noise:
+    """Noise with the correlated part that the `residuals` of all trials show, as above; itself where they
+    show none.
+
+    Nothing here tells it from what a model lacks: that is for the caller to ask.
+    """
+    alone = _without_correlation(noise)
+    every = [
+        _channel(noise, binned, each_alone(alone, binned, residuals, c), c) for c in range(noise.white.size)
+    ]
+    return _likelier(noise, every)
 
 
 def _likelier(noise: Noise, every: Sequence[_Channel]) -> Noise:
@@ -158,12 +178,13 @@ def _misfit(channels: Iterable[_Channel]) -> float:
     return shared / max(apart, _LEAST)
 
 
-def _channel(
-    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]], c: int
-) -> _Channel:
+def _without_correlation(noise: Noise) -> Noise:
+    return dataclasses.replace(noise, correlated=np.zeros_like(noise.correlated))
+
+
+def _channel(noise: Noise, binned: Sequence[BinnedTrial], every: Sequence[Contrasts], c: int) -> _Channel:
+    """Of a channel's contrasts, white but for what is correlated."""
     white, present_s = float(noise.white[c]), float(noise.correlation_s[c])
-    alone = dataclasses.replace(noise, correlated=np.zeros_like(noise.correlated))
-    every = contrasts(alone, binned, residuals, groups, c)
     spectra = {
         tau_s: [_spectrum(each, binned, tau_s) for each in every]
         for tau_s in {*CORRELATION_TIMES_S, present_s}

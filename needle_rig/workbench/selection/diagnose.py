@@ -33,7 +33,15 @@ from needle_rig.workbench.selection.residual_patterns import find_residual_patte
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
 from needle_rig.workbench.selection.unknown_starts import from_found_starts, own_start_error
-from needle_rig.workbench.selection.unrepeated import hum_note, left_to_white, may_wander, note, under_hum
+from needle_rig.workbench.selection.unrepeated import (
+    hum_note,
+    left_to_white,
+    may_wander,
+    note,
+    under_hum,
+    under_wander,
+    wander_note,
+)
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
@@ -144,14 +152,19 @@ def diagnose(
             baseline, trace = renewed, searched(renewed, known)
         found = concluded(baseline, trace)
         if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
-            humming = under_hum(baseline, trace.problem, trace.fits[trace.best][0])
-            if humming is not None:
-                say(f"trying every effect again, under hum, {left}")
-                start = known and fit(humming.problem, known.effects, known.vector)
-                anew = concluded(humming, searched(humming, start))
+            for under, said, note_of in (
+                (under_hum, "hum", hum_note),
+                (under_wander, "noise that wanders", wander_note),
+            ):
+                other = under(baseline, trace.problem, trace.fits[trace.best][0])
+                if other is None:
+                    continue
+                say(f"trying every effect again, under {said}, {left}")
+                start = known and fit(other.problem, known.effects, known.vector)
+                anew = concluded(other, searched(other, start))
                 if anew.verdict != "unknown":
-                    notes = (hum_note(humming.problem.noise.hum_hz), *anew.notes)
-                    found = dataclasses.replace(anew, notes=notes)
+                    found = dataclasses.replace(anew, notes=(note_of(other.problem.noise), *anew.notes))
+                    break
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
 
 

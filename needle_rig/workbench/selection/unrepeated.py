@@ -18,7 +18,9 @@ from needle_rig.workbench.estimation.discretisation_error import refitted
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.hum import with_hum_left
-from needle_rig.workbench.observations.noise import covariance
+from needle_rig.workbench.observations.noise import Noise, covariance
+from needle_rig.workbench.observations.replicate_noise import with_correlation_left
+from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.policy import POLICY
 
 
@@ -59,12 +61,38 @@ def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | No
     return humming if validation.error <= POLICY.verdict.reached else None
 
 
-def hum_note(hum_hz: float) -> str:
+def under_wander(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | None:
+    """The baseline under noise with the correlated part that all trials show beyond `found`; None where
+    they show none or more than may wander, or where replicates or a snap tell otherwise."""
+    if problem.noise.replicates or snaps(baseline.dataset):
+        return None
+    noise = with_correlation_left(problem.noise, problem.trials, problem.raw(found.residuals))
+    if not may_wander(wander(noise)):
+        return None
+    wandering = under_noise(baseline, problem, noise)
+    return None if wandering is baseline else wandering
+
+
+def wander(noise: Noise) -> float:
+    """Largest correlated part, in units of its channel's white one."""
+    return float(np.max(noise.correlated / noise.white))
+
+
+def hum_note(noise: Noise) -> str:
     """What was taken for noise, and the experiment that would tell."""
     return (
-        f"What is left oscillates at {hum_hz:.2g} Hz, with a phase of its own in each trial and channel, and"
-        " no effect explains it: it is taken for noise, hum as the sampling sees it, or what wanders"
-        " about as slowly. Sample faster, or repeat one command three times, to be sure."
+        f"What is left oscillates at {noise.hum_hz:.2g} Hz, with a phase of its own in each trial and"
+        " channel, and no effect explains it: it is taken for noise, hum as the sampling sees it, or what"
+        " wanders about as slowly. Sample faster, or repeat one command three times, to be sure."
+    )
+
+
+def wander_note(noise: Noise) -> str:
+    """What was taken for noise, and the experiment that would tell."""
+    return (
+        f"What is left, {wander(noise):.2g} × the white noise of a sample at most, is taken for noise that"
+        " wanders over seconds. A missing effect as small would be told from it by a repeated command alone."
+        " Repeat one command three times."
     )
 
 

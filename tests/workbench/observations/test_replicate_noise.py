@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from needle_rig.numerics import Array
 from needle_rig.units import rad
 from needle_rig.workbench.observations import replicate_noise
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
-from needle_rig.workbench.observations.contrasts import places_alike
+from needle_rig.workbench.observations.contrasts import contrasts, places_alike
 from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise
 from needle_rig.workbench.observations.replicate_noise import with_correlation
 from tests.workbench.hidden import dataset
@@ -40,6 +41,13 @@ def drawn(noise: Noise, binned: tuple[BinnedTrial, ...], seed: int) -> list[Arra
             values[c, use] = np.linalg.cholesky(matrix) @ random.standard_normal(use.size)
         found.append(values)
     return found
+
+
+def channel_of(
+    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], c: int
+) -> replicate_noise._Channel:
+    """What the replicates say of one channel."""
+    return replicate_noise._channel(noise, binned, contrasts(noise, binned, residuals, [GROUP], c), c)
 
 
 def wandering(noise: Noise, size_deg: float, tau_s: float, sensors: slice) -> Noise:
@@ -137,8 +145,7 @@ def test_where_replicates_share_three_times_what_they_differ_by_the_model_is_wro
 
     def misfit(size: float) -> float:
         found = wrong_by(size)
-        every = [replicate_noise._channel(white, binned, found, [GROUP], c) for c in range(5)]
-        return replicate_noise._misfit(every)
+        return replicate_noise._misfit([channel_of(white, binned, found, c) for c in range(5)])
 
     size = brentq(lambda s: misfit(s) - share, 0.0, 30.0)
     noise = with_correlation(white, binned, wrong_by(size), [GROUP])
@@ -168,6 +175,6 @@ def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
     while high / low > 1.001:
         size = np.sqrt(low * high)
         low, high = (low, size) if found(size).correlated[1] > 0.0 else (size, high)
-    channel = replicate_noise._channel(white, binned, [high * q for q in quiet], [GROUP], 1)
+    channel = channel_of(white, binned, [high * q for q in quiet], 1)
     likeliest = replicate_noise._likeliest([channel])
     assert 2.0 * (likeliest.log_likelihood - channel.present) == pytest.approx(13.8, rel=0.02)
