@@ -25,7 +25,7 @@ from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide, may_snap
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.duration import START_TIMES, expected, spell
-from needle_rig.workbench.selection.evidence import improves_cross_validation
+from needle_rig.workbench.selection.evidence import improves_cross_validation, relieves_pull
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
 from needle_rig.workbench.selection.ranking import order, rank, values_of
@@ -162,7 +162,8 @@ def diagnose(
                 say(f"trying every effect again, under {said}, {left}")
                 start = known and fit(other.problem, known.effects, known.vector)
                 anew = concluded(other, searched(other, start))
-                if anew.verdict != "unknown":
+                # beside noise of what is left more effects than these can stand for anything
+                if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
                     found = dataclasses.replace(anew, notes=(note_of(other.problem.noise), *anew.notes))
                     break
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
@@ -182,7 +183,8 @@ def _conclude(
     problem, best, validation = search.problem, root, root_validation
     if named and not not_named:
         problem, best, validation = as_baseline(baseline, problem, *search.fits[search.best])
-        not_named = _of_no_use(named, root_validation.error, validation.error)
+        if not relieves_pull(root, best):
+            not_named = _of_no_use(named, root_validation.error, validation.error)
     if not_named:
         named, problem, best, validation = [], search.problem, root, root_validation
     left = find_residual_patterns(problem, best, sensors)

@@ -86,10 +86,14 @@ def improves_cross_validation(
     """
     if predictive_gain(parent_validation, child_validation) > 0:
         return True
-    relieved = parent.pull_rigidity**2 - child.pull_rigidity**2
-    if parent_validation is None or child_validation is None or relieved <= POLICY.evidence.relieved_pull:
+    if parent_validation is None or child_validation is None or not relieves_pull(parent, child):
         return False
     return bool(child_validation.error <= POLICY.evidence.held_out_rise * parent_validation.error)
+
+
+def relieves_pull(parent: Fit, child: Fit) -> bool:
+    """Whether the child needs a rigidity so much nearer the stated one that it says something."""
+    return parent.pull_rigidity**2 - child.pull_rigidity**2 > POLICY.evidence.relieved_pull
 
 
 def is_negligible(found: Fit, effect: str) -> bool:

@@ -51,6 +51,20 @@ def test_limits_hold_under_noise_that_wanders(bias_nmm: float) -> None:
     assert bias_nmm < limit_nmm < 0.002
 
 
+def test_a_torque_gain_is_named_for_the_rigidity_that_it_restores() -> None:
+    """A rigidity that is off by as much foretells commands left out as well, against what is stated."""
+    hidden = effect("torque_gain", gain=1.5)
+    found = diagnose(unrepeated("white", hidden), few("torque_gain", "hall_offset", "clock_offset"))
+    assert found.held_out_error_after > found.held_out_error_before
+    assert found.effects == ("torque_gain",)
+
+
+def test_three_effects_beside_what_may_be_noise_are_not_named() -> None:
+    data = unrepeated("wanders over 2 s", effect("hall_eccentricity", cosine_deg=4.0), seed=77_002)
+    found = diagnose(data, few("hall_harmonics", "hall_offset", "hall_gain"))
+    assert found.verdict == "unknown"
+
+
 def test_more_than_may_wander_is_no_noise() -> None:
     data = unrepeated("white", effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     baseline = fit_baseline(data, None, WITHOUT)
