@@ -1,7 +1,8 @@
 """Noise that replicates of one command show: correlated over seconds, hum, and scatter from motion to motion.
 
 Replicates share what the model lacks, their contrasts do not hold it. Settled stretches show correlated noise
-too, but they are short: what wanders over longer than a hold looks like an offset there.
+too, but they are short: what wanders over longer than a hold looks like an offset there. Where nothing was
+repeated, the residuals themselves stand in the contrasts' place.
 """
 
 from __future__ import annotations

@@ -100,6 +100,8 @@ def decision_at(name: str, parameter: FreeParameter, limit: float, decision: str
             name, decision, value, parameter.field, parameter.info.unit, _smallest_size(parameter)
         )
     downwards = parameter.info.off > parameter.info.typical
+    if not np.isfinite(value):  # less of it than its file allows
+        value = parameter.info.upper
     return Decision(
         name, decision, value, parameter.field, parameter.info.unit, parameter.info.smallest, downwards
     )

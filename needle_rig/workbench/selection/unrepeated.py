@@ -1,9 +1,10 @@
 """What is left where too little was repeated, held against noise that wanders, and against hum.
 
 Settled stretches are short: noise that is correlated over seconds, or hum, is an offset there. Replicates
-tell it from what a model lacks; without them what is left, if noise may wander by as much, can be either. Hum
-has one frequency, and a phase of its own in each trial and channel: what no effect explains, and such a line
-takes down to the noise, is hum.
+tell it from what a model lacks; without them what is left, if noise may wander by as much, can be either: it
+is taken for noise, so that none of it is called an effect, and that is said. Hum has one frequency, and a
+phase of its own in each trial and channel: what no effect explains, and such a line takes down to the noise,
+is hum.
 """
 
 from __future__ import annotations

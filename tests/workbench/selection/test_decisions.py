@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from needle_rig.workbench.selection.decisions import decide, may_snap
+from needle_rig.workbench.selection.decisions import decide, decision_at, may_snap
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.search import SearchTrace
 from tests.workbench.hidden import dataset, few
@@ -33,6 +33,13 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step() ->
 @pytest.fixture(scope="module")
 def nothing_found() -> SearchTrace:
     return diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
+
+
+def test_a_limit_stiffer_than_its_file_allows_is_the_stiffest_allowed(nothing_found: SearchTrace) -> None:
+    (stiffness,) = nothing_found.problem.parameters(["tissue_elasticity"])
+    decision = decision_at("tissue_elasticity", stiffness, 1e-4, "absent", 0.0)
+    assert decision.sentence() == "tissue_elasticity (> 2e+02 N·mm/rad per 100 mm)"
+    assert decision_at("tissue_elasticity", stiffness, 0.005, "absent", 0.0).limit == pytest.approx(70.0)
 
 
 @pytest.mark.parametrize(("error", "told"), [(1.27, True), (np.inf, True), (1.33, False)])
