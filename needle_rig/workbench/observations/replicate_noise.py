@@ -122,9 +122,9 @@ def with_correlation(
 
 
 def with_correlation_left(noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array]) -> Noise:
-    """Noise with the correlated part that the `residuals` of all trials show, as above; itself where they
-    show none.
+    """Noise with the correlated part that all trials show by themselves; itself where they show none.
 
+    `residuals` are data minus model in bin means (C, K), a trial each. By maximum likelihood.
     Nothing here tells it from what a model lacks: that is for the caller to ask.
     """
     alone = _without_correlation(noise)

@@ -14,6 +14,7 @@ from noise_kinds import WANDER_SHARE
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.unrepeated import left_to_white, under_hum, under_wander
 from tests.workbench.hidden import effect, few
@@ -34,6 +35,15 @@ def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
     assert found.held_out_error_before < 1.1
     assert noise.correlated / noise.white == pytest.approx(np.full(5, WANDER_SHARE), abs=0.25)
     assert "is taken for noise that wanders over seconds" in found.notes[0]
+
+
+def test_what_cannot_be_taken_for_noise_and_may_be_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diagnose_module, "under_wander", lambda *_: None)
+    found = diagnose(unrepeated("wanders over 2 s"), WITHOUT)
+    assert found.verdict == "none"
+    assert found.held_out_error_before > 1.3
+    assert any("without a repeated command nobody can tell" in note for note in found.notes)
+    assert {d.decision for d in found.decisions.values()} == {"cannot_tell"}
 
 
 def test_noise_that_wanders_is_no_second_effect() -> None:
