@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,7 +16,11 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
-from needle_rig.workbench.estimation.discretisation_error import refitted, with_discretisation_error
+from needle_rig.workbench.estimation.discretisation_error import (
+    driven_at,
+    refitted,
+    with_discretisation_error,
+)
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
@@ -170,18 +175,33 @@ def with_noise_at(baseline: Baseline, problem: Problem, found: Fit) -> Baseline:
 
 def under_noise(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
     """The baseline under `noise`; itself where that is `problem`'s own, or cannot be solved under it."""
-    if noise is problem.noise:
-        return baseline
+    return baseline if noise is problem.noise else _fitted(baseline, baseline.problem.with_noise(noise))
+
+
+def with_samples_at(baseline: Baseline, problem: Problem, found: Fit, gain: float) -> Baseline:
+    """The baseline driven by every sample, where a `gain` on `found` may be its discretisation error.
+
+    So it may where √gain is below three times that error's norm: in one direction or another
+    `within_discretisation_error` would refuse it. Itself where it is not, or cannot be solved so.
+    """
+    above = math.sqrt(max(gain, 0.0)) / POLICY.evidence.discretisation_margin
     try:
-        renewed = baseline.problem.with_noise(noise)
-        fitted = refitted(renewed, baseline.current)
-        renewed, current = with_discretisation_error(
-            renewed, fitted, baseline.dataset.trials, baseline.fine_m
-        )
+        trials = driven_at(problem, found, baseline.dataset.trials, baseline.fine_m, above)
+    except SolverError:
+        return baseline
+    return baseline if trials is None else _fitted(baseline, baseline.problem.over(trials))
+
+
+def _fitted(baseline: Baseline, problem: Problem) -> Baseline:
+    """The baseline of another problem; itself where the model cannot be solved there."""
+    trials, fine_m = baseline.dataset.trials, baseline.fine_m
+    try:
+        fitted = refitted(problem, baseline.current)
+        problem, current = with_discretisation_error(problem, fitted, trials, fine_m)
     except SolverError:
         return baseline
     return dataclasses.replace(
-        baseline, problem=renewed, current=current, validation=cross_validate(renewed, current)
+        baseline, problem=problem, current=current, validation=cross_validate(problem, current)
     )
 
 

@@ -15,7 +15,7 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.multistart import FINE_FORM_STEPS, FORM_STEPS, over_forms
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.observations.binning import driven_by_samples, sample_weights
+from needle_rig.workbench.observations.binning import BinnedTrial, driven_by_samples, sample_weights
 from needle_rig.workbench.policy import POLICY
 
 FINER = 8.0
@@ -39,16 +39,36 @@ def with_discretisation_error(
     SolverError where the model cannot be solved finely.
     """
     error = whitened_error(problem, found, trials, fine_m)
-    small = np.linalg.norm(np.vstack(error)) <= POLICY.noise.straight_error_sigmas
-    if small or not _near(problem, found):
+    driven = _driven_where_large(problem, found, trials, error, POLICY.noise.straight_error_sigmas)
+    if driven is None:
         return _as_first_nuisance(problem, found, error)
-    driven, found_driven = by_every_sample(problem, found, trials)
-    if not _near(driven, found_driven):
-        return _as_first_nuisance(problem, found, error)
-    problem, found = driven, found_driven
+    problem, found = driven
     problem, found = _as_first_nuisance(problem, found, whitened_error(problem, found, trials, fine_m))
     found = over_forms(problem, found, (*FORM_STEPS, *FINE_FORM_STEPS))
     return problem, _multiple_imputation(problem, found, trials)
+
+
+def driven_at(
+    problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float, above: float
+) -> tuple[BinnedTrial, ...] | None:
+    """The problem's trials driven by every sample, where the discretisation error at `found` is `above` so
+    many σ over all values, and the fit reaches the noise before and after; else None.
+
+    Raises SolverError.
+    """
+    error = whitened_error(problem, found, trials, fine_m)
+    driven = _driven_where_large(problem, found, trials, error, above)
+    return None if driven is None else driven[0].trials
+
+
+def _driven_where_large(
+    problem: Problem, found: Fit, trials: Sequence[DatasetTrial], error: Sequence[Array], above: float
+) -> tuple[Problem, Fit] | None:
+    """The problem driven by every sample and the fit to it, where `driven_at` drives it so; else None."""
+    if np.linalg.norm(np.vstack(error)) <= above or not _near(problem, found):
+        return None
+    driven = by_every_sample(problem, found, trials)
+    return driven if _near(*driven) else None
 
 
 def _near(problem: Problem, found: Fit) -> bool:

@@ -14,7 +14,13 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm, per_100mm
-from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_baseline, with_noise_at
+from needle_rig.workbench.estimation.baseline import (
+    Baseline,
+    as_baseline,
+    fit_baseline,
+    with_noise_at,
+    with_samples_at,
+)
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.problem import Problem
@@ -150,6 +156,14 @@ def diagnose(
             say(f"trying every effect again, under the noise that shows now, {left}")
             known = known and fit(renewed.problem, known.effects, known.vector)
             baseline, trace = renewed, searched(renewed, known)
+        alone = trace.best_alone()
+        if alone is not None:
+            gain = alone.objective - trace.fits[trace.best][0].objective
+            driven = with_samples_at(baseline, trace.problem, alone, gain)
+            if driven is not baseline:
+                say(f"trying every effect again, driven by every sample, {left} or more")
+                known = known and fit(driven.problem, known.effects, known.vector)
+                baseline, trace = driven, searched(driven, known)
         found = concluded(baseline, trace)
         if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
             for under, said, note_of in (

@@ -128,6 +128,12 @@ class SearchTrace:
         found = self.fits[key][0]
         return [e for e in found.effects if e not in self.start and not is_negligible(found, e)]
 
+    def best_alone(self) -> Fit | None:
+        """The best fit of a single effect of those named, where there are several."""
+        named = self.named(self.best)
+        alone = [self.start | {e} for e in named if self.start | {e} in self.fits]
+        return self.fits[min(alone, key=self.by_score)][0] if len(named) > 1 and alone else None
+
     def relatives(self, effect: str) -> list[str]:
         """Effects declared to look like this one, in either file."""
         related = set(self.problem.library[effect].relatives)

@@ -3,6 +3,8 @@ import functools
 
 import numpy as np
 import pytest
+from diagnosis_sets import SETUPS
+from messy_shapes import SHAPES, recorded
 
 from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
@@ -17,6 +19,7 @@ from needle_rig.workbench.estimation.discretisation_error import (
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import within_discretisation_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -157,6 +160,21 @@ def test_an_effect_of_the_acceleration_is_not_driven_by_the_encoder_s_noise() ->
     assert all(own is kept for own, kept in zip(problem.trials, baseline.problem.trials, strict=True))
     assert again.chi2 < 1.3 * problem.size
     assert again.parameters[0].value(float(again.vector.scaled_values[0])) == pytest.approx(27.5, rel=0.05)
+
+
+@pytest.mark.parametrize("finer", [True, False])
+def test_the_discretisation_error_of_an_acceleration_is_no_second_effect(
+    finer: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its shape is not that at the search's start: a delay takes up what the nuisance leaves."""
+    if not finer:
+        monkeypatch.setattr(diagnose_module, "with_samples_at", lambda baseline, *_: baseline)
+    hidden = effect("chuck_inertia", inertia_gcm2=27.5)
+    data = recorded(SHAPES["one command"], (hidden,), "averaged", SETUPS[2].noise, 771_018)
+    said: list[str] = []
+    found = diagnose(data, few("chuck_inertia", "clock_offset"), say=said.append)
+    assert (found.effects == ("chuck_inertia",)) == finer
+    assert any("driven by every sample" in each for each in said) == finer
 
 
 @pytest.mark.slow
