@@ -38,7 +38,7 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.unknown_starts import from_found_starts, own_start_error
+from needle_rig.workbench.selection.unknown_starts import FoundStarts, from_found_starts, own_start_error
 from needle_rig.workbench.selection.unrepeated import (
     hum_note,
     left_to_white,
@@ -115,6 +115,7 @@ def diagnose(
     Raises BadInput when the dataset cannot be used, SolverError when the current model cannot be solved.
     """
     known: Fit | None = None
+    starts: FoundStarts | None = None
     with work or Work() as at:
         say("measuring the noise")
 
@@ -128,7 +129,8 @@ def diagnose(
         if any(trial.start_found for trial in baseline.dataset.trials):
             told = spell((START_TIMES[0] * fit_s / at.processes, START_TIMES[1] * fit_s / at.processes))
             say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
-            baseline, known = from_found_starts(dataset, model, library, baseline, at, quick)
+            starts = from_found_starts(dataset, model, library, baseline, at, quick)
+            baseline, known = starts.baseline, starts.fit
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
         solution_s = baseline.problem.solution_s(baseline.current.parameters, baseline.current.vector)
         left = expected((solution_s, solution_s), at.processes, quick)
@@ -140,7 +142,7 @@ def diagnose(
 
         def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
             say("looking for what cannot be told apart")
-            apart, rivals = find_rivals(trace, at, seed)
+            apart, rivals = find_rivals(trace, at, seed, starts)
             say("testing the answer against the discretisation error")
 
             def from_own(fitted: Fit) -> float:

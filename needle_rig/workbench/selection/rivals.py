@@ -14,6 +14,7 @@ from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.candidates import score
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand
+from needle_rig.workbench.selection.unknown_starts import FoundStarts, Holder
 
 DRAWS = 400
 """Reweightings: a share of 0.8 is then known to 0.02."""
@@ -36,6 +37,8 @@ class Rival:
     tied: bool
     separation_sigma: float | None = None
     """Separation of the rival from what was found, in σ; None where it was not computed."""
+    held: Holder | None = None
+    """From the starts that the rival finds itself, where it ties from those."""
 
 
 def cannot_be_told_apart(
@@ -80,8 +83,14 @@ def separation(problem: Problem, truth: Fit, rival: Fit) -> float:
     return float(np.sqrt(found.chi2)) if found is not None else float("inf")
 
 
-def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace, dict[str, list[Rival]]]:
-    """The search with every effect tried in the place of each that was found; its rivals, closest first."""
+def find_rivals(
+    search: SearchTrace, work: Work, seed: int, starts: FoundStarts | None = None
+) -> tuple[SearchTrace, dict[str, list[Rival]]]:
+    """The search with every effect tried in the place of each that was found; its rivals, closest first.
+
+    Where the effect alone was found and the shaft's `starts` are its own, each of the others is held against
+    it from starts of its own, too.
+    """
     problem, best = search.problem, search.best
     here = search.fits[best][0]
     found: dict[str, list[Rival]] = {}
@@ -90,13 +99,22 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
         if rest in search.fits and rest not in search.children:
             gain = search.fits[rest][0].objective - here.objective
             search = expand(search, work, rest, promise_asked(gain))
+        behind_own = starts.behind(effect) if starts is not None and search.named(best) == [effect] else {}
+        as_well = {
+            name
+            for name, behind in behind_own.items()
+            if cannot_be_told_apart(behind) and effect not in problem.library[name].limits
+        }
+        if any(rest | {name} not in search.fits for name in as_well):
+            search = expand(search, work, rest)
         rivals = []
         for candidate in search.children.get(rest, ()):
             key = rest | {candidate.effect}
             if candidate.effect == effect or candidate.effect in best or key not in search.fits:
                 continue
             other = search.fits[key][0]
-            if not search.passes(rest, key):
+            held = starts.holders[candidate.effect] if starts and candidate.effect in as_well else None
+            if held is None and not search.passes(rest, key):
                 continue
             behind = score(problem, other) - score(problem, here)
             share = bootstrap_share(problem, here, other, seed)
@@ -107,9 +125,13 @@ def find_rivals(search: SearchTrace, work: Work, seed: int) -> tuple[SearchTrace
                 share=share,
                 gain_over_special=here.objective - other.objective if general else None,
             )
-            rivals.append(Rival(candidate.effect, key, behind, share, tied))
+            if held is not None:
+                behind, tied = min(behind, behind_own[candidate.effect]), True
+            rivals.append(Rival(candidate.effect, key, behind, share, tied, held=held))
         rivals.sort(key=lambda r: (r.behind, r.effect))
         for place, rival in enumerate(rivals[:SEPARATED]):
+            if rival.held is not None:
+                continue  # from one start for both
             if rival.tied or (place == 0 and rival.behind < TOLD_BEHIND):
                 apart = separation(problem, here, search.fits[rival.key][0])
                 rivals[place] = dataclasses.replace(rival, separation_sigma=apart)

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from needle_rig.numerics import Array
+from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.posterior import excess
@@ -136,9 +137,7 @@ class SearchTrace:
 
     def relatives(self, effect: str) -> list[str]:
         """Effects declared to look like this one, in either file."""
-        related = set(self.problem.library[effect].relatives)
-        related |= {n for n in self.names if effect in self.problem.library[n].relatives}
-        return sorted(related & set(self.names))
+        return [n for n in sorted(self.names) if n != effect and related(self.problem.library, n, effect)]
 
     def keep(self, found: Fit | None, validation: CrossValidation | None) -> SearchTrace:
         """The search with a fit added, if it is the best of its set of effects."""
@@ -153,6 +152,11 @@ class SearchTrace:
     def stepped(self, kind: Move) -> SearchTrace:
         """The search with one more step, which led to `best`."""
         return dataclasses.replace(self, steps=(*self.steps, Step(kind, self.best, self.score(self.best))))
+
+
+def related(library: Mapping[str, type[Effect]], one: str, other: str) -> bool:
+    """Whether one of two effects is declared to look like the other."""
+    return one in library[other].relatives or other in library[one].relatives
 
 
 def search(

@@ -4,7 +4,8 @@ Starts that are found without an effect can hide it: friction at the tip is take
 less. Starts that are found with an effect favour it. They are found with each of the effects that screening
 promises most of, and where commands left out are then not foretold to within the noise, with each that can
 hold a shaft, at its typical size, as it need not show in other starts; the effect with which they are
-foretold best is kept.
+foretold best is kept. Its relatives are tried from their own starts, too: from its starts they look worse
+than they are.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.screening import beside, screen
+from needle_rig.workbench.selection.search import related
 
 ROUNDS = 4
 """Most times that starts are found with the fit to those before."""
@@ -54,6 +56,35 @@ class Holder:
     """On commands left out, on those fitted where there is one alone; see `_error`."""
 
 
+@dataclass(frozen=True)
+class FoundStarts:
+    """Starts as one more effect holds them."""
+
+    baseline: Baseline
+    fit: Fit | None
+    """Of that effect; None where no effect foretells more than the current model's own starts."""
+    holders: Mapping[str, Holder]
+    """Every effect that was tried, with the starts that it holds."""
+    least: float
+    """Error of the current model from its own starts."""
+
+    def behind(self, effect: str) -> dict[str, float]:
+        """−2 log predictive density of other effects from their own starts over that of `effect`.
+
+        Of those that are better than the current model by as much as tells two explanations apart; of none
+        unless the starts are those of `effect`.
+        """
+        if self.fit is None or self.fit.effects[-1] != effect:
+            return {}
+        values = 2.0 * self.baseline.problem.size
+        best = self.holders[effect].error
+        return {
+            name: values * math.log(holder.error / best)
+            for name, holder in self.holders.items()
+            if name != effect and values * math.log(self.least / holder.error) > POLICY.ties.close
+        }
+
+
 def from_found_starts(
     dataset: Dataset,
     model: NeedleModel | None,
@@ -61,7 +92,7 @@ def from_found_starts(
     baseline: Baseline,
     work: Work,
     quick: bool = False,
-) -> tuple[Baseline, Fit | None]:
+) -> FoundStarts:
     """The baseline with starts as one more effect holds them, and the fit of that effect on it.
 
     `baseline` has the starts of the current model. Where no effect foretells more than that, it stays.
@@ -84,10 +115,19 @@ def from_found_starts(
         holders += [h for h in work.run(held, tasks) if h is not None]
     best = min(holders, key=lambda h: h.error, default=None)
     if best is None or best.error >= least:
-        return baseline, None
+        return FoundStarts(baseline, None, {}, least)
+    if not quick:
+        tried = {h.fit.effects[-1] for h in holders}
+        like = [n for n in others if n not in tried and related(library, n, best.fit.effects[-1])]
+        tasks = [(*start, least) for name in like for start in _typical(problem, current, name)]
+        holders += [h for h in work.run(held, tasks) if h is not None]
+        best = min(holders, key=lambda h: h.error)
     shaft = problem.model(problem.parameters(best.fit.effects), best.at)
     renewed = fit_baseline(dataset, model, library, lambda given: judged(given, shaft))
-    return renewed, over_strength(renewed.problem, best.fit.effects, best.fit.vector)
+    fitted = over_strength(renewed.problem, best.fit.effects, best.fit.vector)
+    # of two starts of one effect the better one
+    by_effect = {h.fit.effects[-1]: h for h in sorted(holders, key=lambda h: -h.error)}
+    return FoundStarts(renewed, fitted, by_effect, least)
 
 
 def own_start_error(dataset: Dataset, problem: Problem, found: Fit) -> float:

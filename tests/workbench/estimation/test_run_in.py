@@ -15,8 +15,7 @@ from needle_rig.physics import effects as built_in
 from needle_rig.physics.library import load_effect
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
-from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, judged
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.baseline import fit_baseline, judged
 from needle_rig.workbench.estimation.multistart import over_strength
 from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
@@ -25,7 +24,12 @@ from needle_rig.workbench.parallel import Processes, Work
 from needle_rig.workbench.selection import unknown_starts
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
-from needle_rig.workbench.selection.unknown_starts import _error, from_found_starts, own_start_error
+from needle_rig.workbench.selection.unknown_starts import (
+    FoundStarts,
+    _error,
+    from_found_starts,
+    own_start_error,
+)
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
 
@@ -195,10 +199,11 @@ def test_what_is_named_stands_from_its_own_starts_where_another_effect_found_the
     late = begun_late(whole.trials[2], "overshoot", "wound")
     own: list[float] = []
 
-    def from_another(*given: Any) -> tuple[Baseline, Fit | None]:
-        found, _ = from_found_starts(*given)
-        vector = dataclasses.replace(found.current.vector, scaled_values=np.zeros(1))
-        return found, over_strength(found.problem, ("torque_bias",), vector)
+    def from_another(*given: Any) -> FoundStarts:
+        found = from_found_starts(*given)
+        vector = dataclasses.replace(found.baseline.current.vector, scaled_values=np.zeros(1))
+        fitted = over_strength(found.baseline.problem, ("torque_bias",), vector)
+        return dataclasses.replace(found, fit=fitted)
 
     def from_own(*given: Any) -> float:
         own.append(own_start_error(*given))
@@ -228,7 +233,8 @@ def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
     monkeypatch.setattr(unknown_starts, "held", lambda _, names, *__: asked.append(names[-1]))
     for quick, rest in ((True, set()), (False, set(library))):
         asked.clear()
-        assert from_found_starts(data, None, library, baseline, Work(), quick) == (baseline, None)
+        found = from_found_starts(data, None, library, baseline, Work(), quick)
+        assert (found.baseline, found.fit) == (baseline, None)
         assert len(asked[: unknown_starts.MOST_PROMISING]) >= 1
         assert set(asked[unknown_starts.MOST_PROMISING :]) == rest
 
@@ -242,10 +248,10 @@ def test_a_users_effect_that_holds_the_shaft_is_found_in_processes_of_their_own(
     data = dataclasses.replace(whole, trials=(*whole.trials[:2], late))
     baseline = fit_baseline(data, None, effects)
     with Processes(2) as work:
-        found, known = from_found_starts(data, None, effects, baseline, work, quick=True)
-    assert known is not None
-    assert known.effects == ("my_elasticity",)
-    assert known.chi2 < 1.3 * found.problem.size
+        found = from_found_starts(data, None, effects, baseline, work, quick=True)
+    assert found.fit is not None
+    assert found.fit.effects == ("my_elasticity",)
+    assert found.fit.chi2 < 1.3 * found.baseline.problem.size
 
 
 def test_after_a_run_in_no_starts_are_looked_for(wide_begun_late: Dataset) -> None:
