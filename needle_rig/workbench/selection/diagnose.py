@@ -38,7 +38,12 @@ from needle_rig.workbench.selection.ranking import order, rank, values_of
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.unknown_starts import FoundStarts, from_found_starts, own_start_error
+from needle_rig.workbench.selection.unknown_starts import (
+    FoundStarts,
+    from_found_starts,
+    own_start_error,
+    with_starts_of,
+)
 from needle_rig.workbench.selection.unrepeated import (
     hum_note,
     left_to_white,
@@ -136,9 +141,27 @@ def diagnose(
         left = expected((solution_s, solution_s), at.processes, quick)
         say(f"trying every effect, {left}")
 
-        def searched(at_noise: Baseline, start: Fit | None) -> SearchTrace:
-            fits = (at_noise.problem, names, at_noise.current, at_noise.validation)
+        def searched(of: Baseline, start: Fit | None) -> SearchTrace:
+            fits = (of.problem, names, of.current, of.validation)
             return search(*fits, max_effects=max_effects, work=at, quick=quick, known=start, say=say)
+
+        def settled(of: Baseline, start: Fit | None) -> tuple[Baseline, Fit | None, SearchTrace]:
+            """The search, again under noise and driven by samples as they show at what it finds."""
+            trace = searched(of, start)
+            renewed = with_noise_at(of, trace.problem, trace.fits[trace.best][0])
+            if renewed is not of:
+                say(f"trying every effect again, under the noise that shows now, {left}")
+                start = start and fit(renewed.problem, start.effects, start.vector)
+                of, trace = renewed, searched(renewed, start)
+            alone = trace.best_alone()
+            if alone is not None:
+                gain = alone.objective - trace.fits[trace.best][0].objective
+                driven = with_samples_at(of, trace.problem, alone, gain)
+                if driven is not of:
+                    say(f"trying every effect again, driven by every sample, {left} or more")
+                    start = start and fit(driven.problem, start.effects, start.vector)
+                    of, trace = driven, searched(driven, start)
+            return of, start, trace
 
         def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
             say("looking for what cannot be told apart")
@@ -152,20 +175,17 @@ def diagnose(
 
             return _conclude(of, apart, rivals, dataset.sensor_names, from_own)
 
-        trace = searched(baseline, known)
-        renewed = with_noise_at(baseline, trace.problem, trace.fits[trace.best][0])
-        if renewed is not baseline:
-            say(f"trying every effect again, under the noise that shows now, {left}")
-            known = known and fit(renewed.problem, known.effects, known.vector)
-            baseline, trace = renewed, searched(renewed, known)
-        alone = trace.best_alone()
-        if alone is not None:
-            gain = alone.objective - trace.fits[trace.best][0].objective
-            driven = with_samples_at(baseline, trace.problem, alone, gain)
-            if driven is not baseline:
-                say(f"trying every effect again, driven by every sample, {left} or more")
-                known = known and fit(driven.problem, known.effects, known.vector)
-                baseline, trace = driven, searched(driven, known)
+        baseline, known, trace = settled(baseline, known)
+        if starts is not None and not quick:
+            simpler = starts.simpler(dataset, trace)
+            if simpler is not None and starts.fit is not None and simpler.fit.effects != starts.fit.effects:
+                say(f"trying every effect again, from the starts of {simpler.fit.effects[-1]}, {left}")
+                starts = with_starts_of(simpler, starts, dataset, model, library)
+                baseline, known, trace = settled(starts.baseline, starts.fit)
+                simpler = starts.simpler(dataset, trace)
+            key = frozenset(simpler.fit.effects) if simpler is not None else trace.best
+            if key in trace.fits:
+                trace = dataclasses.replace(trace, best=key)
         found = concluded(baseline, trace)
         if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
             for under, said, note_of in (

@@ -10,6 +10,7 @@ than they are.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,14 +30,15 @@ from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.screening import beside, screen
-from needle_rig.workbench.selection.search import related
+from needle_rig.workbench.selection.search import SearchTrace, related
 
-ROUNDS = 4
-"""Most times that starts are found with the fit to those before."""
+ROUNDS = 8
+"""Most times that starts are found with the fit to those before; rigid shafts take three to six."""
 MOST_PROMISING = 3
 """Effects of which screening promises most that are tried."""
-BETTER = 0.99
-"""Share of its error at which a round is worth another."""
+SAME = 5e-4
+"""Relative change of the error in a round after which starts and fit hold each other: three in −2 log
+predictive density for three thousand values, below what tells two explanations apart."""
 HOLDING = ("shape", "torque")
 """Hooks of an effect that can hold twist in a shaft at rest."""
 
@@ -60,6 +62,8 @@ class Holder:
 class FoundStarts:
     """Starts as one more effect holds them."""
 
+    problem: Problem
+    """With the starts of the current model: errors are in its noise."""
     baseline: Baseline
     fit: Fit | None
     """Of that effect; None where no effect foretells more than the current model's own starts."""
@@ -76,13 +80,38 @@ class FoundStarts:
         """
         if self.fit is None or self.fit.effects[-1] != effect:
             return {}
-        values = 2.0 * self.baseline.problem.size
         best = self.holders[effect].error
         return {
-            name: values * math.log(holder.error / best)
+            name: self._gain(holder.error, best)
             for name, holder in self.holders.items()
-            if name != effect and values * math.log(self.least / holder.error) > POLICY.ties.close
+            if name != effect and self._gain(self.least, holder.error) > POLICY.ties.close
         }
+
+    def simpler(self, dataset: Dataset, trace: SearchTrace) -> Holder | None:
+        """The one of the effects named that foretells as well as they do together, each from its own starts.
+
+        None where they foretell more by as much as tells two explanations apart, and where it is named alone,
+        from its own starts. A second effect can take up what the starts of another leave.
+        """
+        named = trace.named(trace.best)
+        if self.fit is None or not named or named == [self.fit.effects[-1]]:
+            return None
+        together, shared = trace.fits[trace.best][0], (dataset, self.problem)
+        alone = [self.holders[effect] for effect in named if effect in self.holders]
+        for key in (trace.start | {effect} for effect in named if effect not in self.holders):
+            if key in trace.fits:
+                own = held(shared, trace.fits[key][0].effects, trace.fits[key][0].vector, self.least)
+                alone += [] if own is None else [own]
+        best = min(alone, key=lambda h: h.error, default=None)
+        if best is None or len(named) == 1:
+            return best
+        all_held = held(shared, together.effects, together.vector, self.least)
+        gain = 0.0 if all_held is None else self._gain(best.error, all_held.error)
+        return best if gain < POLICY.ties.close else None
+
+    def _gain(self, before: float, after: float) -> float:
+        """Fall of −2 log predictive density from one error to another."""
+        return 2.0 * self.problem.size * math.log(before / after)
 
 
 def from_found_starts(
@@ -115,19 +144,32 @@ def from_found_starts(
         holders += [h for h in work.run(held, tasks) if h is not None]
     best = min(holders, key=lambda h: h.error, default=None)
     if best is None or best.error >= least:
-        return FoundStarts(baseline, None, {}, least)
+        return FoundStarts(problem, baseline, None, {}, least)
     if not quick:
         tried = {h.fit.effects[-1] for h in holders}
         like = [n for n in others if n not in tried and related(library, n, best.fit.effects[-1])]
         tasks = [(*start, least) for name in like for start in _typical(problem, current, name)]
         holders += [h for h in work.run(held, tasks) if h is not None]
         best = min(holders, key=lambda h: h.error)
-    shaft = problem.model(problem.parameters(best.fit.effects), best.at)
-    renewed = fit_baseline(dataset, model, library, lambda given: judged(given, shaft))
-    fitted = over_strength(renewed.problem, best.fit.effects, best.fit.vector)
     # of two starts of one effect the better one
     by_effect = {h.fit.effects[-1]: h for h in sorted(holders, key=lambda h: -h.error)}
-    return FoundStarts(renewed, fitted, by_effect, least)
+    found = FoundStarts(problem, baseline, None, by_effect, least)
+    return with_starts_of(best, found, dataset, model, library)
+
+
+def with_starts_of(
+    holder: Holder,
+    found: FoundStarts,
+    dataset: Dataset,
+    model: NeedleModel | None,
+    library: Mapping[str, type[Effect]],
+) -> FoundStarts:
+    """The starts that one effect holds in the place of those that were found. Raises SolverError."""
+    shaft = found.problem.model(found.problem.parameters(holder.fit.effects), holder.at)
+    renewed = fit_baseline(dataset, model, library, lambda given: judged(given, shaft))
+    fitted = over_strength(renewed.problem, holder.fit.effects, holder.fit.vector)
+    holders = {**found.holders, holder.fit.effects[-1]: holder}
+    return dataclasses.replace(found, baseline=renewed, fit=fitted, holders=holders)
 
 
 def own_start_error(dataset: Dataset, problem: Problem, found: Fit) -> float:
@@ -142,13 +184,15 @@ def own_start_error(dataset: Dataset, problem: Problem, found: Fit) -> float:
 def held(
     shared: tuple[Dataset, Problem], names: tuple[str, ...], vector: ParameterVector, below: float
 ) -> Holder | None:
-    """Starts found with these effects at `vector`, effects fitted to them, and so on while the error falls.
+    """Starts found with these effects at `vector`, effects fitted to them, and so on until they hold each
+    other; the best of the rounds where they never do.
 
     Only the first round where it does not come `below`. None where the model cannot be solved.
     """
     dataset, problem = shared
     parameters = problem.parameters(names)
     best: Holder | None = None
+    last = math.inf
     for _ in range(ROUNDS):
         try:
             shaft = problem.model(parameters, vector)
@@ -159,10 +203,13 @@ def held(
         if found is None:
             break
         error = _error(cross_validate(here, found).error, found, here, problem)
-        last, best = best, Holder(vector, found, error) if best is None or error < best.error else best
-        if error > below or (last is not None and error > BETTER * last.error):
+        holder = Holder(vector, found, error)
+        if abs(error - last) < SAME * error:
+            return holder
+        best = holder if best is None or error < best.error else best
+        if best.error > below:
             break
-        vector = found.vector
+        vector, last = found.vector, error
     return best
 
 
