@@ -86,3 +86,30 @@ def test_one_effect_from_the_starts_of_another_is_asked_for_its_own() -> None:
     given = starts(LIKE, {})
     assert given.simpler(dataset(), search) is given.holders[NAMED]
     assert starts(NAMED, {}).simpler(dataset(), search) is None
+
+
+@pytest.mark.parametrize(
+    ("errors", "kept"),
+    [
+        ((0.97, 0.949, 0.985, 0.9237, 0.9229, 0.9229, 0.8), 0.9229),
+        ((0.975, 1.013, 1.027, 1.027, 0.8), 1.027),
+        ((0.92, 0.9207, 0.9207, 0.8), 0.9207),
+        ((0.98, 0.8), 0.98),
+        ((0.97, 0.93, 0.97, 0.93, 0.97, 0.93, 0.97, 0.92, 0.8), 0.92),
+    ],
+    ids=["falls late", "holds a worse one", "a change that matters", "not below", "never holds"],
+)
+def test_starts_and_fit_are_found_in_turn_until_they_hold_each_other(
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], kept: float
+) -> None:
+    left = iter(errors)
+    found = friction_at_the_tip()
+    monkeypatch.setattr(unknown_starts, "judged", lambda data, _: data)
+    monkeypatch.setattr(unknown_starts, "cross_validate", lambda *_: found.search.root_validation)
+    monkeypatch.setattr(unknown_starts, "over_strength", lambda *_: found.search.root)
+    monkeypatch.setattr(unknown_starts, "_error", lambda *_: next(left))
+    shared = (found.baseline.dataset, found.baseline.problem)
+    held = unknown_starts.held(shared, (), found.search.root.vector, 0.976)
+    assert held is not None
+    assert held.error == kept
+    assert next(left) == 0.8
