@@ -13,7 +13,7 @@ import numpy as np
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.units import deg, nmm, per_100mm
+from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import (
     Baseline,
     as_baseline,
@@ -28,13 +28,21 @@ from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
-from needle_rig.workbench.selection.decisions import decide, may_snap
+from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.duration import START_TIMES, expected, spell
 from needle_rig.workbench.selection.evidence import improves_cross_validation, relieves_pull
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
-from needle_rig.workbench.selection.ranking import order, rank, values_of
+from needle_rig.workbench.selection.notes import (
+    constrained_means,
+    contrived,
+    negligible,
+    not_refitted,
+    of_no_use,
+    partial,
+)
+from needle_rig.workbench.selection.ranking import order, rank
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
@@ -214,13 +222,13 @@ def _conclude(
 ) -> Diagnosis:
     root, root_validation = search.root, search.root_validation
     named = search.named(search.best)
-    not_named = _contrived(search, named)
+    not_named = contrived(search, named)
     gain = max(0.0, root.objective - search.fits[search.best][0].objective)
     problem, best, validation = search.problem, root, root_validation
     if named and not not_named:
         problem, best, validation = as_baseline(baseline, problem, *search.fits[search.best])
         if not relieves_pull(root, best):
-            not_named = _of_no_use(named, root_validation.error, validation.error)
+            not_named = of_no_use(named, root_validation.error, validation.error)
     if not_named:
         named, problem, best, validation = [], search.problem, root, root_validation
     left = find_residual_patterns(problem, best, sensors)
@@ -275,98 +283,14 @@ def _conclude(
         notes=(
             *baseline.dataset.notes,
             *baseline.notes,
-            *(_negligible_notes(search) if decisions_stand(named, validation.error) else ()),
+            *(negligible(search) if decisions_stand(named, validation.error) else ()),
             *([note(share)] if may_wander(share) and not decisions_stand(named, validation.error) else ()),
-            *_mean_notes(best),
-            *(_screening_notes(search, named) if verdict == "effect" else []),
-            *(
-                _partial_notes(named, explained_fraction, validation)
-                if verdict == "unknown" and named
-                else []
-            ),
+            *constrained_means(best),
+            *(not_refitted(search, named) if verdict == "effect" else []),
+            *(partial(named, explained_fraction, validation) if verdict == "unknown" and named else []),
             *not_named,
         ),
         baseline=baseline,
         search=search,
         concluded=(problem, best, validation),
     )
-
-
-def _contrived(search: SearchTrace, named: list[str]) -> list[str]:
-    """What to say of a set that meets the data but is too many effects at values that none should have."""
-    found, validation = search.fits[search.best]
-    odd = [(e, v) for e in named for v in values_of(found, e) if not v.plausible]
-    if len(named) <= POLICY.verdict.at_any_value or not odd:
-        return []
-    said = ", ".join(f"{effect} {v.name} = {v.value:.3g} {v.unit}" for effect, v in odd)
-    before = search.root_validation.error
-    after = math.inf if validation is None else validation.error
-    held_out = f" (on commands left out {before:.3g} → {after:.3g} × the noise)" if after < math.inf else ""
-    return [
-        f"{', '.join(named[:-1])} and {named[-1]} together come nearer the data{held_out}, but with values"
-        f" outside what is plausible ({said}): they describe what is missing, they are not named for it."
-    ]
-
-
-def _of_no_use(named: list[str], before: float, after: float) -> list[str]:
-    """What to say of effects that pass, but foretell commands left out no better where the noise is reached
-    without."""
-    if before > POLICY.verdict.reached or after < before:
-        return []
-    return [
-        f"{' and '.join(named)} gains more than chance where it was fitted and foretells commands left out no"
-        f" better ({before:.3f} → {after:.3f} × the noise, which is reached without): not named."
-    ]
-
-
-def _screening_notes(search: SearchTrace, named: list[str]) -> list[str]:
-    """What was not fitted in the place of an effect, since screening promises too little of it."""
-    notes = []
-    here = search.fits[search.best][0].objective
-    for effect in named:
-        rest = frozenset(search.best - {effect})
-        left_out = [
-            c
-            for c in search.children.get(rest, ())
-            if c.fit is None and rest | {c.effect} not in search.fits and c.effect not in search.best
-        ]
-        if left_out:
-            most = max(left_out, key=lambda c: (c.screening.gain, c.effect))
-            gain = search.fits[rest][0].objective - here
-            notes.append(
-                f"In the place of {effect}, {len(left_out)} effects were not refitted: screening promises"
-                f" at most {100 * most.screening.gain / max(gain, 1e-9):.0f} % of its gain ({most.effect})."
-            )
-    return notes
-
-
-def _partial_notes(named: list[str], share: float, validation: CrossValidation) -> list[str]:
-    return [
-        f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
-        f" {validation.error:.2f} × the noise on commands left out: not the whole truth."
-    ]
-
-
-def _mean_notes(found: Fit) -> list[str]:
-    """Notes on factors with a constrained mean: what all items share is friction."""
-    fields = sorted({f"{a.effect} {a.field}" for a in found.parameters if a.info.relative})
-    friction_nmm_per_100mm = per_100mm(float(np.exp(found.vector.log_friction)))
-    return [
-        f"The mean of {field} is held at 1: what all items share is friction,"
-        f" here {friction_nmm_per_100mm:.3g} N·mm per 100 mm."
-        for field in fields
-    ]
-
-
-def _negligible_notes(search: SearchTrace) -> list[str]:
-    notes = []
-    for name, found in search.negligible.items():
-        said = ", ".join(f"{v.name} = {v.value:.3g} {v.unit}" for v in values_of(found, name))
-        if may_snap(search.problem, search.fits[search.best][0], name):
-            notes.append(
-                f"{name} is seen ({said}), and how much there is of it cannot be told: with an excess that is"
-                " lost within less slip the needle snaps, and what a snap leaves looks like less of it."
-            )
-        else:
-            notes.append(f"{name} is seen, but too small to matter ({said}).")
-    return notes

@@ -18,6 +18,7 @@ from needle_rig.workbench.selection import diagnose as diagnose_module
 from needle_rig.workbench.selection import search
 from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.notes import of_no_use
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
 from tests.workbench.hidden import dataset, effect, few, try_effect
@@ -372,6 +373,6 @@ def test_what_foretells_commands_left_out_no_better_is_not_named(
     before: float, after: float, said: bool
 ) -> None:
     """Where the noise is reached without it; far from the noise the verdict has rules of its own."""
-    notes = diagnose_module._of_no_use(["hall_gain"], before, after)
+    notes = of_no_use(["hall_gain"], before, after)
     assert bool(notes) == said
     assert all("hall_gain gains more than chance" in note and "not named" in note for note in notes)

@@ -23,9 +23,9 @@ from needle_rig.workbench.published.search import Candidate as SettledCandidate
 from needle_rig.workbench.selection import candidates, residual_patterns, screening, search
 from needle_rig.workbench.selection.candidates import penalty, refinable
 from needle_rig.workbench.selection.decisions import _decision
-from needle_rig.workbench.selection.diagnose import _contrived
 from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
+from needle_rig.workbench.selection.notes import contrived
 from needle_rig.workbench.selection.residual_patterns import (
     Pattern,
     ResidualPatterns,
@@ -422,7 +422,7 @@ def test_more_than_two_effects_are_named_with_plausible_values_only(
     validations: Any = [SimpleNamespace(error=error) for error in (9.0, 2.5)]
     fits = {frozenset(names): (found, validations[1])}
     trace: Any = SimpleNamespace(best=frozenset(names), fits=fits, root_validation=validations[0])
-    said = _contrived(trace, names)
+    said = contrived(trace, names)
     assert ["9 → 2.5 × the noise" in each for each in said] == [True] * described_only
 
 
