@@ -14,8 +14,7 @@ from needle_rig.units import nm
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection import diagnose as diagnose_module
-from needle_rig.workbench.selection import search
+from needle_rig.workbench.selection import notes, search
 from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.notes import of_no_use
@@ -149,7 +148,7 @@ def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden: 
 
 def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
     none_at_any_value = dataclasses.replace(POLICY.verdict, at_any_value=0)
-    monkeypatch.setattr(diagnose_module, "POLICY", dataclasses.replace(POLICY, verdict=none_at_any_value))
+    monkeypatch.setattr(notes, "POLICY", dataclasses.replace(POLICY, verdict=none_at_any_value))
     found = diagnose(dataset(effect("chuck_backlash", play_deg=14.0)), few("chuck_backlash", "torque_bias"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert "chuck_backlash play_deg = 14 °" in found.notes[-1]
@@ -373,6 +372,6 @@ def test_what_foretells_commands_left_out_no_better_is_not_named(
     before: float, after: float, said: bool
 ) -> None:
     """Where the noise is reached without it; far from the noise the verdict has rules of its own."""
-    notes = of_no_use(["hall_gain"], before, after)
-    assert bool(notes) == said
-    assert all("hall_gain gains more than chance" in note and "not named" in note for note in notes)
+    sentences = of_no_use(["hall_gain"], before, after)
+    assert bool(sentences) == said
+    assert all("hall_gain gains more than chance" in each and "not named" in each for each in sentences)
