@@ -382,3 +382,28 @@ def test_a_drag_that_levels_off_beside_dry_friction_is_followed(drag_n: float, s
     most_nm = drag_n * needle.tissue_length_m.sum()
     added = np.abs(dragged.torque_nm - dry.torque_nm).max()
     assert 0.1 * most_nm < added < 2.1 * most_nm
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_a_wound_shaft_whose_friction_has_fallen_gives_way_to_its_new_slip_limits(seed: int) -> None:
+    """Turned to and fro, a shaft holds torques of either sign; with less friction nearly all of it slips."""
+    random = np.random.default_rng([seed, 7])
+    needle = rod(
+        friction=random.choice([0.0996, 0.45]),
+        stiffness=random.choice([np.inf, 1e4]),
+        base_compliance_rad_per_nm=random.choice([0.0, 4000.0]),
+    )
+    turns = random.uniform(150.0, 600.0) * (-random.uniform(0.55, 0.95)) ** np.arange(random.integers(6, 14))
+    time, base = path(list(turns), settle_s=0.3)
+    held = solve(needle, time, base).state
+    left = random.choice([0.1, 0.3, 0.6])
+    lower = replace(
+        needle, slip_plus_nm=left * needle.slip_plus_nm, slip_minus_nm=left * needle.slip_minus_nm
+    )
+    first = base[-1] + random.choice([0.0, 1e-5])
+    after = solve(
+        lower, np.array([0.0, 0.1, 0.2]), np.array([first, first, base[-1] + 0.01]), state=held
+    ).state
+    carried = lower.stiffness_nm_per_rad * np.diff(after.angle_rad)
+    torque = np.diff(carried, append=0.0)
+    assert np.all(np.abs(torque) <= lower.slip_plus_nm[1:] * (1.0 + 1e-6) + 1e-12)
