@@ -177,7 +177,7 @@ def own_start_error(dataset: Dataset, problem: Problem, found: Fit) -> float:
 
     Infinite where the model cannot be solved there.
     """
-    own = held((dataset, problem), found.effects, found.vector, 0.0)
+    own = held((dataset, problem), found.effects, found.vector, math.inf)
     return math.inf if own is None else own.error
 
 

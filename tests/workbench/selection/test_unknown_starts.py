@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -102,14 +103,28 @@ def test_one_effect_from_the_starts_of_another_is_asked_for_its_own() -> None:
 def test_starts_and_fit_are_found_in_turn_until_they_hold_each_other(
     monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], kept: float
 ) -> None:
+    found, left = rounds_that_leave(errors, monkeypatch)
+    shared = (found.baseline.dataset, found.baseline.problem)
+    held = unknown_starts.held(shared, (), found.search.root.vector, 0.976)
+    assert held is not None
+    assert held.error == kept
+    assert next(left) == 0.8
+
+
+def test_what_is_named_is_judged_from_starts_that_its_own_fit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = rounds_that_leave((1.6, 1.02, 1.01, 1.01), monkeypatch)
+    root = found.search.root
+    assert unknown_starts.own_start_error(found.baseline.dataset, found.baseline.problem, root) == 1.01
+
+
+def rounds_that_leave(
+    errors: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> tuple[Diagnosis, Iterator[float]]:
+    """A diagnosis with its data, and the errors of rounds to come in which starts are found."""
     left = iter(errors)
     found = friction_at_the_tip()
     monkeypatch.setattr(unknown_starts, "judged", lambda data, _: data)
     monkeypatch.setattr(unknown_starts, "cross_validate", lambda *_: found.search.root_validation)
     monkeypatch.setattr(unknown_starts, "over_strength", lambda *_: found.search.root)
     monkeypatch.setattr(unknown_starts, "_error", lambda *_: next(left))
-    shared = (found.baseline.dataset, found.baseline.problem)
-    held = unknown_starts.held(shared, (), found.search.root.vector, 0.976)
-    assert held is not None
-    assert held.error == kept
-    assert next(left) == 0.8
+    return found, left
