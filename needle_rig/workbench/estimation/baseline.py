@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
-from needle_rig.workbench.observations.binning import bin_trial, driven_by_samples
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, driven_by_samples
 from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.earlier_path import with_known_paths
 from needle_rig.workbench.observations.noise import Noise, measure_noise
@@ -178,6 +178,11 @@ def under_noise(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
     return baseline if noise is problem.noise else _fitted(baseline, baseline.problem.with_noise(noise))
 
 
+def over_trials(baseline: Baseline, trials: Sequence[BinnedTrial]) -> Baseline:
+    """The baseline over other trials in bins; itself where it cannot be solved over them."""
+    return _fitted(baseline, baseline.problem.over(trials))
+
+
 def with_samples_at(baseline: Baseline, problem: Problem, found: Fit, gain: float) -> Baseline:
     """The baseline driven by every sample, where a `gain` on `found` may be its discretisation error.
 
@@ -189,7 +194,7 @@ def with_samples_at(baseline: Baseline, problem: Problem, found: Fit, gain: floa
         trials = driven_at(problem, found, baseline.dataset.trials, baseline.fine_m, above)
     except SolverError:
         return baseline
-    return baseline if trials is None else _fitted(baseline, baseline.problem.over(trials))
+    return baseline if trials is None else over_trials(baseline, trials)
 
 
 def _fitted(baseline: Baseline, problem: Problem) -> Baseline:

@@ -20,12 +20,8 @@ from needle_rig.dataset import DatasetTrial
 from needle_rig.dataset.samples import is_slow
 from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
-from needle_rig.workbench.observations.binning import (
-    BinnedTrial,
-    channels,
-    motions_of,
-    set_aside,
-)
+from needle_rig.workbench.observations.binning import BinnedTrial, channels, motions_of
+from needle_rig.workbench.observations.outliers import set_aside
 from needle_rig.workbench.policy import POLICY
 
 Places = npt.NDArray[np.int64]

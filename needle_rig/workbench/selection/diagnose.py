@@ -52,14 +52,13 @@ from needle_rig.workbench.selection.unknown_starts import (
     own_start_error,
     with_starts_of,
 )
+from needle_rig.workbench.selection.unmodelled_outliers import without_outliers
 from needle_rig.workbench.selection.unrepeated import (
-    hum_note,
     left_to_white,
     may_wander,
     note,
     under_hum,
     under_wander,
-    wander_note,
 )
 from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
@@ -196,19 +195,21 @@ def diagnose(
                 trace = dataclasses.replace(trace, best=key)
         found = concluded(baseline, trace)
         if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
-            for under, said, note_of in (
-                (under_hum, "hum", hum_note),
-                (under_wander, "noise that wanders", wander_note),
+            for otherwise, said in (
+                (without_outliers, "without outliers"),
+                (under_hum, "under hum"),
+                (under_wander, "under noise that wanders"),
             ):
-                other = under(baseline, trace.problem, trace.fits[trace.best][0])
-                if other is None:
+                changed = otherwise(baseline, trace.problem, trace.fits[trace.best][0])
+                if changed is None:
                     continue
-                say(f"trying every effect again, under {said}, {left}")
+                other, told = changed
+                say(f"trying every effect again, {said}, {left}")
                 start = known and fit(other.problem, known.effects, known.vector)
                 anew = concluded(other, searched(other, start))
                 # beside noise of what is left more effects than these can stand for anything
                 if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
-                    found = dataclasses.replace(anew, notes=(note_of(other.problem.noise), *anew.notes))
+                    found = dataclasses.replace(anew, notes=(told, *anew.notes))
                     break
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
 

@@ -49,9 +49,11 @@ def may_wander(share: float) -> bool:
     return share <= POLICY.verdict.wandering
 
 
-def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | None:
-    """The baseline under noise with the hum that all trials show beyond `found`; None where they show none,
-    or it leaves more than noise of what `found` foretells."""
+def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baseline, str] | None:
+    """The baseline under noise with the hum that all trials show beyond `found`, and a note.
+
+    None where they show none, or it leaves more than noise of what `found` foretells.
+    """
     if problem.noise.hum.any():
         return None
     noise = with_hum_left(problem.noise, problem.trials, problem.whiteners, found.residuals)
@@ -59,19 +61,21 @@ def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | No
     if humming is baseline:
         return None
     validation = cross_validate(humming.problem, refitted(humming.problem, found))
-    return humming if validation.error <= POLICY.verdict.reached else None
+    return (humming, _hum_note(noise)) if validation.error <= POLICY.verdict.reached else None
 
 
-def under_wander(baseline: Baseline, problem: Problem, found: Fit) -> Baseline | None:
-    """The baseline under noise with the correlated part that all trials show beyond `found`; None where
-    they show none or more than may wander, or where replicates or a snap tell otherwise."""
+def under_wander(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baseline, str] | None:
+    """The baseline under noise with the correlated part that all trials show beyond `found`, and a note.
+
+    None where they show none or more than may wander, or where replicates or a snap tell otherwise.
+    """
     if problem.noise.replicates or snaps(baseline.dataset):
         return None
     noise = with_correlation_left(problem.noise, problem.trials, problem.raw(found.residuals))
     if not may_wander(wander(noise)):
         return None
     wandering = under_noise(baseline, problem, noise)
-    return None if wandering is baseline else wandering
+    return None if wandering is baseline else (wandering, _wander_note(noise))
 
 
 def wander(noise: Noise) -> float:
@@ -79,7 +83,7 @@ def wander(noise: Noise) -> float:
     return float(np.max(noise.correlated / noise.white))
 
 
-def hum_note(noise: Noise) -> str:
+def _hum_note(noise: Noise) -> str:
     """What was taken for noise, and the experiment that would tell."""
     return (
         f"What is left oscillates at {noise.hum_hz:.2g} Hz, with a phase of its own in each trial and"
@@ -88,7 +92,7 @@ def hum_note(noise: Noise) -> str:
     )
 
 
-def wander_note(noise: Noise) -> str:
+def _wander_note(noise: Noise) -> str:
     """What was taken for noise, and the experiment that would tell."""
     return (
         f"What is left, {wander(noise):.2g} × the white noise of a sample at most, is taken for noise that"

@@ -6,7 +6,7 @@ import pytest
 from needle_rig.dataset import Dataset
 from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
-from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of, set_aside
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of
 from needle_rig.workbench.observations.noise import (
     Noise,
     covariance,
@@ -14,6 +14,7 @@ from needle_rig.workbench.observations.noise import (
     replicate_groups,
     whitener,
 )
+from needle_rig.workbench.observations.outliers import set_aside
 from tests.workbench.hidden import dataset
 
 

@@ -17,7 +17,6 @@ from needle_rig.workbench.observations.binning import (
     bin_trial,
     direction_of,
     motions_of,
-    set_aside,
 )
 from needle_rig.workbench.observations.noise import (
     _rest_offsets,
@@ -27,6 +26,7 @@ from needle_rig.workbench.observations.noise import (
     measure_noise,
     replicate_groups,
 )
+from needle_rig.workbench.observations.outliers import set_aside
 from needle_rig.workbench.observations.replicate_noise import with_motion_scatter
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset

@@ -12,8 +12,9 @@ from needle_rig.numerics import Array
 from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.units import nm, rad
 from needle_rig.workbench.estimation.simulator import Simulator
-from needle_rig.workbench.observations.binning import bin_trial, driven_by_samples, set_aside
+from needle_rig.workbench.observations.binning import bin_trial, driven_by_samples
 from needle_rig.workbench.observations.noise import Noise, measure_noise
+from needle_rig.workbench.observations.outliers import set_aside
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE
 
