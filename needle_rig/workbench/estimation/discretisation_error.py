@@ -33,10 +33,10 @@ def with_discretisation_error(
 ) -> tuple[Problem, Fit]:
     """The problem with the discretisation error at a fit as its first nuisance, and the fit to that problem.
 
-    Where that error is large beside the noise and the fit reaches the noise, the model is driven by every
-    sample from then on, which removes the error of sampling; not where the fit then leaves the noise, as an
-    effect of the base's acceleration does: by every sample of 2 kHz that is the encoder's noise. Raises
-    SolverError where the model cannot be solved finely.
+    Where that error is large beside the noise and the fit but for it reaches the noise, the model is driven
+    by every sample from then on, which removes the error of sampling; not where the fit then leaves the
+    noise, as an effect of the base's acceleration does: by every sample of 2 kHz that is the encoder's noise.
+    Raises SolverError where the model cannot be solved finely.
     """
     error = whitened_error(problem, found, trials, fine_m)
     driven = _driven_where_large(problem, found, trials, error, POLICY.noise.straight_error_sigmas)
@@ -52,7 +52,7 @@ def driven_at(
     problem: Problem, found: Fit, trials: Sequence[DatasetTrial], fine_m: float, above: float
 ) -> tuple[BinnedTrial, ...] | None:
     """The problem's trials driven by every sample, where the discretisation error at `found` is `above` so
-    many σ over all values, and the fit reaches the noise before and after; else None.
+    many σ over all values, and the fit reaches the noise, but for that error before; else None.
 
     Raises SolverError.
     """
@@ -65,15 +65,16 @@ def _driven_where_large(
     problem: Problem, found: Fit, trials: Sequence[DatasetTrial], error: Sequence[Array], above: float
 ) -> tuple[Problem, Fit] | None:
     """The problem driven by every sample and the fit to it, where `driven_at` drives it so; else None."""
-    if np.linalg.norm(np.vstack(error)) <= above or not _near(problem, found):
+    size = float(np.linalg.norm(np.vstack(error)))
+    if size <= above or not _near(problem, found, size):
         return None
     driven = by_every_sample(problem, found, trials)
     return driven if _near(*driven) else None
 
 
-def _near(problem: Problem, found: Fit) -> bool:
-    """Whether a fit reaches the noise, but for as much again."""
-    return excess(problem, found.objective) < problem.size
+def _near(problem: Problem, found: Fit, error: float = 0.0) -> bool:
+    """Whether a fit reaches the noise, but for as much again and an error of this norm."""
+    return excess(problem, found.objective) - error**2 < problem.size
 
 
 def whitened_error(

@@ -101,14 +101,7 @@ def with_correlation(
     if not groups:
         return noise
 
-    def channels(beside: Noise) -> list[_Channel]:
-        alone = _without_correlation(beside)
-        return [
-            _channel(beside, binned, contrasts(alone, binned, residuals, groups, c), c)
-            for c in range(noise.white.size)
-        ]
-
-    every = channels(noise)
+    every = _of_replicates(noise, binned, residuals, groups)
     if _misfit(every) > POLICY.noise.replicate_misfit:
         return noise
     found = _likelier(noise, every)
@@ -117,8 +110,32 @@ def with_correlation(
     humming = with_hum(found, binned, residuals, groups)
     if humming is not found:
         beside = dataclasses.replace(noise, hum=humming.hum, hum_hz=humming.hum_hz)
-        found = with_hum(_likelier(beside, channels(beside)), binned, residuals, groups)
+        every = _of_replicates(beside, binned, residuals, groups)
+        found = with_hum(_likelier(beside, every), binned, residuals, groups)
     return found
+
+
+def replicates_favour(
+    other: Noise,
+    noise: Noise,
+    binned: Sequence[BinnedTrial],
+    residuals: Sequence[Array],
+    groups: list[list[int]],
+) -> bool:
+    """Whether what replicates do not share is likelier under the correlated part of `other` than of `noise`.
+
+    Not without replicates, nor where the model is wrong, as they differ by its error then; arguments as of
+    `with_correlation`.
+    """
+    groups = [group for group in groups if len(group) > 1]
+    every = _of_replicates(noise, binned, residuals, groups)
+    if not groups or _misfit(every) > POLICY.noise.replicate_misfit:
+        return False
+    gain = 0.0
+    for c, channel in enumerate(every):
+        size, tau_s = float(other.correlated[c]) / channel.white, float(other.correlation_s[c])
+        gain += channel.log_likelihood(size, tau_s) - channel.present
+    return gain > 0.0
 
 
 def with_correlation_left(noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array]) -> Noise:
@@ -177,6 +194,16 @@ def _misfit(channels: Iterable[_Channel]) -> float:
             shared += (len(apart_each) + 1) * float(spectrum.shared[0] @ spectrum.shared[0])
             apart += float((apart_each**2).sum()) / len(apart_each)
     return shared / max(apart, _LEAST)
+
+
+def _of_replicates(
+    noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], groups: list[list[int]]
+) -> list[_Channel]:
+    alone = _without_correlation(noise)
+    return [
+        _channel(noise, binned, contrasts(alone, binned, residuals, groups, c), c)
+        for c in range(noise.white.size)
+    ]
 
 
 def _without_correlation(noise: Noise) -> Noise:

@@ -20,7 +20,7 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.hum import with_hum_left
 from needle_rig.workbench.observations.noise import Noise, covariance
-from needle_rig.workbench.observations.replicate_noise import with_correlation_left
+from needle_rig.workbench.observations.replicate_noise import replicates_favour, with_correlation_left
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.policy import POLICY
 
@@ -67,12 +67,16 @@ def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baselin
 def under_wander(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baseline, str] | None:
     """The baseline under noise with the correlated part that all trials show beyond `found`, and a note.
 
-    None where they show none or more than may wander, or where replicates or a snap tell otherwise.
+    None where they show none or more than may wander, where replicates are no likelier under it, or after a
+    snap.
     """
-    if problem.noise.replicates or snaps(baseline.dataset):
+    if snaps(baseline.dataset):
         return None
-    noise = with_correlation_left(problem.noise, problem.trials, problem.raw(found.residuals))
+    known, left = problem.noise, problem.raw(found.residuals)
+    noise = with_correlation_left(known, problem.trials, left)
     if not may_wander(wander(noise)):
+        return None
+    if known.replicates and not replicates_favour(noise, known, problem.trials, left, problem.groups):
         return None
     wandering = under_noise(baseline, problem, noise)
     return None if wandering is baseline else (wandering, _wander_note(noise))
@@ -94,10 +98,18 @@ def _hum_note(noise: Noise) -> str:
 
 def _wander_note(noise: Noise) -> str:
     """What was taken for noise, and the experiment that would tell."""
-    return (
+    taken = (
         f"What is left, {wander(noise):.2g} × the white noise of a sample at most, is taken for noise that"
-        " wanders over seconds. A missing effect as small would be told from it by a repeated command alone."
-        " Repeat one command three times."
+        " wanders over seconds."
+    )
+    if noise.replicates:
+        return (
+            f"{taken} The repeated commands are likelier with it than without, but too few to show it by"
+            " themselves. Repeat one command more often."
+        )
+    return (
+        f"{taken} A missing effect as small would be told from it by a repeated command alone. Repeat one"
+        " command three times."
     )
 
 
