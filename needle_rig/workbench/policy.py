@@ -93,6 +93,13 @@ class NoisePolicy:
         "p = 0.001 with two parameters, size and time",
         _REPLICATES,
     )
+    replicate_favour: float = _threshold(
+        2.7,
+        "twice the gain of log-likelihood by which replicates bear out noise that the residuals of all trials"
+        " show",
+        "p = 0.05, one-sided, of a size that is given",
+        _REPLICATES,
+    )
     hum_significance: float = _threshold(
         0.001,
         "chance of an oscillation of one frequency in the contrasts of replicates, all frequencies counted",

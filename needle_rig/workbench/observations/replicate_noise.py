@@ -122,7 +122,7 @@ def replicates_favour(
     residuals: Sequence[Array],
     groups: list[list[int]],
 ) -> bool:
-    """Whether what replicates do not share is likelier under the correlated part of `other` than of `noise`.
+    """Whether replicates' contrasts are likelier under the correlated part of `other` than of `noise`.
 
     Not without replicates, nor where the model is wrong, as they differ by its error then; arguments as of
     `with_correlation`.
@@ -135,7 +135,7 @@ def replicates_favour(
     for c, channel in enumerate(every):
         size, tau_s = float(other.correlated[c]) / channel.white, float(other.correlation_s[c])
         gain += channel.log_likelihood(size, tau_s) - channel.present
-    return gain > 0.0
+    return 2.0 * gain > POLICY.noise.replicate_favour
 
 
 def with_correlation_left(noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array]) -> Noise:

@@ -67,8 +67,7 @@ def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baselin
 def under_wander(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baseline, str] | None:
     """The baseline under noise with the correlated part that all trials show beyond `found`, and a note.
 
-    None where they show none or more than may wander, where replicates are no likelier under it, or after a
-    snap.
+    None where they show none or more than may wander, where replicates do not bear it out, or after a snap.
     """
     if snaps(baseline.dataset):
         return None

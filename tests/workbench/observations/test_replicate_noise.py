@@ -11,7 +11,7 @@ from needle_rig.workbench.observations import replicate_noise
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.contrasts import contrasts, places_alike
 from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise
-from needle_rig.workbench.observations.replicate_noise import with_correlation
+from needle_rig.workbench.observations.replicate_noise import replicates_favour, with_correlation
 from tests.workbench.hidden import dataset
 
 ALL = slice(1, None)
@@ -178,3 +178,45 @@ def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
     channel = channel_of(white, binned, [high * q for q in quiet], 1)
     likeliest = replicate_noise._likeliest([channel])
     assert 2.0 * (likeliest.log_likelihood - channel.present) == pytest.approx(13.8, rel=0.02)
+
+
+def gain(
+    other: Noise, noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array]
+) -> tuple[bool, float]:
+    """Whether replicates bear out `other`, and twice their gain of log-likelihood, channel by channel."""
+    total = 0.0
+    for c in range(noise.white.size):
+        channel = channel_of(noise, binned, residuals, c)
+        size, tau_s = other.correlated[c] / channel.white, other.correlation_s[c]
+        total += 2.0 * (channel.log_likelihood(size, tau_s) - channel.present)
+    return replicates_favour(other, noise, binned, residuals, [GROUP, [2], [3]]), total
+
+
+def test_replicates_bear_out_noise_from_a_gain_of_one_in_twenty(
+    binned: tuple[BinnedTrial, ...], white: Noise
+) -> None:
+    other = wandering(white, 0.1, 5.0, slice(2, 3))
+    quiet, wander = drawn(white, binned, 71), drawn(wandering(white, 0.3, 5.0, slice(2, 3)), binned, 72)
+
+    def mixed(share: float) -> list[Array]:
+        return [(1.0 - share) * q + share * w for q, w in zip(quiet, wander, strict=True)]
+
+    at = brentq(lambda share: gain(other, white, binned, mixed(share))[1] - 2.7, 0.0, 1.0)
+    for share, favour in ((at - 0.002, False), (at + 0.002, True)):
+        said, twice = gain(other, white, binned, mixed(share))
+        assert said is favour
+        assert twice == pytest.approx(2.7, abs=0.5)
+
+
+def test_replicates_bear_out_no_noise_that_they_share(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
+    """A missing effect, the same in each trial, is no noise, nor is what a wrong model leaves of them."""
+    other = wandering(white, 0.15, 2.0, ALL)
+    alike = [rad(0.15) * np.vstack([0.0 * b.time_s, *[np.sin(b.time_s)] * 4]) for b in binned]
+    for seed in range(5):
+        own = drawn(white, binned, 80 + seed)
+        assert not gain(other, white, binned, [a + o for a, o in zip(alike, own, strict=True)])[0]
+    wandered = drawn(other, binned, 74)
+    assert gain(other, white, binned, wandered)[0]
+    wrong = [20.0 * a + w for a, w in zip(alike, wandered, strict=True)]
+    assert not gain(other, white, binned, wrong)[0]
+    assert not replicates_favour(other, white, binned, wandered, [[0], [1], [2]])

@@ -15,6 +15,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.selection import diagnose as diagnose_module
+from needle_rig.workbench.selection import unrepeated as unrepeated_module
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.unrepeated import left_to_white, under_hum, under_wander
 from tests.workbench.hidden import effect, few
@@ -79,8 +80,16 @@ def test_more_than_may_wander_is_no_noise() -> None:
     data = unrepeated("white", effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     baseline = fit_baseline(data, None, WITHOUT)
     assert under_wander(baseline, baseline.problem, baseline.current) is None
-    repeated = fit_baseline(unrepeated("wanders over 2 s", shape="standard series"), None, WITHOUT)
-    assert under_wander(repeated, repeated.problem, repeated.current) is None
+
+
+def test_where_commands_were_repeated_replicates_must_bear_it_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = fit_baseline(unrepeated("wanders over 2 s", shape="standard series"), None, WITHOUT)
+    monkeypatch.setattr(unrepeated_module, "replicates_favour", lambda *_: False)
+    assert under_wander(given, given.problem, given.current) is None
+    monkeypatch.setattr(unrepeated_module, "replicates_favour", lambda *_: True)
+    changed = under_wander(given, given.problem, given.current)
+    assert changed is not None
+    assert "Repeat one command more often" in changed[1]
 
 
 def test_hum_is_found_by_its_frequency() -> None:
