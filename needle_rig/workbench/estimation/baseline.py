@@ -22,7 +22,7 @@ from needle_rig.workbench.estimation.discretisation_error import (
     with_discretisation_error,
 )
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.parameters import scaled_values_of
+from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
@@ -50,8 +50,14 @@ SMALLEST_RIGIDITY_SIGMA = 1e-4
 """Relative prior standard deviation of a rigidity that is stated as exact."""
 
 
-Solved = Callable[[float, float], None]
-"""Told how long one solution of all trials takes, s: driven by a few points a motion, and by every sample."""
+@dataclass(frozen=True)
+class FirstFit:
+    """Where the first fit of the current model begins; `driven` is the problem driven by every sample."""
+
+    problem: Problem
+    driven: Problem
+    parameters: tuple[FreeParameter, ...]
+    vector: ParameterVector
 
 
 @dataclass(frozen=True)
@@ -103,13 +109,13 @@ def fit_baseline(
     model: NeedleModel | None,
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
-    solved: Solved | None = None,
+    solved: Callable[[FirstFit], None] | None = None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each. `solved` is told how long a solution takes.
+    alone, whole trials have one friction each. `solved` is told where the first fit begins.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -144,13 +150,11 @@ def fit_baseline(
     at = scaled_values_of(problem.parameters(names), current.effects)
 
     def rated(vector: ParameterVector) -> None:
-        if solved is None:
-            return
-        driven = map(driven_by_samples, problem.trials, dataset.trials)
-        whole = dataclasses.replace(problem, trials=tuple(driven))
-        parameters = problem.parameters(names)
-        with suppress(SolverError):  # the fit says so itself, if it cannot be solved there
-            solved(problem.solution_s(parameters, vector), whole.solution_s(parameters, vector))
+        if solved is not None:
+            trials = tuple(map(driven_by_samples, problem.trials, dataset.trials))
+            driven = dataclasses.replace(problem, trials=trials)
+            with suppress(SolverError):  # the fit says so itself, if it cannot be solved there
+                solved(FirstFit(problem, driven, problem.parameters(names), vector))
 
     first = _first_fit(problem, names, at, current.friction_n if model else None, rated)
     notes = list(_notes(problem))

@@ -12,9 +12,9 @@ from needle_rig.errors import SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import predict_batch
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.multistart import FINE_FORM_STEPS, FORM_STEPS, over_forms
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.profile import over_profiles
 from needle_rig.workbench.observations.binning import BinnedTrial, driven_by_samples, sample_weights
 from needle_rig.workbench.policy import POLICY
 
@@ -41,11 +41,13 @@ def with_discretisation_error(
     error = whitened_error(problem, found, trials, fine_m)
     driven = _driven_where_large(problem, found, trials, error, POLICY.noise.straight_error_sigmas)
     if driven is None:
-        return _as_first_nuisance(problem, found, error)
+        problem, found = _as_first_nuisance(problem, found, error)
+        return problem, over_profiles(problem, found)
     problem, found = driven
     problem, found = _as_first_nuisance(problem, found, whitened_error(problem, found, trials, fine_m))
-    found = over_forms(problem, found, (*FORM_STEPS, *FINE_FORM_STEPS))
-    return problem, _multiple_imputation(problem, found, trials)
+    between = _between_imputations(problem, found, trials)
+    found = over_profiles(problem, found)
+    return problem, dataclasses.replace(found, covariance=found.covariance + between)
 
 
 def driven_at(
@@ -145,8 +147,8 @@ def _encoder_scatter(problem: Problem, found: Fit, trials: Sequence[DatasetTrial
     return tuple(np.stack(each, axis=-1) for each in zip(*draws, strict=True))
 
 
-def _multiple_imputation(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> Fit:
-    """A fit whose covariance includes that between fits to other draws of the encoder's noise.
+def _between_imputations(problem: Problem, found: Fit, trials: Sequence[DatasetTrial]) -> Array:
+    """Covariance (p, p) of the shared parameters between fits to other draws of the encoder's noise.
 
     Derivatives give the slope between two slips, not how far slips move the minimum; so the parameters are
     refitted to each draw (multiple imputation: Rubin 1987, (3.1.5)).
@@ -162,9 +164,8 @@ def _multiple_imputation(problem: Problem, found: Fit, trials: Sequence[DatasetT
                 np.r_[other.vector.log_friction, other.vector.log_rigidity, other.vector.scaled_values]
             )
     if len(met) <= 1:
-        return found
-    between = (1.0 + 1.0 / len(met)) * np.cov(np.array(met), rowvar=False)
-    return dataclasses.replace(found, covariance=found.covariance + between)
+        return np.zeros_like(found.covariance)
+    return (1.0 + 1.0 / len(met)) * np.cov(np.array(met), rowvar=False)
 
 
 def _on_other_path(problem: Problem, trials: Sequence[DatasetTrial], draw: int) -> Problem:

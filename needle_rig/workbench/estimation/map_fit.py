@@ -80,13 +80,15 @@ def fit(
     jacobians: Sequence[Array] | None = None,
     iterations: int = 25,
     tolerance: float = OBJECTIVE_TOLERANCE,
+    held: Sequence[int] = (),
 ) -> Fit | None:
     """The nearest minimum from `start`, or None where the model cannot be solved at `start`.
 
-    `jacobians` are the derivatives there, of a fit that is gone on with.
+    `jacobians` are the derivatives there, of a fit that is gone on with. Scaled values at the places `held`
+    stay as they start.
     """
     parameters = problem.parameters(effects)
-    objective = Objective(problem, parameters)
+    objective = Objective(problem, parameters, {k: float(start.scaled_values[k]) for k in held})
     x = objective.packed(
         start, nuisance if nuisance is not None and nuisance.size == objective.q else np.zeros(objective.q)
     )

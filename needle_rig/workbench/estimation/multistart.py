@@ -20,8 +20,6 @@ MOST_WALKS = 4
 FORM_STEPS = (0.3, -0.3)
 """Steps of a form parameter from which a fit is restarted, in scaled values: a factor of two where the scale
 is a decade."""
-FINE_FORM_STEPS = (0.1, -0.1)
-"""Further, smaller steps of the same where minima lie close together."""
 
 FACTORS = (1.4, 0.7, 2.0, 0.5)
 """Friction, or strength of an effect, in that of a fit, from which it is restarted, by half octaves: where
@@ -102,14 +100,14 @@ def over_strength(problem: Problem, effects: Sequence[str], start: ParameterVect
     return best
 
 
-def over_forms(problem: Problem, found: Fit, steps: Sequence[float] = FORM_STEPS) -> Fit:
+def over_forms(problem: Problem, found: Fit) -> Fit:
     """The lowest of fits from several form parameters of the last effect (multistart).
 
     Its covariance is that of the mixture of all minima, weighted by their posterior probabilities.
     """
     met = [found]
     for _ in range(MOST_WALKS):
-        further = _from_other_forms(problem, found, steps)
+        further = _from_other_forms(problem, found)
         met += further
         again = min(further, key=lambda f: f.objective, default=found)
         if again.objective > found.objective - WORTH_GOING_ON:
@@ -137,11 +135,11 @@ def _mixture_covariance(lowest: Fit, met: Sequence[Fit]) -> Array:
     return np.asarray(sum(parts) / weights.sum(), dtype=np.float64)
 
 
-def _from_other_forms(problem: Problem, found: Fit, steps: Sequence[float]) -> list[Fit]:
+def _from_other_forms(problem: Problem, found: Fit) -> list[Fit]:
     fits = []
     for i, parameter in enumerate(found.parameters):
         if parameter.info.shapes and parameter.effect == found.effects[-1]:
-            for step in steps:
+            for step in FORM_STEPS:
                 scaled_values = found.vector.scaled_values.copy()
                 scaled_values[i] += step
                 start = dataclasses.replace(found.vector, scaled_values=scaled_values)

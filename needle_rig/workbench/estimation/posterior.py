@@ -7,7 +7,7 @@ are finite differences of 0.3 % of a typical size, taken at each trial's random 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -56,7 +56,10 @@ class Objective:
     x holds friction and rigidity (logarithms), k scaled values, T random effects, q nuisances.
     """
 
-    def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...]) -> None:
+    def __init__(
+        self, problem: Problem, parameters: tuple[FreeParameter, ...], held: Mapping[int, float] | None = None
+    ) -> None:
+        """`held`: scaled values that stay, by their places."""
         self.problem, self.parameters = problem, parameters
         self.k, self.trials = len(parameters), len(problem.trials)
         self.recorded, self.blocks = problem.recorded, np.bincount(problem.recorded)
@@ -71,6 +74,8 @@ class Objective:
         reach = max(MOST_RIGIDITY, MOST_SIGMAS * problem.rigidity_prior)
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
+        for place, value in (held or {}).items():
+            low[place] = high[place] = value
         trial_friction, free = np.full(self.trials, MOST_TRIAL_FRICTION), np.full(self.q, MOST_NUISANCE)
         least, most = np.log(np.multiply(self.problem.base.torque_scale, FRICTION_BOUNDS_N))
         self.low = np.r_[least, self.stated - reach, low, -trial_friction, -free]

@@ -16,6 +16,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import (
     Baseline,
+    FirstFit,
     as_baseline,
     fit_baseline,
     with_noise_at,
@@ -30,7 +31,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
-from needle_rig.workbench.selection.duration import START_TIMES, expected, spell
+from needle_rig.workbench.selection.duration import START_TIMES, Duration, spell
 from needle_rig.workbench.selection.evidence import improves_cross_validation, relieves_pull
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
@@ -131,9 +132,10 @@ def diagnose(
     with work or Work() as at:
         say("measuring the noise")
 
-        def solved(least_s: float, most_s: float) -> None:
-            told = expected((least_s, most_s), at.processes, quick)
-            say(f"fitting the current model, trying every effect, {told}")
+        duration = Duration(at.processes, quick)
+
+        def solved(first: FirstFit) -> None:
+            say(f"fitting the current model, trying every effect, {duration.at_first(first)}")
 
         begun_s = time.monotonic()
         baseline = fit_baseline(dataset, model, library, solved=solved)
@@ -144,8 +146,7 @@ def diagnose(
             starts = from_found_starts(dataset, model, library, baseline, at, quick)
             baseline, known = starts.baseline, starts.fit
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
-        solution_s = baseline.problem.solution_s(baseline.current.parameters, baseline.current.vector)
-        left = expected((solution_s, solution_s), at.processes, quick)
+        left = duration.from_fit(baseline.problem, baseline.current)
         say(f"trying every effect, {left}")
 
         def searched(of: Baseline, start: Fit | None) -> SearchTrace:

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needle_rig.errors import BadInput, SolverError
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.needle_model import NeedleModel, predict_batch
+from needle_rig.workbench.estimation.baseline import FirstFit
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.parameters import FreeParameter, at_strength
+from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 SEARCH_TIMES = (2000.0, 9000.0)
 """Processor time of a diagnosis over that of one solution of all trials: 2100 to 3400 with nothing hidden,
@@ -18,24 +30,101 @@ MORE_TIMES = (0.3, 1.5)
 `stribeck` is found, whose solution takes twenty times as long as that of the model without."""
 SLOWER = 2.0
 """Ratio of solutions' times from which it is told: below it the first telling stands."""
+TIMED_SAMPLES = 50_000
+"""Of a trial, with which effects are timed: at most some seconds for the whole library."""
 SHORT_S = 120.0
 """Up to which a time is told in seconds."""
 LONG_S = 60.0
 """From which a quick diagnosis is offered."""
 
 
-def expected(solution_s: tuple[float, float], processes: int, quick: bool = False) -> str:
+@dataclass(frozen=True)
+class Slowest:
+    """The effect with which a solution takes longest, and how many times as long as without."""
+
+    effect: str
+    times: float
+
+
+@dataclass
+class Duration:
+    """How long a diagnosis will take, told by how long solutions take."""
+
+    processes: int
+    quick: bool
+    slow: Slowest | None = None
+
+    def at_first(self, at: FirstFit) -> str:
+        """Before anything is fitted, in words. Raises SolverError, BadInput."""
+        self.slow = slowest(at.problem, at.parameters, at.vector)
+        between_s = tuple(p.solution_s(at.parameters, at.vector) for p in (at.problem, at.driven))
+        return expected((min(between_s), max(between_s)), self.processes, self.quick, self.slow)
+
+    def from_fit(self, problem: Problem, found: Fit) -> str:
+        """From the current model's fit on, in words. Raises SolverError, BadInput."""
+        solution_s = problem.solution_s(found.parameters, found.vector)
+        return expected((solution_s, solution_s), self.processes, self.quick, self.slow)
+
+
+def slowest(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Slowest | None:
+    """Which further effect of the library makes the model slow to solve, `SLOWER` or more; None: none does.
+
+    Each is tried at its typical size beside the model at `vector`, on the beginning of the longest trial.
+    Raises SolverError, BadInput.
+    """
+    whole = max((b.trial for b in problem.trials), key=lambda t: t.time_s.size)
+    tip = whole.tip_torque_nm
+    trial = dataclasses.replace(
+        whole,
+        time_s=whole.time_s[:TIMED_SAMPLES],
+        base_angle_rad=whole.base_angle_rad[:TIMED_SAMPLES],
+        tip_torque_nm=None if tip is None else tip[:TIMED_SAMPLES],
+    )
+    without_s = _solution_s(problem.model(parameters, vector), trial)
+    found: Slowest | None = None
+    for name in sorted(set(problem.library) - {parameter.effect for parameter in parameters}):
+        added = problem.parameters([name])
+        values = np.concatenate([vector.scaled_values, at_strength(added, 1.0)])
+        model = problem.model((*parameters, *added), dataclasses.replace(vector, scaled_values=values))
+        try:
+            times = _solution_s(model, trial) / max(without_s, 1e-9)
+        except (SolverError, BadInput):
+            continue
+        if times >= (found.times if found else SLOWER):
+            found = Slowest(name, times)
+    return found
+
+
+def _solution_s(model: NeedleModel, trial: Trial) -> float:
+    taken_s = []
+    for _ in range(2):  # the shorter counts: the other holds what else the machine did
+        begun_s = time.perf_counter()
+        predict_batch([model], [trial], threads=1)
+        taken_s.append(time.perf_counter() - begun_s)
+    return min(taken_s)
+
+
+def expected(
+    solution_s: tuple[float, float], processes: int, quick: bool = False, slow: Slowest | None = None
+) -> str:
     """How long a diagnosis will take, and what would take less.
 
-    By how long one solution of all trials takes at least and at most.
+    By how long one solution of all trials takes at least and at most, and by the slowest effect.
     """
     whole, fast = (
-        spell((low * solution_s[0] / processes, high * solution_s[1] / processes))
+        _spelt((low * solution_s[0] / processes, high * solution_s[1] / processes), slow)
         for low, high in (SEARCH_TIMES, QUICK_TIMES)
     )
-    if quick or SEARCH_TIMES[1] * solution_s[1] / processes < LONG_S:
+    longest_s = SEARCH_TIMES[1] * solution_s[1] / processes * (slow.times if slow else 1.0)
+    if quick or longest_s < LONG_S:
         return fast if quick else whole
     return f"{whole} (--quick: {fast}, for one effect alone)"
+
+
+def _spelt(between_s: tuple[float, float], slow: Slowest | None) -> str:
+    if slow is None:
+        return spell(between_s)
+    return f"{spell(between_s)}, up to {_most(slow.times * between_s[1])} if it is {slow.effect}"
 
 
 def slower(problem: Problem, found: Fit, root: Fit, step_s: float) -> str:
@@ -56,6 +145,10 @@ def spell(between_s: tuple[float, float]) -> str:
     """From the shorter to the longer time."""
     low_s, high_s = between_s
     if high_s < SHORT_S:
-        return f"some {max(low_s, 1.0):.0f} to {max(high_s, 2.0):.0f} s"
+        return f"some {max(low_s, 1.0):.0f} to {_most(high_s)}"
     low = f"{max(low_s, 1.0):.0f} s" if low_s < LONG_S else f"{low_s / 60:.1f}"
-    return f"some {low} to {high_s / 60:.0f} min"
+    return f"some {low} to {_most(high_s)}"
+
+
+def _most(time_s: float) -> str:
+    return f"{max(time_s, 2.0):.0f} s" if time_s < SHORT_S else f"{time_s / 60:.0f} min"

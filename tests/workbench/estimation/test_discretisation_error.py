@@ -182,11 +182,11 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
     data, problem, found = slipping(encoder_deg=0.02)
     met: list[Fit] = []
 
-    def over_forms(_: object, found: Fit, __: object) -> Fit:
+    def over_profiles(_: object, found: Fit) -> Fit:
         met.append(found)
         return found
 
-    monkeypatch.setattr(discretisation_error, "over_forms", over_forms)
+    monkeypatch.setattr(discretisation_error, "over_profiles", over_profiles)
     fine_m = load_parameters("rig_rigid").element_length_m
     before = np.linalg.norm(np.vstack(whitened_error(problem, found, data.trials, fine_m)))
     assert before > 5.0

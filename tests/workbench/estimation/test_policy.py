@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from needle_rig.numerics import Array
 from needle_rig.workbench.estimation import discretisation_error
+
+
+@dataclass(frozen=True)
+class Found:
+    """What of a fit is looked at."""
+
+    objective: float
+    covariance: Array
 
 
 @pytest.mark.parametrize(("sigmas", "driven_finely"), [(3.5, False), (7.0, True)])
@@ -26,9 +36,9 @@ def test_a_discretisation_error_of_five_sigmas_is_no_straight_nuisance(
         discretisation_error, "_as_first_nuisance", lambda problem, found, _: (problem, found)
     )
     monkeypatch.setattr(discretisation_error, "by_every_sample", by_every_sample)
-    monkeypatch.setattr(discretisation_error, "over_forms", lambda _, found, __: found)
-    monkeypatch.setattr(discretisation_error, "_multiple_imputation", lambda _, found, __: found)
+    monkeypatch.setattr(discretisation_error, "over_profiles", lambda _, found: found)
+    monkeypatch.setattr(discretisation_error, "_between_imputations", lambda *_: np.zeros((2, 2)))
     problem: Any = SimpleNamespace(size=100)
-    found: Any = SimpleNamespace(objective=100.0)
+    found: Any = Found(100.0, np.zeros((2, 2)))
     discretisation_error.with_discretisation_error(problem, found, [], 1e-3)
     assert bool(finely) is driven_finely

@@ -9,11 +9,11 @@ import pytest
 from needle_rig.physics.solver import solve_batch
 from needle_rig.workbench.estimation import baseline as baseline_module
 from needle_rig.workbench.estimation import simulator
-from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.baseline import FirstFit, fit_baseline
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.duration import expected
+from needle_rig.workbench.selection.duration import Duration, Slowest, expected, slowest
 from needle_rig.workbench.selection.search import search
 from tests.workbench.hidden import dataset, effect, few
 
@@ -31,6 +31,34 @@ from tests.workbench.hidden import dataset, effect, few
 def test_how_long_it_will_take_is_told_at_the_beginning(solution_s: float, processes: int, told: str) -> None:
     assert expected((solution_s, solution_s), processes) == told
     assert "--quick" not in expected((solution_s, solution_s), processes, quick=True)
+
+
+def test_the_slowest_effect_is_told_with_what_it_takes() -> None:
+    """Friction that ages is solved in many steps a sample: minutes for a search of seconds."""
+    slow = Slowest("stiction_ageing", 40.0)
+    told = expected((0.0028, 0.0028), 1, slow=slow)
+    assert told == (
+        "some 6 to 25 s, up to 17 min if it is stiction_ageing"
+        " (--quick: some 1 to 9 s, up to 6 min if it is stiction_ageing, for one effect alone)"
+    )
+    assert "--quick" not in expected((0.0001, 0.0001), 1, slow=slow)
+
+
+def test_the_slowest_effect_is_found_before_anything_is_fitted() -> None:
+    at: list[FirstFit] = []
+    fit_baseline(dataset(), None, few("torque_bias", "stiction_ageing", "tip_friction"), solved=at.append)
+    found = slowest(at[0].problem, at[0].parameters, at[0].vector)
+    assert found is not None
+    assert found.effect == "stiction_ageing"
+    assert found.times > 5.0
+    told = Duration(1, quick=False).at_first(at[0])
+    assert " if it is stiction_ageing" in told
+
+
+def test_no_effect_is_told_where_all_are_as_fast() -> None:
+    at: list[FirstFit] = []
+    fit_baseline(dataset(), None, few("torque_bias"), solved=at.append)
+    assert slowest(at[0].problem, at[0].parameters, at[0].vector) is None
 
 
 def test_it_is_told_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
