@@ -106,7 +106,7 @@ def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(61, 67))
 def test_the_interval_of_ageing_holds_the_truth(seed: int) -> None:
-    """Curvature alone held it in one of two: it is that between two snaps."""
+    """Curvature alone, or a path of blocks, held it in one of two."""
     hidden = effect("stiction_ageing", growth_per_decade=GROWTH, rest_time_s=REST_TIME)
     baseline = fit_baseline(dataset(hidden, seed=seed), None, few("stiction_ageing"))
     at = scaled_values_of(baseline.problem.parameters(["stiction_ageing"]), [hidden])
