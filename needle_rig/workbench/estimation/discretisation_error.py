@@ -36,13 +36,14 @@ def with_discretisation_error(
     Where that error is large beside the noise and the fit but for it reaches the noise, the model is driven
     by every sample from then on, which removes the error of sampling; not where the fit then leaves the
     noise, as an effect of the base's acceleration does: by every sample of 2 kHz that is the encoder's noise.
-    An error of any size is large where a form parameter is free: it is another one at each point of the
+    An error of any size is large where a slip limit has a memory: it is another one at each point of the
     valley in which form and strength make up for each other, and where it fits best is not the truth.
     Raises SolverError where the model cannot be solved finely.
     """
     error = whitened_error(problem, found, trials, fine_m)
-    formed = any(parameter.info.shapes for parameter in found.parameters)
-    above = 0.0 if formed else POLICY.noise.straight_error_sigmas
+    rod = problem.model(found.parameters, found.vector).rod(problem.trials[0].trial)
+    *_, memory = rod.depends_on_rate
+    above = 0.0 if memory else POLICY.noise.straight_error_sigmas
     driven = _driven_where_large(problem, found, trials, error, above)
     if driven is None:
         problem, found = _as_first_nuisance(problem, found, error)
