@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -35,7 +36,8 @@ def with_discretisation_error(
 
     Where that error is large beside the noise and the fit but for it reaches the noise, the model is driven
     by every sample from then on, which removes the error of sampling; not where the fit then leaves the
-    noise, as an effect of the base's acceleration does: by every sample of 2 kHz that is the encoder's noise.
+    noise or is worse than before, as an effect of the base's acceleration or rate is: by every sample of
+    2 kHz these are the encoder's noise. How far the worse fit lies from the other is uncertain then.
     An error of any size is large where a slip limit has a memory: it is another one at each point of the
     valley in which form and strength make up for each other, and where it fits best is not the truth.
     Raises SolverError where the model cannot be solved finely.
@@ -45,9 +47,10 @@ def with_discretisation_error(
     *_, memory = rod.depends_on_rate
     above = 0.0 if memory else POLICY.noise.straight_error_sigmas
     driven = _driven_where_large(problem, found, trials, error, above)
-    if driven is None:
+    if driven is None or _worse(driven, problem, found):
         problem, found = _as_first_nuisance(problem, found, error)
-        return problem, over_profiles(problem, found)
+        found = over_profiles(problem, found)
+        return problem, found if driven is None else _apart_from(driven[1], found)
     problem, found = driven
     problem, found = _as_first_nuisance(problem, found, whitened_error(problem, found, trials, fine_m))
     between = _between_imputations(problem, found, trials)
@@ -65,7 +68,7 @@ def driven_at(
     """
     error = whitened_error(problem, found, trials, fine_m)
     driven = _driven_where_large(problem, found, trials, error, above)
-    return None if driven is None else driven[0].trials
+    return None if driven is None or _worse(driven, problem, found) else driven[0].trials
 
 
 def _driven_where_large(
@@ -77,6 +80,21 @@ def _driven_where_large(
         return None
     driven = by_every_sample(problem, found, trials)
     return driven if _near(*driven) else None
+
+
+def _worse(driven: tuple[Problem, Fit], problem: Problem, found: Fit) -> bool:
+    """Whether the driven problem's fit lies above the problem's by more than chance."""
+    by_chance = POLICY.search.above_noise_sigmas * math.sqrt(2.0 * problem.size)
+    return driven[1].objective > found.objective + by_chance
+
+
+def _apart_from(other: Fit, found: Fit) -> Fit:
+    """The fit whose covariance includes how far another lies from it."""
+    there, here = (
+        np.array([f.vector.log_friction, f.vector.log_rigidity, *f.vector.scaled_values])
+        for f in (other, found)
+    )
+    return dataclasses.replace(found, covariance=found.covariance + np.outer(there - here, there - here))
 
 
 def _near(problem: Problem, found: Fit, error: float = 0.0) -> bool:

@@ -13,6 +13,7 @@ from needle_rig.workbench.estimation.baseline import Baseline, as_baseline, fit_
 from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.discretisation_error import (
     by_every_sample,
+    driven_at,
     whitened_error,
     with_discretisation_error,
 )
@@ -202,6 +203,32 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
     # the true exponent stands at its bound
     off = np.abs(again.vector.scaled_values - [1.0, 0.0, 0.0, 0.0])
     assert np.all(off[:3] < 3.0 * again.scaled_errors[:3])
+
+
+@pytest.mark.parametrize(("above", "driven"), [(200.0, True), (600.0, False)])
+def test_a_path_of_samples_that_fits_worse_only_widens_the_spread(
+    monkeypatch: pytest.MonkeyPatch, above: float, driven: bool
+) -> None:
+    """At 2 kHz the encoder's noise passes for rates, with which friction falls."""
+    data, problem, found = slipping(encoder_deg=0.02)
+    assert 5.0 * np.sqrt(2.0 * problem.size) == pytest.approx(343.0, abs=10.0)
+    moved = found.vector.scaled_values + np.array([0.2, 0.0, 0.0, 0.0])
+    other = dataclasses.replace(
+        found,
+        vector=dataclasses.replace(found.vector, scaled_values=moved),
+        objective=found.objective + above,
+    )
+    by_samples = dataclasses.replace(problem, name="driven")
+    monkeypatch.setattr(discretisation_error, "by_every_sample", lambda *_: (by_samples, other))
+    monkeypatch.setattr(discretisation_error, "over_profiles", lambda _, found: found)
+    monkeypatch.setattr(discretisation_error, "_between_imputations", lambda *_: np.zeros((6, 6)))
+    fine_m = load_parameters("rig_rigid").element_length_m
+    after, again = with_discretisation_error(problem, found, data.trials, fine_m)
+    assert (after.name == "driven") == driven
+    assert (driven_at(problem, found, data.trials, fine_m, 0.0) is not None) == driven
+    if not driven:
+        at_least = abs(again.vector.scaled_values[0] - moved[0])
+        assert again.scaled_errors[0] == pytest.approx(np.hypot(at_least, found.scaled_errors[0]), rel=0.1)
 
 
 def test_an_encoder_without_noise_adds_none() -> None:
