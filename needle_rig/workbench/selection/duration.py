@@ -40,10 +40,10 @@ LONG_S = 60.0
 
 @dataclass(frozen=True)
 class Slowest:
-    """The effect with which a solution takes longest, and how many times as long as without."""
+    """The effect with which a solution of all trials takes longest, driven by a few points a motion."""
 
     effect: str
-    times: float
+    solution_s: float
 
 
 @dataclass
@@ -56,9 +56,9 @@ class Duration:
 
     def at_first(self, at: FirstFit) -> str:
         """Before anything is fitted, in words. Raises SolverError, BadInput."""
-        self.slow = slowest(at.problem, at.parameters, at.vector)
-        between_s = tuple(p.solution_s(at.parameters, at.vector) for p in (at.problem, at.driven))
-        return expected((min(between_s), max(between_s)), self.processes, self.quick, self.slow)
+        least_s, most_s = (p.solution_s(at.parameters, at.vector) for p in (at.problem, at.driven))
+        self.slow = slowest(at.problem, at.parameters, at.vector, least_s)
+        return expected((least_s, most_s), self.processes, self.quick, self.slow)
 
     def from_fit(self, problem: Problem, found: Fit) -> str:
         """From the current model's fit on, in words. Raises SolverError, BadInput."""
@@ -66,11 +66,13 @@ class Duration:
         return expected((solution_s, solution_s), self.processes, self.quick, self.slow)
 
 
-def slowest(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Slowest | None:
-    """Which further effect of the library makes the model slow to solve, `SLOWER` or more; None: none does.
+def slowest(
+    problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector, solution_s: float
+) -> Slowest | None:
+    """Which further effect of the library makes the model slow to solve, `SLOWER` times or more; None: none.
 
-    Each is tried at its typical size beside the model at `vector`, on the beginning of the longest trial.
-    Raises SolverError, BadInput.
+    Each is tried at its typical size beside the model at `vector`, whose solution of all trials takes
+    `solution_s`, on the beginning of the longest trial. Raises SolverError, BadInput.
     """
     whole = max((b.trial for b in problem.trials), key=lambda t: t.time_s.size)
     tip = whole.tip_torque_nm
@@ -81,17 +83,17 @@ def slowest(problem: Problem, parameters: Sequence[FreeParameter], vector: Param
         tip_torque_nm=None if tip is None else tip[:TIMED_SAMPLES],
     )
     without_s = _solution_s(problem.model(parameters, vector), trial)
-    found: Slowest | None = None
+    found, longest_s = None, SLOWER * without_s
     for name in sorted(set(problem.library) - {parameter.effect for parameter in parameters}):
         added = problem.parameters([name])
         values = np.concatenate([vector.scaled_values, at_strength(added, 1.0)])
         model = problem.model((*parameters, *added), dataclasses.replace(vector, scaled_values=values))
         try:
-            times = _solution_s(model, trial) / max(without_s, 1e-9)
+            with_s = _solution_s(model, trial)
         except (SolverError, BadInput):
             continue
-        if times >= (found.times if found else SLOWER):
-            found = Slowest(name, times)
+        if with_s >= longest_s:
+            found, longest_s = Slowest(name, solution_s * with_s / max(without_s, 1e-9)), with_s
     return found
 
 
@@ -111,20 +113,22 @@ def expected(
 
     By how long one solution of all trials takes at least and at most, and by the slowest effect.
     """
-    whole, fast = (
-        _spelt((low * solution_s[0] / processes, high * solution_s[1] / processes), slow)
-        for low, high in (SEARCH_TIMES, QUICK_TIMES)
-    )
-    longest_s = SEARCH_TIMES[1] * solution_s[1] / processes * (slow.times if slow else 1.0)
+    if slow is not None and slow.solution_s < SLOWER * solution_s[1]:
+        slow = None
+    whole, fast = (_spelt(times, solution_s, processes, slow) for times in (SEARCH_TIMES, QUICK_TIMES))
+    longest_s = SEARCH_TIMES[1] * (slow.solution_s if slow else solution_s[1]) / processes
     if quick or longest_s < LONG_S:
         return fast if quick else whole
     return f"{whole} (--quick: {fast}, for one effect alone)"
 
 
-def _spelt(between_s: tuple[float, float], slow: Slowest | None) -> str:
+def _spelt(
+    times: tuple[float, float], solution_s: tuple[float, float], processes: int, slow: Slowest | None
+) -> str:
+    told = spell((times[0] * solution_s[0] / processes, times[1] * solution_s[1] / processes))
     if slow is None:
-        return spell(between_s)
-    return f"{spell(between_s)}, up to {_most(slow.times * between_s[1])} if it is {slow.effect}"
+        return told
+    return f"{told}, up to {_most(times[1] * slow.solution_s / processes)} if it is {slow.effect}"
 
 
 def slower(problem: Problem, found: Fit, root: Fit, step_s: float) -> str:
