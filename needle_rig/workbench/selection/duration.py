@@ -116,19 +116,18 @@ def expected(
     if slow is not None and slow.solution_s < SLOWER * solution_s[1]:
         slow = None
     whole, fast = (_spelt(times, solution_s, processes, slow) for times in (SEARCH_TIMES, QUICK_TIMES))
+    missing = f" if {slow.effect} is missing" if slow else ""
     longest_s = SEARCH_TIMES[1] * (slow.solution_s if slow else solution_s[1]) / processes
     if quick or longest_s < LONG_S:
-        return fast if quick else whole
-    return f"{whole} (--quick: {fast}, for one effect alone)"
+        return (fast if quick else whole) + missing
+    return f"{whole}{missing} (--quick: {fast}, for one effect alone)"
 
 
 def _spelt(
     times: tuple[float, float], solution_s: tuple[float, float], processes: int, slow: Slowest | None
 ) -> str:
     told = spell((times[0] * solution_s[0] / processes, times[1] * solution_s[1] / processes))
-    if slow is None:
-        return told
-    return f"{told}, up to {_most(times[1] * slow.solution_s / processes)} if it is {slow.effect}"
+    return f"{told}, up to {_most(times[1] * slow.solution_s / processes)}" if slow else told
 
 
 def slower(problem: Problem, found: Fit, root: Fit, step_s: float) -> str:

@@ -38,8 +38,8 @@ def test_the_slowest_effect_is_told_with_what_it_takes() -> None:
     slow = Slowest("stiction_ageing", 0.112)
     told = expected((0.0028, 0.0028), 1, slow=slow)
     assert told == (
-        "some 6 to 25 s, up to 17 min if it is stiction_ageing"
-        " (--quick: some 1 to 9 s, up to 6 min if it is stiction_ageing, for one effect alone)"
+        "some 6 to 25 s, up to 17 min if stiction_ageing is missing"
+        " (--quick: some 1 to 9 s, up to 6 min, for one effect alone)"
     )
     assert "--quick" not in expected((0.0001, 0.0001), 1, slow=Slowest("stiction_ageing", 0.004))
     # where every sample drives it, the model without takes as long
@@ -54,7 +54,7 @@ def test_the_slowest_effect_is_found_before_anything_is_fitted() -> None:
     assert found.effect == "stiction_ageing"
     assert found.solution_s > 2.5
     told = Duration(1, quick=False).at_first(at[0])
-    assert " if it is stiction_ageing" in told
+    assert " if stiction_ageing is missing" in told
 
 
 def test_no_effect_is_told_where_all_are_as_fast() -> None:
