@@ -80,26 +80,48 @@ def over_profiles(problem: Problem, found: Fit) -> Fit:
 def _profile(problem: Problem, found: Fit, place: int) -> list[_Point]:
     """The fit and those on both sides of it, until the objective has risen or a bound is reached."""
     k = place - 2
-    middle = float(found.vector.scaled_values[k])
-    points, lowest = [_Point(place, found)], found.objective
+    first = _Point(place, found)
+    points, lowest = [first], found.objective
     for side in (-1.0, 1.0):
-        last, way = found, float(np.clip(found.scaled_errors[k], *FIRST_STEPS))
+        last, slope = first, found.covariance[:, place] / max(float(found.covariance[place, place]), 1e-30)
+        way = float(np.clip(found.scaled_errors[k], *FIRST_STEPS))
         while way < REACH:
-            at = float(np.clip(middle + side * way, *found.parameters[k].bounds))
-            if at == last.vector.scaled_values[k]:
+            at = float(np.clip(first.at[place] + side * way, *found.parameters[k].bounds))
+            if at == last.at[place]:
                 break
             way *= 2.0
-            values = last.vector.scaled_values.copy()
-            values[k] = at
-            start = dataclasses.replace(last.vector, scaled_values=values)
-            held = fit(problem, found.effects, start, nuisance=last.nuisance, held=(k,), tolerance=TOLERANCE)
+            # along the valley; where that leads up a snap, from where the last point lies
+            for along in (slope, np.eye(slope.size)[place]):
+                held = _held(problem, last, last.at + along * (at - last.at[place]))
+                if held is not None and held.fit.objective <= lowest + RISE:
+                    break
             if held is None:
                 break
-            points.append(_Point(place, held))
-            last, lowest = held, min(lowest, held.objective)
-            if held.objective > lowest + RISE:
+            points.append(held)
+            slope = (held.at - last.at) / (at - last.at[place])
+            last, lowest = held, min(lowest, held.fit.objective)
+            if held.fit.objective > lowest + RISE:
                 break
     return points
+
+
+def _held(problem: Problem, near: _Point, start: Array) -> _Point | None:
+    """The fit from the shared parameters `start` (p,) and all others of the point `near`."""
+    vector = dataclasses.replace(
+        near.fit.vector,
+        log_friction=float(start[0]),
+        log_rigidity=float(start[1]),
+        scaled_values=start[2:],
+    )
+    held = fit(
+        problem,
+        near.fit.effects,
+        vector,
+        nuisance=near.fit.nuisance,
+        held=(near.place - 2,),
+        tolerance=TOLERANCE,
+    )
+    return None if held is None else _Point(near.place, held)
 
 
 def _resolved(points: list[_Point]) -> bool:
