@@ -77,6 +77,7 @@ class TrialPart(_Part):
     start_s: float | None = None
     start: Start = "relaxed"
     turns_before_deg: Annotated[tuple[float, ...], Field(max_length=MOST_TURNS)] = ()
+    turns_before_s: tuple[Annotated[float, Field(gt=0)], ...] = ()
     kind: str = "unknown"
     target_deg: float | None = None
     speed_deg_s: Annotated[float, Field(gt=0)] | None = None

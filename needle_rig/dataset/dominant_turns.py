@@ -16,20 +16,25 @@ SMALLEST_TURN_DEG = 0.1
 """Turns that the encoder's noise makes are none."""
 
 
-def dominant_turns(path_rad: Array) -> list[float]:
-    """Turning points of a path from 0 that are not passed again, in their order; the last is its end."""
+def dominant_turns(path_rad: Array) -> list[int]:
+    """Places of the turning points of a path from 0 that are not passed again; the last is its end."""
     if not path_rad.size:
         return []
-    at = _last_of_largest(np.abs(path_rad))
-    turns, side = [float(path_rad[at])], float(np.sign(path_rad[at]))
-    rest = path_rad[at + 1 :]
-    while rest.size:
-        at = _last_of_largest(-side * rest)
-        if abs(rest[at] - turns[-1]) < rad(SMALLEST_TURN_DEG):
+    places = [_last_of_largest(np.abs(path_rad))]
+    side = float(np.sign(path_rad[places[0]]))
+    while places[-1] + 1 < path_rad.size:
+        at = places[-1] + 1 + _last_of_largest(-side * path_rad[places[-1] + 1 :])
+        if abs(path_rad[at] - path_rad[places[-1]]) < rad(SMALLEST_TURN_DEG):
             break
-        turns.append(float(rest[at]))
-        rest, side = rest[at + 1 :], -side
-    return turns
+        places.append(at)
+        side = -side
+    return places
+
+
+def arrival(path_rad: Array, place: int) -> int:
+    """Since when a path has stood where it is at `place`, within `SMALLEST_TURN_DEG`."""
+    elsewhere = np.abs(path_rad[:place] - path_rad[place]) > rad(SMALLEST_TURN_DEG)
+    return int(np.flatnonzero(elsewhere)[-1]) + 1 if elsewhere.any() else 0
 
 
 def _last_of_largest(values: Array) -> int:

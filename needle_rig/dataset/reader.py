@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -131,9 +132,14 @@ def _read_one(path: Path) -> Dataset:
                 f"{places.of(('trials', place))}: start {part.start} is an unknown twist, and"
                 " turns_before_deg tells it; keep one"
             )
-        trials.append(
-            dataclasses.replace(trial, turns_before_rad=tuple(map(math.radians, part.turns_before_deg)))
-        )
+        came_s, turns = part.turns_before_s, part.turns_before_deg
+        if came_s and (len(came_s) != len(turns) or any(b >= a for a, b in pairwise(came_s))):
+            raise BadInput(
+                f"{places.of(('trials', place))}: turns_before_s is how long before the trial the base came"
+                f" to each of turns_before_deg; give {len(turns)} falling numbers, or leave it out"
+            )
+        turns_rad = tuple(map(math.radians, turns))
+        trials.append(dataclasses.replace(trial, turns_before_rad=turns_rad, turns_before_s=came_s))
         notes.extend(trial.notes)
     if not needle.rigidity_is_known:
         needle, said = guessed_rigidity(trials, layout)

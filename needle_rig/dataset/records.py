@@ -102,6 +102,8 @@ class DatasetTrial:
     turns_before_rad: tuple[float, ...] = ()
     """Turning points of the base from a relaxed shaft at 0 to where the trial begins, that friction has not
     forgotten; none where the trial begins relaxed."""
+    turns_before_s: tuple[float, ...] = ()
+    """How long before the trial's beginning the base came to each of them; none where nobody knows."""
     start_change: Array | None = None
     """What an unknown start changes of the readings, (changes, channels, samples), torque first: independent
     standard deviations."""

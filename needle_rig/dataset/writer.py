@@ -37,6 +37,8 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
             told["start"] = trial.start
         if trial.turns_before_rad:
             told["turns_before_deg"] = [round(math.degrees(turn), 4) for turn in trial.turns_before_rad]
+        if trial.turns_before_s:
+            told["turns_before_s"] = [round(came_s, 6) for came_s in trial.turns_before_s]
         trials.append(told | trial.command.file_keys() | _other_keys(trial))
     rigidity_nmm2 = _tidy(needle.torsional_rigidity_nm2 * 1e6)
     segments = [

@@ -129,19 +129,19 @@ def _recording(
         start = "zeroed"
     cuts, notes_of_cut = cuts_of(mapping, table, of, zero_s, number, parts, sensors)
     notes += [f"{source}: {note}" for note in notes_of_cut]
-    before: list[tuple[float, ...]] = [()] * len(cuts)
+    before: list[tuple[tuple[float, ...], tuple[float, ...]]] = [((), ())] * len(cuts)
     if mapping.trials.at == "rests" and start == "relaxed":
         whole = table.copy()
         to_si(whole, parts, sensors)
         before = turns_before(whole, cuts)
-        remembered = sum(map(bool, before))
+        remembered = sum(bool(turns) for turns, _ in before)
         if remembered:
             notes.append(
                 f"{source}: {remembered} of {len(cuts)} trials begin with a twist that earlier ones left; the"
                 " turns of the base that friction remembers are put before them"
             )
     trials = []
-    for k, ((first, last), turns) in enumerate(zip(cuts, before, strict=True), 1):
+    for k, ((first, last), (turns_rad, came_s)) in enumerate(zip(cuts, before, strict=True), 1):
         shown = source if len(cuts) == 1 else f"{source}, trial {k}"
         values = table[first:last].copy()
         start_s = begin_s + float(values[0, 0])
@@ -164,7 +164,7 @@ def _recording(
                 absent,
                 start,
             )
-            trials.append(dataclasses.replace(trial, turns_before_rad=turns))
+            trials.append(dataclasses.replace(trial, turns_before_rad=turns_rad, turns_before_s=came_s))
         except LeftOut as left:
             notes.append(f"{shown}: left out: {left.reason}")
     return trials, length_s + REST_S

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from needle_rig.dataset.base_path import denoised_base
-from needle_rig.dataset.dominant_turns import dominant_turns
+from needle_rig.dataset.dominant_turns import arrival, dominant_turns
 from needle_rig.errors import BadInput
 from needle_rig.importing.mapping import ChannelPart, Mapping
 from needle_rig.importing.recording import Recording
@@ -16,6 +16,8 @@ from needle_rig.importing.rows import clock_times, column_of
 from needle_rig.importing.si import to_si
 from needle_rig.numerics import Array
 
+LEAST_S = 0.01
+"""Since the base came to where a trial begins, at least."""
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""
 STILL_DEG = 0.3
@@ -76,8 +78,9 @@ def cuts_of(
     return at_rests(si[:, : 3 + len(sensors)])
 
 
-def turns_before(si: Array, cuts: list[tuple[int, int]]) -> list[tuple[float, ...]]:
-    """For each trial of a recording that began relaxed, the turns before it that friction remembers.
+def turns_before(si: Array, cuts: list[tuple[int, int]]) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+    """For each trial of a recording that began relaxed, the turns before it that friction remembers, rad, and
+    how long before it the base came to each, s.
 
     None where every reading is as it was at first: the shaft is relaxed, or somebody let it go.
     """
@@ -94,7 +97,10 @@ def turns_before(si: Array, cuts: list[tuple[int, int]]) -> list[tuple[float, ..
             for k, column in enumerate(si.T[2:])
         ):
             since = first
-        found.append(tuple(dominant_turns(base[since : first + 1])) if first > since else ())
+        path = base[since : first + 1] if first > since else base[:0]
+        places = dominant_turns(path)
+        came_s = (time_s[first] - time_s[since + arrival(path, place)] for place in places)
+        found.append((tuple(float(path[p]) for p in places), tuple(max(float(s), LEAST_S) for s in came_s)))
     return found
 
 

@@ -406,6 +406,24 @@ def test_an_unknown_twist_and_the_turns_that_made_it_are_refused_together(tmp_pa
         read_dataset(tmp_path / "set")
 
 
+@pytest.mark.parametrize("came_s", [[3.0], [3.0, 5.0], [3.0, 3.0]])
+def test_times_that_do_not_fit_their_turns_are_refused(tmp_path: Path, came_s: list[float]) -> None:
+    shutil.copytree(PRACTICE / "none", tmp_path / "set")
+    file = tmp_path / "set" / "dataset.yaml"
+    told = yaml.safe_load(file.read_text())
+    told["trials"][2] |= {"turns_before_deg": [70.0, -20.0], "turns_before_s": came_s}
+    file.write_text(yaml.safe_dump(told))
+    with pytest.raises(BadInput, match=r"turns_before_s is how long before .*; give 2 falling numbers"):
+        read_dataset(tmp_path / "set")
+    told["trials"][2]["turns_before_s"] = [3.0, 0.0]
+    file.write_text(yaml.safe_dump(told))
+    with pytest.raises(BadInput, match="turns_before_s"):
+        read_dataset(tmp_path / "set")
+    told["trials"][2]["turns_before_s"] = [5.0, 3.0]
+    file.write_text(yaml.safe_dump(told))
+    assert read_dataset(tmp_path / "set").trials[2].turns_before_s == (5.0, 3.0)
+
+
 def test_a_declared_start_is_kept_wherever_the_base_stands_and_written_again(tmp_path: Path) -> None:
     shutil.copytree(PRACTICE / "none", tmp_path / "set")
     file = tmp_path / "set" / "trials" / "01.csv"

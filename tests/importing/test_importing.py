@@ -280,9 +280,12 @@ def test_what_earlier_turns_left_in_the_shaft_goes_before_a_trial_unless_it_was_
         assert data.trials[0].turns_before_rad == ()
         turns = np.degrees(data.trials[1].turns_before_rad)
         assert turns == pytest.approx([60.0, -20.0, 0.0][: 3 if twist_deg else 0], abs=0.5)
+        came_s = data.trials[1].turns_before_s
+        assert came_s == pytest.approx([4.25, 2.25, 1.25][: 3 if twist_deg else 0], abs=0.1)
         assert any("earlier ones left" in note for note in data.notes) is bool(twist_deg)
         again = read_dataset(write_dataset(data, tmp_path / f"data{twist_deg:g}"))
         assert again.trials[1].turns_before_rad == pytest.approx(data.trials[1].turns_before_rad, abs=1e-5)
+        assert again.trials[1].turns_before_s == pytest.approx(came_s, abs=1e-5)
 
 
 @pytest.mark.parametrize(("zero", "start"), [("start", "zeroed"), (0.0, "wound")])

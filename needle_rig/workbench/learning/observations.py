@@ -125,6 +125,7 @@ class Traces:
                 asdict(t.command),
                 *([] if t.start == "relaxed" else [t.start]),
                 *t.turns_before_rad,
+                *t.turns_before_s,
             ]
             for t in data.trials
         ]

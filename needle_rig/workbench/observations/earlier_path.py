@@ -23,25 +23,35 @@ from needle_rig.workbench.observations.runs import run_as_trial
 PHASE = "run-in"
 TURN_SAMPLES, TURN_S = 6, 2.0
 REST_S = 1.0
+SAME_S = 1e-9
+"""Times of one instant: a turn that begins where the one before it ends."""
 SEEN_S = 0.2
 """At the end of one run and the beginning of the next, that the needle stayed where it was."""
 MOST_RUNS = 20
 """That are looked back through: friction has forgotten what the shaft was before them."""
 
 
-def with_path_before(trial: DatasetTrial, corners_rad: Sequence[float]) -> DatasetTrial:
+def with_path_before(
+    trial: DatasetTrial, corners_rad: Sequence[float], came_s: Sequence[float] = ()
+) -> DatasetTrial:
     """The trial after a path of the base from 0 along `corners_rad` to its start; nothing is seen there.
 
-    A torque on the tip is what it is at the start.
-    Each turn takes `TURN_S`; the base then rests for `REST_S`.
+    A torque on the tip is what it is at the start. The base came to a corner `came_s` before the trial, which
+    friction that ages remembers: a turn takes `TURN_S` or less, and it stands until the next one. Without
+    times each takes `TURN_S`, one after the other; the base then rests for `REST_S`.
     """
     base_rad = float(trial.trial.base_angle_rad[0])
-    corners = np.array([0.0, *corners_rad, base_rad])
-    place = np.arange(TURN_SAMPLES * (len(corners) - 1)) / TURN_SAMPLES
-    path = np.r_[np.interp(place, np.arange(len(corners)), corners), base_rad, base_rad]
     begin_s = float(trial.trial.time_s[0])
-    time_s = begin_s - REST_S - TURN_S * (len(corners) - 1 - np.r_[place, len(corners) - 1.0])
-    time_s = np.r_[time_s, begin_s - 0.5 * REST_S]
+    corners = np.array([0.0, *corners_rad, *([] if came_s else [base_rad])])
+    turns = len(corners) - 1
+    end_s = begin_s - (np.array(came_s) if came_s else REST_S + TURN_S * np.arange(turns)[::-1])
+    lasts_s = np.minimum(TURN_S, np.diff(end_s, prepend=-np.inf))
+    share = np.arange(TURN_SAMPLES + 1) / TURN_SAMPLES
+    time_s = ((end_s - lasts_s)[:, None] + lasts_s[:, None] * share).ravel()
+    path = (corners[:-1, None] + np.diff(corners)[:, None] * share).ravel()
+    apart = np.diff(time_s, append=np.inf) > SAME_S
+    time_s = np.r_[time_s[apart], 0.5 * (begin_s + end_s[-1])]
+    path = np.r_[path[apart], base_rad]
     count = len(path)
     unseen = np.full((count, trial.hall_rad.shape[1]), np.nan)
     drive, change = trial.trial, trial.start_change
@@ -67,7 +77,11 @@ def with_known_paths(dataset: Dataset) -> Dataset:
     if not any(trial.turns_before_rad for trial in dataset.trials):
         return dataset
     trials = (
-        dataclasses.replace(with_path_before(trial, trial.turns_before_rad), turns_before_rad=())
+        dataclasses.replace(
+            with_path_before(trial, trial.turns_before_rad, trial.turns_before_s),
+            turns_before_rad=(),
+            turns_before_s=(),
+        )
         if trial.turns_before_rad
         else trial
         for trial in dataset.trials
@@ -89,7 +103,8 @@ def after_earlier_runs(dataset: Dataset, runs: Sequence[RunFile]) -> Dataset:
         if not earlier:
             trials.append(trial)
             continue
-        turns = dominant_turns(np.concatenate([before.trial.base_angle_rad for before in earlier]))
+        path = np.concatenate([before.trial.base_angle_rad for before in earlier])
+        turns = path[dominant_turns(path)]
         trials.append(dataclasses.replace(trial, start="relaxed", turns_before_rad=tuple(turns)))
         told = ", ".join(f"{deg(turn):.0f}" for turn in turns)
         before = f"the {len(earlier)} runs before it" if len(earlier) > 1 else "the run before it"

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from messy_shapes import SHAPES, recorded
 
 from needle_rig.dataset import Dataset
-from needle_rig.dataset.dominant_turns import dominant_turns
+from needle_rig.dataset.dominant_turns import arrival, dominant_turns
 from needle_rig.model import load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.recording import RunFile, RunWriter, run_tables
 from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, rad
+from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.parameters import scaled_values_of
+from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.learning.identify import identify
-from needle_rig.workbench.observations.earlier_path import PHASE
+from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
 from needle_rig.workbench.observations.sources import read_measurements
 from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
 from tests.recorded_run import write_run
 from tests.values import known
+from tests.workbench.hidden import dataset, effect, few
 
 STEPS_DEG = (45.0, 71.0, 25.0, 52.0, 45.0, -45.0, -65.0, -25.0, -52.0, -45.0, 60.0, 86.0, 40.0, 66.0, 60.0)
 ENDS = ("step_5", "step_10", "step_15")
@@ -127,5 +134,54 @@ def test_a_run_from_rest_after_one_that_ended_elsewhere_is_relaxed(tmp_path: Pat
 def test_turns_that_are_passed_again_are_forgotten(
     path_deg: tuple[float, ...], turns_deg: list[float]
 ) -> None:
-    turns = dominant_turns(rad(np.array(path_deg, dtype=np.float64)))
-    assert [round(deg(turn), 3) for turn in turns] == turns_deg
+    path = rad(np.array(path_deg, dtype=np.float64))
+    assert [round(deg(path[place]), 3) for place in dominant_turns(path)] == turns_deg
+
+
+def test_a_base_stands_since_it_came_to_where_it_is() -> None:
+    path = rad(np.array([0.0, 30.0, 45.0, 45.03, 44.98, 45.01, 10.0]))
+    assert arrival(path, 5) == 2
+    assert arrival(path, 6) == 6
+    assert arrival(path[2:], 1) == 0
+
+
+def test_a_path_with_times_comes_to_its_corners_then_and_stands_between() -> None:
+    given = dataset().trials[0]
+    corners, came_s = [rad(80.0), rad(-60.0), rad(20.0)], (9.0, 8.5, 4.0)
+    trial = with_path_before(given, corners, came_s).trial
+    begin_s = float(given.trial.time_s[0])
+    assert np.all(np.diff(trial.time_s) > 0)
+    before = trial.time_s < begin_s
+    at_s = [begin_s - 11.0, begin_s - 9.0, begin_s - 8.5, begin_s - 6.001, begin_s - 4.0]
+    seen = np.interp(at_s, trial.time_s[before], trial.base_angle_rad[before])
+    assert deg(seen) == pytest.approx([0.0, 80.0, -60.0, -60.0, 20.0], abs=0.1)
+    assert trial.base_angle_rad[before][-1] == given.trial.base_angle_rad[0]
+
+
+def test_a_path_without_times_turns_without_a_stop() -> None:
+    given = dataset().trials[0]
+    corners = [rad(80.0), rad(-60.0)]
+    base_rad = float(given.trial.base_angle_rad[0])
+    plain = with_path_before(given, corners).trial
+    timed = with_path_before(given, [*corners, base_rad], (5.0, 3.0, 1.0)).trial
+    assert timed.time_s == pytest.approx(plain.time_s)
+    assert timed.base_angle_rad == pytest.approx(plain.base_angle_rad)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_friction_that_ages_remembers_when_the_base_turned(timed: bool) -> None:
+    """In one long recording the shaft stands 4 s before a trial, as it does not after turns without times."""
+    hidden = (effect("stiction_ageing", growth_per_decade=0.4, rest_time_s=1.0),)
+    data = recorded(SHAPES["long recording"], hidden, "white", Noise(friction_scatter=0.0), 5)
+    assert all(t.turns_before_s for t in data.trials[1:])
+    if not timed:
+        trials = (dataclasses.replace(t, turns_before_s=()) for t in data.trials)
+        data = dataclasses.replace(data, trials=tuple(trials))
+    problem = fit_baseline(data, None, few("stiction_ageing")).problem
+    parameters = problem.parameters(["stiction_ageing"])
+    friction_n = load_parameters("rig_rigid").friction_n
+    true = start_vector(problem, float(np.log(friction_n)), parameters)
+    true = dataclasses.replace(true, scaled_values=scaled_values_of(parameters, hidden))
+    residuals = problem.residuals(problem.predict(parameters, true), range(len(data.trials)))
+    worst = max(float(np.sqrt(np.mean(r**2))) for r in residuals[1:])
+    assert (worst < 1.1) is timed
