@@ -16,8 +16,6 @@ from needle_rig.importing.rows import clock_times, column_of
 from needle_rig.importing.si import to_si
 from needle_rig.numerics import Array
 
-LEAST_S = 0.01
-"""Since the base came to where a trial begins, at least."""
 REST_S = 1.0
 """Shortest rest between trials; holds inside of one are as long, but not at the start's angle and torque."""
 STILL_DEG = 0.3
@@ -97,10 +95,10 @@ def turns_before(si: Array, cuts: list[tuple[int, int]]) -> list[tuple[tuple[flo
             for k, column in enumerate(si.T[2:])
         ):
             since = first
-        path = base[since : first + 1] if first > since else base[:0]
+        path = base[since:first]
         places = dominant_turns(path)
-        came_s = (time_s[first] - time_s[since + arrival(path, place)] for place in places)
-        found.append((tuple(float(path[p]) for p in places), tuple(max(float(s), LEAST_S) for s in came_s)))
+        came_s = (float(time_s[first] - time_s[since + arrival(path, place)]) for place in places)
+        found.append((tuple(float(path[place]) for place in places), tuple(came_s)))
     return found
 
 

@@ -109,13 +109,13 @@ def fit_baseline(
     model: NeedleModel | None,
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
-    solved: Callable[[FirstFit], None] | None = None,
+    beginning: Callable[[FirstFit], None] | None = None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each. `solved` is told where the first fit begins.
+    alone, whole trials have one friction each. `beginning` is told where the first fit begins.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -150,11 +150,11 @@ def fit_baseline(
     at = scaled_values_of(problem.parameters(names), current.effects)
 
     def rated(vector: ParameterVector) -> None:
-        if solved is not None:
+        if beginning is not None:
             trials = tuple(map(driven_by_samples, problem.trials, dataset.trials))
             driven = dataclasses.replace(problem, trials=trials)
             with suppress(SolverError):  # the fit says so itself, if it cannot be solved there
-                solved(FirstFit(problem, driven, problem.parameters(names), vector))
+                beginning(FirstFit(problem, driven, problem.parameters(names), vector))
 
     first = _first_fit(problem, names, at, current.friction_n if model else None, rated)
     notes = list(_notes(problem))

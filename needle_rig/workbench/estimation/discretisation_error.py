@@ -90,11 +90,8 @@ def _worse(driven: tuple[Problem, Fit], problem: Problem, found: Fit) -> bool:
 
 def _apart_from(other: Fit, found: Fit) -> Fit:
     """The fit whose covariance includes how far another lies from it."""
-    there, here = (
-        np.array([f.vector.log_friction, f.vector.log_rigidity, *f.vector.scaled_values])
-        for f in (other, found)
-    )
-    return dataclasses.replace(found, covariance=found.covariance + np.outer(there - here, there - here))
+    off = other.vector.shared - found.vector.shared
+    return dataclasses.replace(found, covariance=found.covariance + np.outer(off, off))
 
 
 def _near(problem: Problem, found: Fit, error: float = 0.0) -> bool:
@@ -183,9 +180,7 @@ def _between_imputations(problem: Problem, found: Fit, trials: Sequence[DatasetT
         start = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values + off)
         other = fit(_on_other_path(problem, trials, draw), found.effects, start, nuisance=found.nuisance)
         if other is not None:
-            met.append(
-                np.r_[other.vector.log_friction, other.vector.log_rigidity, other.vector.scaled_values]
-            )
+            met.append(other.vector.shared)
     if len(met) <= 1:
         return np.zeros_like(found.covariance)
     return (1.0 + 1.0 / len(met)) * np.cov(np.array(met), rowvar=False)

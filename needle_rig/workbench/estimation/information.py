@@ -59,7 +59,7 @@ class Information:
         rest = matrix[p:, p:] + np.eye(matrix.shape[0] - p)
         carried = np.linalg.solve(rest, np.column_stack([matrix[p:, :p], score[p:] - found.nuisance]))
         return cls(
-            np.r_[found.vector.log_friction, found.vector.log_rigidity, found.vector.scaled_values],
+            found.vector.shared,
             matrix[:p, :p] - matrix[:p, p:] @ carried[:, :p],
             score[:p] - matrix[:p, p:] @ carried[:, p],
             linear.level[:p, :p],

@@ -120,8 +120,8 @@ def over_forms(problem: Problem, found: Fit) -> Fit:
 def _mixture_covariance(lowest: Fit, met: Sequence[Fit]) -> Array:
     """Second moment (p, p) about the lowest of several minima, as a mixture; a minimum met twice counts
     once."""
-    at = [np.r_[f.vector.log_friction, f.vector.log_rigidity, f.vector.scaled_values] for f in met]
-    centre = np.r_[lowest.vector.log_friction, lowest.vector.log_rigidity, lowest.vector.scaled_values]
+    at = [f.vector.shared for f in met]
+    centre = lowest.vector.shared
     near = np.sqrt(np.maximum(np.diag(lowest.covariance), 1e-18))
     kept: list[int] = []
     for i in sorted(range(len(met)), key=lambda i: met[i].objective):

@@ -39,6 +39,11 @@ class ParameterVector:
     scaled_values: Array
     trial_friction: Array
 
+    @property
+    def shared(self) -> Array:
+        """What all trials share (p,): friction, rigidity, scaled values."""
+        return np.concatenate([[self.log_friction, self.log_rigidity], self.scaled_values])
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:

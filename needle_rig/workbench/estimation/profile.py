@@ -39,8 +39,7 @@ class _Point:
     @property
     def at(self) -> Array:
         """Shared parameters (p,)."""
-        vector = self.fit.vector
-        return np.concatenate([[vector.log_friction, vector.log_rigidity], vector.scaled_values])
+        return self.fit.vector.shared
 
     @property
     def covariance(self) -> Array:

@@ -134,11 +134,11 @@ def diagnose(
 
         duration = Duration(at.processes, quick)
 
-        def solved(first: FirstFit) -> None:
+        def beginning(first: FirstFit) -> None:
             say(f"fitting the current model, trying every effect, {duration.at_first(first)}")
 
         begun_s = time.monotonic()
-        baseline = fit_baseline(dataset, model, library, solved=solved)
+        baseline = fit_baseline(dataset, model, library, beginning=beginning)
         fit_s = time.monotonic() - begun_s
         if any(trial.start_found for trial in baseline.dataset.trials):
             told = spell((START_TIMES[0] * fit_s / at.processes, START_TIMES[1] * fit_s / at.processes))

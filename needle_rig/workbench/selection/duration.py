@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.physics.effect import Trial
-from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.workbench.estimation.baseline import FirstFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, at_strength
@@ -30,8 +27,6 @@ MORE_TIMES = (0.3, 1.5)
 `stribeck` is found, whose solution takes twenty times as long as that of the model without."""
 SLOWER = 2.0
 """Ratio of solutions' times from which it is told: below it the first telling stands."""
-TIMED_SAMPLES = 50_000
-"""Of a trial, with which effects are timed: at most some seconds for the whole library."""
 SHORT_S = 120.0
 """Up to which a time is told in seconds."""
 LONG_S = 60.0
@@ -72,38 +67,22 @@ def slowest(
     """Which further effect of the library makes the model slow to solve, `SLOWER` times or more; None: none.
 
     Each is tried at its typical size beside the model at `vector`, whose solution of all trials takes
-    `solution_s`, on the beginning of the longest trial. Raises SolverError, BadInput.
+    `solution_s`, on the longest trial. Raises SolverError, BadInput.
     """
-    whole = max((b.trial for b in problem.trials), key=lambda t: t.time_s.size)
-    tip = whole.tip_torque_nm
-    trial = dataclasses.replace(
-        whole,
-        time_s=whole.time_s[:TIMED_SAMPLES],
-        base_angle_rad=whole.base_angle_rad[:TIMED_SAMPLES],
-        tip_torque_nm=None if tip is None else tip[:TIMED_SAMPLES],
-    )
-    without_s = _solution_s(problem.model(parameters, vector), trial)
+    longest = max(problem.trials, key=lambda b: b.trial.time_s.size)
+    one = dataclasses.replace(problem, trials=(longest,))
+    without_s = one.solution_s(parameters, vector)
     found, longest_s = None, SLOWER * without_s
     for name in sorted(set(problem.library) - {parameter.effect for parameter in parameters}):
         added = problem.parameters([name])
         values = np.concatenate([vector.scaled_values, at_strength(added, 1.0)])
-        model = problem.model((*parameters, *added), dataclasses.replace(vector, scaled_values=values))
         try:
-            with_s = _solution_s(model, trial)
+            with_s = one.solution_s((*parameters, *added), dataclasses.replace(vector, scaled_values=values))
         except (SolverError, BadInput):
             continue
         if with_s >= longest_s:
             found, longest_s = Slowest(name, solution_s * with_s / max(without_s, 1e-9)), with_s
     return found
-
-
-def _solution_s(model: NeedleModel, trial: Trial) -> float:
-    taken_s = []
-    for _ in range(2):  # the shorter counts: the other holds what else the machine did
-        begun_s = time.perf_counter()
-        predict_batch([model], [trial], threads=1)
-        taken_s.append(time.perf_counter() - begun_s)
-    return min(taken_s)
 
 
 def expected(

@@ -96,7 +96,7 @@ def uncertainties(found: Fit) -> dict[str, float]:
     vector = found.vector
     return spread_of_values(
         found.parameters,
-        np.r_[vector.log_friction, vector.log_rigidity, vector.scaled_values],
+        vector.shared,
         found.covariance,
     )
 

@@ -48,7 +48,7 @@ def test_the_slowest_effect_is_told_with_what_it_takes() -> None:
 
 def test_the_slowest_effect_is_found_before_anything_is_fitted() -> None:
     at: list[FirstFit] = []
-    fit_baseline(dataset(), None, few("torque_bias", "stiction_ageing", "tip_friction"), solved=at.append)
+    fit_baseline(dataset(), None, few("torque_bias", "stiction_ageing", "tip_friction"), beginning=at.append)
     found = slowest(at[0].problem, at[0].parameters, at[0].vector, 0.5)
     assert found is not None
     assert found.effect == "stiction_ageing"
@@ -59,7 +59,7 @@ def test_the_slowest_effect_is_found_before_anything_is_fitted() -> None:
 
 def test_no_effect_is_told_where_all_are_as_fast() -> None:
     at: list[FirstFit] = []
-    fit_baseline(dataset(), None, few("torque_bias"), solved=at.append)
+    fit_baseline(dataset(), None, few("torque_bias"), beginning=at.append)
     assert slowest(at[0].problem, at[0].parameters, at[0].vector, 0.5) is None
 
 
