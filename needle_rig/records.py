@@ -46,6 +46,10 @@ class DriveFault(enum.IntFlag):
     EMERGENCY_STOP = 8192
 
 
+TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
+"""These end with their cause; every other one latches until a person clears it."""
+
+
 class Phase(enum.StrEnum):
     """Where a run stands. Motions are named as in datasets."""
 
@@ -90,8 +94,10 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the drive is told each tick. `clear` leaves SILENT or FAULT; `enable` False stops.
+    """What the drive is told each tick. `enable` False stops.
 
+    `clear` leaves SILENT, and FAULT when all of its reasons are `TEMPORARY`; with `acknowledge`, which a
+    person alone gives, also a FAULT that latches.
     `reference_rad` says at which angle the base stands; the drive takes it as such unless it is running.
     `release` sends nothing at all: a drive that hears nothing falls silent, its supply opens, and a hand may
     turn it.
@@ -100,6 +106,7 @@ class Command:
     velocity_rad_s: float = 0.0
     enable: bool = False
     clear: bool = False
+    acknowledge: bool = False
     reference_rad: float | None = None
     release: bool = False
 

@@ -113,6 +113,7 @@ void nr_drive_receive(struct nr_drive_node *node, uint32_t now_us, uint32_t id, 
             .velocity = frame.velocity,
             .enable = frame.enable != 0,
             .clear = frame.clear != 0,
+            .acknowledge = frame.acknowledge != 0,
             .counter = frame.counter,
             .heartbeat = frame.heartbeat,
         };

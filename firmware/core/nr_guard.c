@@ -28,8 +28,8 @@ static bool in_sequence(const struct nr_guard *guard, const struct nr_command *c
 
 static bool same(const struct nr_command *a, const struct nr_command *b)
 {
-    return a->velocity == b->velocity && a->enable == b->enable && a->clear == b->clear && a->counter == b->counter &&
-           a->heartbeat == b->heartbeat;
+    return a->velocity == b->velocity && a->enable == b->enable && a->clear == b->clear && a->acknowledge == b->acknowledge &&
+           a->counter == b->counter && a->heartbeat == b->heartbeat;
 }
 
 static void take_sequence(struct nr_guard *guard, uint32_t now_us, const struct nr_command *command)
@@ -68,6 +68,7 @@ bool nr_guard_command(struct nr_guard *guard, uint32_t now_us, const struct nr_c
         guard->clear_asked = false;
     } else if (!guard->last_clear) {
         guard->clear_asked = true;
+        guard->acknowledged = command->acknowledge;
     }
     guard->last_clear = command->clear;
     guard->command = *command;
@@ -191,14 +192,18 @@ bool nr_guard_reference(struct nr_guard *guard, uint32_t now_us, uint16_t heartb
     return true;
 }
 
+static bool latched(const struct nr_guard *guard)
+{
+    return (guard->faults & ~(unsigned)NR_FAULTS_TEMPORARY) != 0;
+}
+
 static void try_clear(struct nr_guard *guard, uint32_t now_us, uint16_t present)
 {
     /* Damage done to frames before the clear is forgiven by it. */
     const uint16_t cause = (uint16_t)(present & ~(unsigned)NR_FAULT_FRAME);
-    const bool latched = (guard->faults & ~(unsigned)NR_FAULTS_TEMPORARY) != 0;
     /* A shaft out of range can be cleared: it may then only turn back in. */
     const bool gone = (cause & ~(unsigned)NR_FAULT_ANGLE) == 0;
-    if (gone && (!latched || still(guard, now_us))) {
+    if (gone && (!latched(guard) || (guard->acknowledged && still(guard, now_us)))) {
         guard->faults = 0;
         guard->bad_frames = 0;
         guard->state = NR_READY;
@@ -216,9 +221,29 @@ static int32_t permitted_velocity(const struct nr_guard *guard, int32_t angle_md
 /* A shaft that nobody turns may wait for its sensors and for a sensible command; these end READY. */
 enum { ENDS_READY = NR_FAULT_IDLE_MOTION | NR_FAULT_EMERGENCY_STOP };
 
+/* What latches stays, also beside a fault that does not. */
+static void latch(struct nr_guard *guard, uint32_t now_us, uint16_t present)
+{
+    const uint16_t latching = (uint16_t)(present & ~(unsigned)NR_FAULTS_TEMPORARY);
+    if (guard->state == NR_SILENT && (present & NR_FAULT_EMERGENCY_STOP)) {
+        guard->state = NR_FAULT;
+    }
+    if (guard->state != NR_FAULT) {
+        return;
+    }
+    guard->faults |= latching;
+    if (latching & ~(unsigned)NR_FAULT_ANGLE) {
+        guard->cause_us = now_us;
+    }
+    if (latched(guard) && now_us - guard->cause_us < guard->config.latch_us) {
+        guard->clear_asked = false;
+    }
+}
+
 static void change_state(struct nr_guard *guard, uint32_t now_us, uint16_t present)
 {
     const bool enable = guard->command.enable;
+    latch(guard, now_us, present);
     if (guard->state == NR_SILENT || guard->state == NR_FAULT) {
         if (guard->clear_asked) {
             try_clear(guard, now_us, present);
@@ -231,6 +256,7 @@ static void change_state(struct nr_guard *guard, uint32_t now_us, uint16_t prese
     if (reasons != 0) {
         guard->faults = reasons;
         guard->state = NR_FAULT;
+        guard->cause_us = now_us;
     } else if (waits && (present & NR_FAULT_COMMAND_AGE)) {
         guard->state = NR_SILENT; /* a host that left must ask again */
     } else if (!enable) {

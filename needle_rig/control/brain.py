@@ -9,18 +9,28 @@ from typing import TYPE_CHECKING
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.clearing import ClearHandshake, awake
 from needle_rig.control.compensation import ACTIVE, Event, Sequence, Think, after, think_at_once
-from needle_rig.control.faults import Fault, FaultName
+from needle_rig.control.faults import REFERENCE_SETTLES, Fault, FaultName
 from needle_rig.control.in_si import limits_of, supervision_of
-from needle_rig.control.limits import find_fault, gate, tick_fault
+from needle_rig.control.limits import drive_fault, find_faults, gate, tick_fault
 from needle_rig.control.listening import Listening
 from needle_rig.control.manual import SEARCH_RAD_S, SETTLE_S, WINDOW_S, Turn
 from needle_rig.control.pid import PositionLoop
 from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion, Status
+from needle_rig.control.standing import StandingFaults
 from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
 from needle_rig.control.tasks import Before, Tasks
 from needle_rig.control.verdict import judge, outcome
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.records import RELEASE, STOP, Command, DriveState, Measurement, Phase, Sample
+from needle_rig.records import (
+    RELEASE,
+    STOP,
+    Command,
+    DriveFault,
+    DriveState,
+    Measurement,
+    Phase,
+    Sample,
+)
 from needle_rig.units import deg, nm, rad
 
 if TYPE_CHECKING:
@@ -58,7 +68,7 @@ class Brain:
         self._sequence: Sequence | None = None
         self._request: Request | None = None
         self._outcome: Outcome | None = None
-        self._fault: Fault | None = None
+        self._standing = StandingFaults()
         self._released = False
         self._hold_rad: float | None = None
         self._command = STOP
@@ -117,7 +127,8 @@ class Brain:
             reference.tell(reference.by_index_rad(now, self._index_rad))
         else:
             raise BadInput(f"home by {by!r} is unknown; there are angle, hall, index, here")
-        self._phase, self._fault = after(self._phase, Event.CLEAR), None
+        self._standing.clear()
+        self._phase = after(self._phase, Event.CLEAR)
         self._released = False
 
     def hold(self) -> None:
@@ -157,21 +168,20 @@ class Brain:
         if self._phase in ACTIVE:
             raise BadInput("a sequence is running; stop it first: needle-rig stop")
         self._phase = after(self._phase, Event.CLEAR)
-        self._fault = None
+        self._standing.clear()
         self._released = False
         self._supervision.clear(self._measurement)
-        self._clearing.ask()
+        self._clearing.acknowledge(self._measurement.drive_faults if self._measurement else DriveFault.NONE)
 
     def step(self, measurement: Measurement, dt_s: float) -> tuple[Command, Sample]:
         """One tick, `dt_s` after the last: what the drive is told, and the row for the record."""
         self._measurement = measurement
         judged = self._listening.judged(measurement, dt_s)
-        fault = self._look(measurement, judged, dt_s)
-        if fault is not None:
-            self._fail(fault)
-        elif self._phase is Phase.FAULT and self._fault is not None and not self._fault.latching:
-            self._phase, self._fault = after(self._phase, Event.CLEAR), None
-        self._command = self._act(judged, dt_s)
+        heard, found = self._look(measurement, judged, dt_s)
+        self._fail(*found)
+        if self._phase is Phase.FAULT and not self._standing:
+            self._phase = after(self._phase, Event.CLEAR)
+        self._command = self._act(judged, heard, dt_s)
         return self._command, self._sample(measurement, dt_s, self._command)
 
     @property
@@ -188,8 +198,9 @@ class Brain:
         waiting, remaining = sequence.waiting(self._phase) if sequence else ("", None)
         if self._phase is Phase.HOLDING:
             waiting = "a release or a stop"
-        if self._phase is Phase.FAULT and self._fault is not None:
-            waiting = "a clear" if self._fault.latching else f"the {self._fault.link} link"
+        fault = self._standing.first
+        if fault is not None:
+            waiting = "a clear" if fault.latching else f"the {fault.link} link"
         return BrainState(
             time_s=measurement.time_s if measurement else 0.0,
             phase=self._phase,
@@ -208,9 +219,9 @@ class Brain:
             measurement=measurement,
             settled=self.settled,
             outcome=self._outcome,
-            fault=self._fault.text if self._fault else None,
-            fault_name=self._fault.name.value if self._fault else None,
-            latched=self._fault is not None and self._fault.latching,
+            fault=self._standing.text or None,
+            fault_name=fault.name.value if fault else None,
+            latched=self._standing.latched,
         )
 
     @property
@@ -238,19 +249,21 @@ class Brain:
             raise BadInput("the base is held; release it first: needle-rig release")
         if self._phase in ACTIVE:
             raise BadInput("a sequence is running; stop it first: needle-rig stop")
-        if self._phase is Phase.FAULT and self._fault is not None:
-            raise RigFault(self._fault.text)
+        if self._standing:
+            raise RigFault(self._standing.text)
 
     def _free_to_refer(self, by: str) -> Measurement:
-        """The newest measurement, when the zero may be set now: at rest, with no fault but a lost zero.
+        """The newest measurement, when the zero may be set now: at rest, with no fault but those it settles.
 
-        A person's word also serves Hall sensors that lost their turns.
+        A search turns the base: it serves a lost zero alone. A person's word also serves Hall sensors that
+        lost their turns.
         """
-        fault = self._fault
-        by_person = by == "here" and fault is not None and fault.link == "hall"
-        if fault is None or not (fault.name is FaultName.REFERENCE_LOST or by_person):
+        standing = self._standing
+        lost_turns = by == "here" and all(fault.link == "hall" for fault in standing.all)
+        settles = {FaultName.REFERENCE_LOST} if by == "index" else REFERENCE_SETTLES
+        if self._phase in ACTIVE or not (lost_turns or standing.only(settles)):
             self._refuse_unless_free()
-        if by_person and self._measurement is not None:
+        if lost_turns and standing and self._measurement is not None:
             return self._measurement
         return self._seen()
 
@@ -258,9 +271,10 @@ class Brain:
         """The newest measurement; RigFault when there is none that may be used."""
         if self._measurement is None:
             raise RigFault("no reading came yet; wait for the first one")
-        fault = find_fault(self._measurement, self._limits)
-        if fault is not None and fault.name in (FaultName.LINK_DEAD, FaultName.NOT_A_NUMBER):
-            raise RigFault(fault.text)
+        _, found = find_faults(self._measurement, self._limits)
+        for fault in found:
+            if fault.name in (FaultName.LINK_DEAD, FaultName.NOT_A_NUMBER):
+                raise RigFault(fault.text)
         return self._measurement
 
     def _begin(self, task: Task, strategy: Strategy, window_s: float) -> None:
@@ -274,7 +288,7 @@ class Brain:
 
     def _start_drive(self) -> None:
         self._released = False
-        self._clearing.ask()
+        self._clearing.wake()
         self._loop.reset()
         self._supervision.begin()
 
@@ -292,8 +306,9 @@ class Brain:
             now.base_angle_rad + reach_rad, Turn("index"), settle_s=SETTLE_S, speed_rad_s=speed_rad_s
         )
         task = self._task(request)
+        self._standing.clear()
         if self._phase is Phase.FAULT:
-            self._phase, self._fault = after(self._phase, Event.CLEAR), None
+            self._phase = after(self._phase, Event.CLEAR)
         self._begin(task, Turn("index"), WINDOW_S)
         reference.searching = True
 
@@ -303,47 +318,61 @@ class Brain:
         before = Before(last.task, last.strategy, last.history) if last and to_its_end else None
         return self._tasks.task(request, before)
 
-    def _look(self, seen: Measurement, measurement: Measurement, dt_s: float) -> Fault | None:
-        """What forbids motion now, `measurement` being what was `seen` with the ages held against its links.
+    def _look(
+        self, seen: Measurement, measurement: Measurement, dt_s: float
+    ) -> tuple[frozenset[str], list[Fault]]:
+        """The links that are heard, and everything that forbids motion.
 
-        While a clear goes out, the drive's own faults are not news.
+        `measurement` is what was `seen`, with the ages that may be held against its links.
         """
-        fault = find_fault(measurement, self._limits) or tick_fault(dt_s)
-        fault = fault or self._listening.fault(seen, dt_s, self._limits)
-        if fault is not None and fault.link == "drive":
-            self._supervision.lost_sight()
-        being_cleared = self._clearing.step(measurement, dt_s)
-        if fault is not None and fault.link == "drive" and being_cleared:
-            return None
-        if fault is not None:
-            return fault
-        running = self._phase in ACTIVE and self._phase is not Phase.HOLDING
-        fault = self._supervision.step(seen, self._command, dt_s, active=running)
-        if fault is None and not self._clearing.asked and self._phase in ACTIVE and not awake(measurement):
-            return Fault(
-                FaultName.DRIVE_RESTARTED,
-                "drive",
-                "the drive fell silent by itself; check its supply",
-                latching=False,
-            )
-        return fault
+        heard, found = find_faults(measurement, self._limits)
+        wrong_tick = tick_fault(dt_s)
+        if wrong_tick is not None:
+            return heard, [*found, wrong_tick]
+        found += filter(None, [self._listening.fault(seen, dt_s, self._limits)])
+        self._clearing.step(measurement, dt_s)
+        found += self._supervision.step(
+            seen,
+            heard,
+            self._command,
+            dt_s,
+            unseen_s=measurement.drive_age_s,
+            in_time=measurement is seen,
+        )
+        own = drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+        active = self._phase in ACTIVE
+        # one that passes is no fault at rest: the next order wakes the drive
+        if own is not None and (own.latching or active) and not self._clearing.covers(measurement):
+            found.append(own)
+        elif active and not self._clearing.asked and not awake(measurement):
+            text = "the drive fell silent by itself; check its supply"
+            found.append(Fault(FaultName.DRIVE_RESTARTED, "drive", text, latching=False))
+        return heard, found
 
-    def _fail(self, fault: Fault) -> None:
+    def _fail(self, *found: Fault) -> None:
+        """Take what was found in this tick; a fault ends what goes on, and what latches ends a clear."""
+        self._standing.take(found)
+        first = self._standing.first
+        if first is None or not found:
+            return
+        if any(fault.latching for fault in found):
+            self._clearing.cancel()
         self._supervision.reference.searching = False
         if self._phase in ACTIVE:
-            self._end("fault", fault.text, fault.name.value)
-        if self._fault is None or not self._fault.latching:
-            self._fault = fault
+            self._end("fault", first.text, first.name.value)
         self._phase = after(self._phase, Event.FAULT)
 
-    def _act(self, measurement: Measurement, dt_s: float) -> Command:
+    def _act(self, measurement: Measurement, heard: frozenset[str], dt_s: float) -> Command:
         self._limited = False
         if self._supervision.reference.wanted_rad is not None:
             return Command(reference_rad=self._supervision.reference.wanted_rad)
-        if self._released:
-            # silence in mid-motion is a fault to the drive: it is told to stop first
-            return STOP if measurement.drive_state is DriveState.RUNNING else RELEASE
-        clear = self._clearing.command(measurement, self._fault)
+        if self._released or self._standing:
+            # silence opens the supply; in mid-motion it is a fault to the drive, which is told to stop first
+            moving = self._command.enable or (
+                measurement.drive_state is DriveState.RUNNING and "drive" in heard
+            )
+            return STOP if moving else RELEASE
+        clear = self._clearing.command(measurement)
         if clear is not None:
             return clear
         if self._phase not in ACTIVE:

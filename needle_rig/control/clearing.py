@@ -1,9 +1,8 @@
-"""Asking the drive to clear its own faults; what it says of them until then is no news."""
+"""Asking the drive to leave SILENT or FAULT. Every clear follows from an order; none goes out by itself."""
 
 from __future__ import annotations
 
-from needle_rig.control.faults import Fault
-from needle_rig.records import Command, DriveState, Measurement
+from needle_rig.records import COMMAND_AGE_S, TEMPORARY, Command, DriveFault, DriveState, Measurement
 
 CLEAR_S = 1.0
 """How long a clear is repeated to the drive before its faults count again."""
@@ -17,37 +16,53 @@ def awake(measurement: Measurement) -> bool:
 
 
 class ClearHandshake:
-    """The clear that a person, a start or the end of a passing fault asks for."""
+    """The clear that an order asks for: a motion only wakes the drive, a person's clear acknowledges faults."""
 
     def __init__(self) -> None:
         self._left_s = 0.0
         self._ticks = 0
+        self._acknowledged: DriveFault | None = None
 
     @property
     def asked(self) -> bool:
         """Whether a clear still goes out."""
         return self._left_s > 0.0
 
-    def ask(self) -> None:
-        """Clear the drive in the next ticks."""
+    def wake(self) -> None:
+        """Wake the drive in the next ticks; an acknowledgement that is on its way goes on."""
+        if not self.asked:
+            self._acknowledged = None
         self._left_s = CLEAR_S
 
-    def step(self, measurement: Measurement, dt_s: float) -> bool:
-        """One tick; whether the drive's own faults are those that are being cleared, and no news."""
-        self._ticks += 1
+    def acknowledge(self, faults: DriveFault) -> None:
+        """A person has seen `faults` of the drive: clear these in the next ticks."""
+        self._acknowledged, self._left_s = faults, CLEAR_S
+
+    def cancel(self) -> None:
+        """Something came that nobody has seen yet."""
+        self._left_s = 0.0
+
+    def covers(self, measurement: Measurement) -> bool:
+        """Whether the drive's own faults are those that are being cleared, and so no news."""
         if not self.asked:
             return False
-        faulty = measurement.drive_state is DriveState.FAULT or bool(measurement.drive_faults)
-        self._left_s = 0.0 if awake(measurement) and not faulty else self._left_s - dt_s
-        return faulty
+        faults = measurement.drive_faults
+        if self._acknowledged is None:
+            return bool(faults) and not faults & ~TEMPORARY
+        return not faults & ~(TEMPORARY | self._acknowledged)
 
-    def command(self, measurement: Measurement, fault: Fault | None) -> Command | None:
+    def step(self, measurement: Measurement, dt_s: float) -> None:
+        """One tick: what the drive says ends the asking, or time does."""
+        self._ticks += 1
+        done = awake(measurement) and not measurement.drive_faults
+        self._left_s = 0.0 if done else max(self._left_s - dt_s, 0.0)
+
+    def command(self, measurement: Measurement) -> Command | None:
         """What goes out while the drive sleeps; None when it is awake or nothing is to be cleared.
 
-        A fault that passes by itself asks for its own clear.
+        A drive that was not heard for `COMMAND_AGE_S` may have latched something that nobody has seen.
         """
-        passing = fault is not None and not fault.latching
-        wanted = self.asked or (passing and measurement.drive_state is DriveState.FAULT)
-        if not wanted or awake(measurement):
+        if not self.asked or awake(measurement):
             return None
-        return Command(clear=self._ticks % CLEAR_EVERY == 0)
+        now = self._ticks % CLEAR_EVERY == 0 and measurement.drive_age_s <= COMMAND_AGE_S
+        return Command(clear=now, acknowledge=now and self._acknowledged is not None)

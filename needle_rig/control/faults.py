@@ -13,6 +13,7 @@ class FaultName(enum.StrEnum):
     """One name a fault, as logs, the API and docs/safety.md have it."""
 
     LINK_DEAD = "link_dead"
+    BLIND = "blind"  # the drive is enabled and was not heard for too long
     NOT_A_NUMBER = "not_a_number"
     TORQUE_LIMIT = "torque_limit"
     ANGLE_LIMIT = "angle_limit"
@@ -34,6 +35,18 @@ class FaultName(enum.StrEnum):
     LATE_TICK = "late_tick"
     DRIVE_RESTARTED = "drive_restarted"
     CONTROL = "control"  # a strategy or the control loop gave something that cannot be done
+
+
+REFERENCE_SETTLES = frozenset(
+    {
+        FaultName.REFERENCE_LOST,
+        FaultName.ENCODER_DISAGREES,
+        FaultName.TWIST_WITHOUT_TORQUE,
+        FaultName.TORQUE_WITHOUT_TWIST,
+        FaultName.HALL_DISAGREES,
+    }
+)
+"""A person who says where the base stands ends these: the witnesses are compared from there on."""
 
 
 @dataclass(frozen=True)

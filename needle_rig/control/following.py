@@ -7,6 +7,7 @@ eyes, on the other side of the bus.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from needle_rig.control.faults import Fault, FaultName
@@ -19,6 +20,8 @@ DRIFT_RAD_S = rad(0.1)
 """Forgiven all the time: a drive that holds a load may sink by so much, and is asked back up."""
 REVERSE_SHARE = 0.2
 """Of the commanded speed: turning back faster than this is no standstill; an encoder's flicker is less."""
+SHORTEST_S = 1e-6
+"""Two samples that are nearer in time are one."""
 CLEAR_TEXT = ", then: needle-rig clear"
 
 
@@ -31,35 +34,88 @@ class FollowingLimits:
     response_s: float
 
 
+class CommandedPath:
+    """Integral of the commanded velocity, to be asked at any time since the last question."""
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+        self._now_rad = 0.0
+        self._parts: deque[tuple[float, float, float]] = deque([(0.0, 0.0, 0.0)])
+        """Since when, rad commanded until then, rad/s from then on."""
+
+    def add(self, velocity_rad_s: float, dt_s: float) -> None:
+        """`velocity_rad_s` was in force for the last `dt_s`."""
+        if velocity_rad_s != self._parts[-1][2]:
+            self._parts.append((self._now_s, self._now_rad, velocity_rad_s))
+        self._now_s += dt_s
+        self._now_rad += velocity_rad_s * dt_s
+
+    @property
+    def now_s(self) -> float:
+        """The end of what was added."""
+        return self._now_s
+
+    def until(self, time_s: float) -> tuple[float, float, float]:
+        """rad commanded until `time_s`, rad/s in force then, the largest speed since the last question."""
+        parts, fastest_rad_s = self._parts, 0.0
+        while len(parts) > 1 and parts[1][0] < time_s:
+            fastest_rad_s = max(fastest_rad_s, abs(parts.popleft()[2]))
+        start_s, start_rad, velocity_rad_s = parts[0]
+        fastest_rad_s = max(fastest_rad_s, abs(velocity_rad_s))
+        return start_rad + velocity_rad_s * (time_s - start_s), velocity_rad_s, fastest_rad_s
+
+
 class FollowingError:
-    """Integral of commanded minus turned since it was last `reset`; kept while the base is not driven too."""
+    """Commanded less turned from one sample of the encoder to the next, kept while the base is not driven too.
+
+    A sample is held against what had been commanded when it was taken: an answer that comes late, or only now
+    and then, is judged by the same limits.
+    """
 
     def __init__(self, limits: FollowingLimits) -> None:
         self._limits = limits
-        self.reset()
+        self._path = CommandedPath()
+        self.rebase()
 
-    def reset(self) -> None:
-        """The base may have been turned by something else: begin anew at the next angle."""
+    def rebase(self) -> None:
+        """The base may be turned by something else, or its angle is being set: begin at the next sample."""
         self.error_rad = 0.0
-        self._last_rad: float | None = None
+        self._last: tuple[float, float, float] | None = None
         self._peak_rad_s = 0.0
         self._asked_rad_s = 0.0
         self._turned_rad_s = 0.0
 
-    def _limit_rad(self, commanded_rad_s: float) -> float:
-        """What the error may be now, on the side on which it is."""
-        late_rad_s = self._peak_rad_s
-        if self.error_rad * commanded_rad_s < 0.0:
-            late_rad_s -= abs(commanded_rad_s)
-        return self._limits.floor_rad + self._limits.response_s * late_rad_s
+    def commanded(self, velocity_rad_s: float, dt_s: float) -> None:
+        """`velocity_rad_s` was in force for the last `dt_s` > 0."""
+        self._path.add(velocity_rad_s, dt_s)
 
-    def step(self, commanded_rad_s: float, enabled: bool, angle_rad: float, dt_s: float) -> Fault | None:
-        """One tick: `commanded_rad_s` was in force for `dt_s` > 0, at the end of which the base stands at
-        `angle_rad`; a latching fault when the two have come too far apart."""
-        if self._last_rad is None:
-            self._last_rad = angle_rad
-        asked_rad, turned_rad = commanded_rad_s * dt_s, angle_rad - self._last_rad
-        self._last_rad = angle_rad
+    def sample(self, angle_rad: float, age_s: float, *, enabled: bool) -> Fault | None:
+        """The newest sample of the encoder, taken `age_s` ago; a latching fault when it is too far from what
+        was commanded until then."""
+        time_s = self._path.now_s - age_s
+        if self._last is None:
+            asked_rad, _, _ = self._path.until(time_s)
+            self._last = (time_s, asked_rad, angle_rad)
+            return None
+        last_s, last_asked_rad, last_rad = self._last
+        dt_s = time_s - last_s
+        if dt_s < SHORTEST_S:
+            return None
+        asked_rad, commanded_rad_s, fastest_rad_s = self._path.until(time_s)
+        self._last = (time_s, asked_rad, angle_rad)
+        return self._judge(
+            asked_rad - last_asked_rad, angle_rad - last_rad, dt_s, commanded_rad_s, fastest_rad_s, enabled
+        )
+
+    def _judge(
+        self,
+        asked_rad: float,
+        turned_rad: float,
+        dt_s: float,
+        commanded_rad_s: float,
+        fastest_rad_s: float,
+        enabled: bool,
+    ) -> Fault | None:
         forgiven_rad = SCALE_TOLERANCE * abs(asked_rad) + DRIFT_RAD_S * dt_s
         error_rad = self.error_rad + asked_rad - turned_rad
         # an answer that comes later than the command is no error to be forgiven: it comes back at the end
@@ -71,13 +127,20 @@ class FollowingError:
             error_rad = min(error_rad + forgiven_rad, least_rad)
         self.error_rad = error_rad
         kept = math.exp(-dt_s / self._limits.response_s)
-        self._peak_rad_s = max(abs(commanded_rad_s), self._peak_rad_s * kept)
-        self._asked_rad_s += (1.0 - kept) * (commanded_rad_s - self._asked_rad_s)
+        self._peak_rad_s = max(fastest_rad_s, self._peak_rad_s * kept)
+        self._asked_rad_s += (1.0 - kept) * (asked_rad / dt_s - self._asked_rad_s)
         self._turned_rad_s += (1.0 - kept) * (turned_rad / dt_s - self._turned_rad_s)
         limit_rad = self._limit_rad(commanded_rad_s)
         if abs(self.error_rad) <= limit_rad:
             return None
         return Fault(*self._told(enabled, limit_rad), latching=True)
+
+    def _limit_rad(self, commanded_rad_s: float) -> float:
+        """What the error may be now, on the side on which it is."""
+        late_rad_s = self._peak_rad_s
+        if self.error_rad * commanded_rad_s < 0.0:
+            late_rad_s -= abs(commanded_rad_s)
+        return self._limits.floor_rad + self._limits.response_s * late_rad_s
 
     def _told(self, enabled: bool, limit_rad: float) -> tuple[FaultName, str, str]:
         error_deg, limit_deg = deg(abs(self.error_rad)), deg(limit_rad)

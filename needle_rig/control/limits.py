@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from needle_rig.control.faults import Fault, FaultName
-from needle_rig.records import COMMAND_AGE_S, STOP, Command, DriveFault, DriveState, Measurement
+from needle_rig.records import COMMAND_AGE_S, STOP, TEMPORARY, Command, DriveFault, DriveState, Measurement
 from needle_rig.units import deg, nmm
 
 ROUNDING = 1e-9
@@ -32,7 +32,7 @@ DRIVE_SENTENCES: dict[DriveFault, str] = {
     DriveFault.IDLE_MOTION: "it moved while nothing was asked of it; check the power stage (if you turned it"
     " by hand, `needle-rig release` it first)",
     DriveFault.MASTER: "another master sends it commands; take that one off the bus",
-    DriveFault.EMERGENCY_STOP: "the emergency stop is pressed; release it",
+    DriveFault.EMERGENCY_STOP: "the emergency stop was pressed; release it",
 }
 _NAMES = {
     DriveFault.STALL: FaultName.NOT_TURNING,
@@ -45,7 +45,6 @@ _NAMES = {
     DriveFault.TORQUE_TRIP: FaultName.TORQUE_LIMIT,
 }
 """What the drive node and this host both know keeps one name; for a fault of several bits the bits say it."""
-TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
 
 
 @dataclass(frozen=True)
@@ -101,57 +100,69 @@ def slow_host_fault(measurement: Measurement, dt_s: float, limits: Limits) -> Fa
     return None
 
 
-def find_fault(measurement: Measurement, limits: Limits) -> Fault | None:
-    """The first thing in `measurement` that forbids motion, or None: dead links before bad values."""
+def find_faults(measurement: Measurement, limits: Limits) -> tuple[frozenset[str], list[Fault]]:
+    """The links whose values may be used, and everything in these values that forbids motion.
+
+    A dead link hides what it alone tells, and nothing that others tell. The drive's own faults are not among
+    them: see `drive_fault`.
+    """
+    found: list[Fault] = []
+    no_numbers: list[Fault] = []
+    heard = set()
+    finite = {
+        "torque": math.isfinite(measurement.torque_nm),
+        "hall": all(map(math.isfinite, measurement.hall_rad)),
+        "drive": math.isfinite(measurement.base_angle_rad),
+    }
     for link, age_s, limit_s, complaint in _ages(measurement, limits):
         if not age_s <= limit_s:
-            return Fault(FaultName.LINK_DEAD, link, _stale(link, age_s, limit_s, complaint), latching=False)
-    if not math.isfinite(measurement.torque_nm):
-        return Fault(
-            FaultName.NOT_A_NUMBER,
-            "torque",
-            "the torque link gives a value that is no number; check the cell",
-            latching=False,
+            found.append(
+                Fault(FaultName.LINK_DEAD, link, _stale(link, age_s, limit_s, complaint), latching=False)
+            )
+        elif not finite[link]:
+            no_numbers.append(Fault(FaultName.NOT_A_NUMBER, link, _NO_NUMBER[link], latching=False))
+        else:
+            heard.add(link)
+    found += no_numbers
+    if "torque" in heard and abs(measurement.torque_nm) > limits.torque_nm:
+        found.append(
+            Fault(
+                FaultName.TORQUE_LIMIT,
+                "torque",
+                f"the base torque is {nmm(measurement.torque_nm):.3f} N·mm, above the limit of"
+                f" {nmm(limits.torque_nm):g} N·mm (drive.torque_limit_nmm); free the needle,"
+                " then: needle-rig clear",
+                latching=True,
+            )
         )
-    if not all(math.isfinite(angle) for angle in measurement.hall_rad):
-        return Fault(
-            FaultName.NOT_A_NUMBER,
-            "hall",
-            "the hall link gives an angle that is no number; check the sensors",
-            latching=False,
-        )
-    if not math.isfinite(measurement.base_angle_rad):
-        return Fault(
-            FaultName.NOT_A_NUMBER,
-            "drive",
-            "the drive link gives an angle that is no number; check the encoder",
-            latching=False,
-        )
-    if abs(measurement.torque_nm) > limits.torque_nm:
-        return Fault(
-            FaultName.TORQUE_LIMIT,
-            "torque",
-            f"the base torque is {nmm(measurement.torque_nm):.3f} N·mm, above the limit of"
-            f" {nmm(limits.torque_nm):g} N·mm (drive.torque_limit_nmm); free the needle,"
-            " then: needle-rig clear",
-            latching=True,
-        )
-    if abs(measurement.base_angle_rad) > limits.angle_rad:
-        return Fault(
-            FaultName.ANGLE_LIMIT,
-            "drive",
-            f"the base stands at {deg(measurement.base_angle_rad):.1f}°, outside ±{deg(limits.angle_rad):g}°"
-            " (drive.angle_limit_deg); turn it back by hand, then: needle-rig clear",
-            latching=True,
+    if "drive" in heard and abs(measurement.base_angle_rad) > limits.angle_rad:
+        found.append(
+            Fault(
+                FaultName.ANGLE_LIMIT,
+                "drive",
+                f"the base stands at {deg(measurement.base_angle_rad):.1f}°, outside"
+                f" ±{deg(limits.angle_rad):g}° (drive.angle_limit_deg); turn it back by hand, then:"
+                " needle-rig clear",
+                latching=True,
+            )
         )
     if measurement.emergency_stop:
-        return Fault(
-            FaultName.EMERGENCY_STOP,
-            "drive",
-            "the emergency stop is pressed; release it, then: needle-rig clear",
-            latching=True,
+        found.append(
+            Fault(
+                FaultName.EMERGENCY_STOP,
+                "drive",
+                "the emergency stop is pressed; release it, then: needle-rig clear",
+                latching=True,
+            )
         )
-    return drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+    return frozenset(heard), found
+
+
+_NO_NUMBER = {
+    "torque": "the torque link gives a value that is no number; check the cell",
+    "hall": "the hall link gives an angle that is no number; check the sensors",
+    "drive": "the drive link gives an angle that is no number; check the encoder",
+}
 
 
 def drive_fault(state: DriveState, faults: DriveFault, complaint: str = "") -> Fault | None:
@@ -191,7 +202,9 @@ def gate(
     Cuts speed to the velocity limit, to what can still brake before the angle limit, and its change to the
     acceleration limit over `dt_s`.
     """
-    fault = find_fault(measurement, limits)
+    _, found = find_faults(measurement, limits)
+    own = drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+    fault = next(iter(found), own)
     if fault is None and not math.isfinite(velocity_rad_s):
         fault = Fault(
             FaultName.CONTROL,

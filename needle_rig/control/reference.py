@@ -39,11 +39,15 @@ class Reference:
         self.searching = False
         """An index mark is being looked for: motion without a zero is meant."""
 
-    def step(self, now: Measurement, dt_s: float) -> Fault | None:
-        """One tick with fresh values; a latching fault while the zero is lost or not taken by the drive."""
+    def step(self, now: Measurement, dt_s: float, *, can_confirm: bool = True) -> Fault | None:
+        """One tick in which the drive was heard; a latching fault while the zero is lost or not taken.
+
+        `can_confirm` says whether torque and Hall angles were heard too: a first look waits for them.
+        """
         last, self._last = self._last or now, now
         if self.wanted_rad is not None:
-            if now.referenced and abs(now.base_angle_rad - self.wanted_rad) <= TOLD_RAD:
+            told = self._told_s > 0.0
+            if told and now.referenced and abs(now.base_angle_rad - self.wanted_rad) <= TOLD_RAD:
                 self.wanted_rad, self._seen = None, True
                 return None
             self._told_s += dt_s
@@ -54,7 +58,8 @@ class Reference:
                 "the drive does not take the angle that it was told; stop it and look at the bus"
             )
         jump_rad = abs(now.base_angle_rad - last.base_angle_rad)
-        if jump_rad > JUMP_RAD + FASTEST_RAD_S * (now.time_s - last.time_s):
+        between_s = max((now.time_s - now.drive_age_s) - (last.time_s - last.drive_age_s), 0.0)
+        if jump_rad > JUMP_RAD + FASTEST_RAD_S * between_s:
             self._jumped = (
                 f"the drive's angle went from {deg(last.base_angle_rad):.1f}° to"
                 f" {deg(now.base_angle_rad):.1f}° at once: it counts from another zero"
@@ -63,6 +68,8 @@ class Reference:
             return self._lost(self._jumped)
         if now.referenced or self.searching:
             self._seen = self._seen or now.referenced
+            return None
+        if not self._seen and not can_confirm:
             return None
         if not self._seen and self._confirmed(now):
             self.tell(now.base_angle_rad)

@@ -2,8 +2,9 @@
 
 Between the base and the first Hall sensor the shaft is a torsion spring: base - hall_1 = T c, where c is the
 length over the torsional rigidity. Past it the friction of the tissue may hold any twist that the torque at
-the base once made, and no more. Only changes since the last `begin` are judged: offsets of the sensors and
-what the shaft was wound by before are in all of them.
+the base once made, and no more. Every change counts from the same datum: the first reading after the drive got
+its reference. Offsets of the sensors are in all of them. Motions, rests, holds, other faults and a person's
+clear do not move the datum; a new reference alone does.
 """
 
 from __future__ import annotations
@@ -23,6 +24,11 @@ SMOOTHING_S = 0.02
 TORQUE_SHARE = 0.5
 """Of the twist that the torque stands for: a chuck that gives, a cell's gain, friction before the first
 sensor. The tests ask every effect of the library at its typical size: it stays below the limit."""
+SAME_TWIST_SHARE = 0.25
+"""Torques are the same when the unknown half of the spring twists by less than this share of
+`disagreement_rad` between them."""
+PACE_MEMORY_S = 0.1
+"""A reading may be so old; the speed of that time says how far the base is from where it was then."""
 FLICKER = 0.25
 """Share of the twist that a witness must show to count as having seen it."""
 STEP_RAD = rad(1.0)
@@ -34,8 +40,9 @@ STRENGTH = 1.3
 @dataclass(frozen=True)
 class ShaftLimits:
     """SI. `disagreement_rad` between encoder and first Hall angle, and on top `disagreement_share` of what
-    was turned (gain and eccentricity of a sensor); `pair_rad` likewise between neighbouring Hall sensors;
-    `jump_rad` within one tick; `windup_rad` of the needle; `travel_rad` of the base in one sequence."""
+    was turned, at most half a turn (a sensor's error comes again with every turn of its magnet); `pair_rad`
+    likewise between neighbouring Hall sensors; `jump_rad` from one reading to the next; `windup_rad` of the
+    needle; `travel_rad` of the base in one sequence."""
 
     disagreement_rad: float
     disagreement_share: float
@@ -58,6 +65,11 @@ class Spring:
         """Half of the friction on the way."""
         return 0.5 * (self.least + self.most)
 
+    @property
+    def spread(self) -> float:
+        """All of the friction on the way: twist may differ by so much at the same torque."""
+        return self.most - self.least
+
 
 def spring_to_first_sensor(layout: Layout, torsional_rigidity_nm2: float) -> Spring:
     """The bounds of the compliance between the base and the first Hall sensor of `layout`."""
@@ -72,7 +84,7 @@ def base_by_hall_rad(measurement: Measurement, spring: Spring) -> float:
 
 
 class ShaftWatch:
-    """Judges every tick of a sequence from `begin` on."""
+    """Judges every tick in which all three witnesses are heard, from the datum on."""
 
     def __init__(self, limits: ShaftLimits, layout: Layout, torsional_rigidity_nm2: float) -> None:
         self._limits = limits
@@ -80,58 +92,81 @@ class ShaftWatch:
         places_m = layout.sensor_positions_m
         self._spring = spring_to_first_sensor(layout, torsional_rigidity_nm2) if places_m else None
         self._gaps_m = tuple(b - a for a, b in pairwise(places_m))
-        self._start: Measurement | None = None
-        self._at_rest: Measurement | None = None
-        self._last: Measurement | None = None
-        self._disagreement_rad = 0.0
-        self._most_torque_nm = 0.0
-        self._most_before_nm = 0.0
+        middle = self._spring.middle if self._spring else 1.0
+        self._same_nm = SAME_TWIST_SHARE * limits.disagreement_rad / (TORQUE_SHARE * middle)
         self._travel_rad = 0.0
-        self._counted_rad = 0.0
+        self._counted_rad: float | None = None
+        self.rebase()
+
+    def rebase(self) -> None:
+        """The drive got a reference, or has none: the next reading is the datum."""
+        self._datum: Measurement | None = None
+        self._last: Measurement | None = None
+        self._motion_start: Measurement | None = None
+        self._wound_before_rad = 0.0
+        self._disagreement_rad = 0.0
+        self._torque_nm = 0.0
+        self._most_torque_nm = 0.0
+        self._pace_rad_s = 0.0
+        self._seen_rad: dict[int, tuple[float, float]] = {}
+        """Least and largest disagreement at each torque."""
 
     def begin(self) -> None:
-        """A sequence starts: its first measurement is what all changes are counted from."""
-        self._start = self._last = None
-        self._most_before_nm = max(self._most_before_nm, self._most_torque_nm)
-        self._most_torque_nm = self._travel_rad = 0.0
+        """A sequence starts: its travel is counted anew."""
+        self._travel_rad, self._counted_rad = 0.0, None
         self.motion()
 
     def motion(self) -> None:
-        """The next motion starts: slow drifts of sensors until here are forgiven."""
-        self._at_rest = None
-        self._disagreement_rad = 0.0
+        """The next motion starts: what a fault says is told from here on. No limit counts from here."""
+        self._motion_start = None
 
     def step(self, now: Measurement, dt_s: float) -> Fault | None:
-        """One tick of `dt_s` after the last; every value of `now` is fresh and finite."""
-        start = self._start = self._start or now
-        at_rest = self._at_rest = self._at_rest or now
+        """One tick of `dt_s` after the last; every value of `now` is heard and finite."""
+        datum = self._datum
+        if datum is None:
+            datum = self._datum = now
+            self._torque_nm = now.torque_nm
+            self._wound_before_rad = self._own_twist_rad(now)
         last, self._last = self._last or now, now
+        self._motion_start = self._motion_start or now
         turned_rad = abs(now.base_angle_rad - last.base_angle_rad)
-        if now is start:
+        self._most_torque_nm = max(self._most_torque_nm, abs(now.torque_nm))
+        self._pace_rad_s = max(turned_rad / dt_s, self._pace_rad_s * math.exp(-dt_s / PACE_MEMORY_S))
+        fault = self._travel(now)
+        if fault is not None or self._spring is None:
+            return fault
+        return (
+            self._jump(now, last, turned_rad)
+            or self._windup(now, datum)
+            or self._against_encoder(now, datum, dt_s, self._spring)
+            or self._neighbours(now, datum)
+        )
+
+    def _own_twist_rad(self, now: Measurement) -> float:
+        """What the shaft is wound by as torque and Hall angles tell it: the encoder's zero is not asked."""
+        if self._spring is None:
+            return 0.0
+        past_rad = math.remainder(now.hall_rad[0] - now.hall_rad[-1], math.tau)
+        return self._spring.middle * now.torque_nm + past_rad
+
+    def _travel(self, now: Measurement) -> Fault | None:
+        if self._counted_rad is None:
             self._counted_rad = now.base_angle_rad
         step_rad = abs(now.base_angle_rad - self._counted_rad)
         if step_rad >= STEP_RAD:
             self._travel_rad, self._counted_rad = self._travel_rad + step_rad, now.base_angle_rad
-        self._most_torque_nm = max(self._most_torque_nm, abs(now.torque_nm))
-        if self._travel_rad > self._limits.travel_rad:
-            return _fault(
-                FaultName.TRAVEL_LIMIT,
-                "drive",
-                f"the base turned by {deg(self._travel_rad):.0f}° in this sequence, limit"
-                f" {deg(self._limits.travel_rad):g}° (drive.travel_limit_deg); give the needle fewer turns",
-            )
-        if self._spring is None:
+        if self._travel_rad <= self._limits.travel_rad:
             return None
-        return (
-            self._jump(now, last, turned_rad)
-            or self._windup(now, start)
-            or self._against_encoder(now, at_rest, dt_s, self._spring)
-            or self._neighbours(now, start)
+        return _fault(
+            FaultName.TRAVEL_LIMIT,
+            "drive",
+            f"the base turned by {deg(self._travel_rad):.0f}° in this sequence, limit"
+            f" {deg(self._limits.travel_rad):g}° (drive.travel_limit_deg); give the needle fewer turns",
         )
 
     def _jump(self, now: Measurement, last: Measurement, turned_rad: float) -> Fault | None:
         for number, (angle, before) in enumerate(zip(now.hall_rad, last.hall_rad, strict=True), 1):
-            if abs(angle - before) > self._limits.jump_rad + turned_rad:
+            if not abs(angle - before) <= self._limits.jump_rad + turned_rad:
                 return _fault(
                     FaultName.HALL_JUMP,
                     "hall",
@@ -140,8 +175,9 @@ class ShaftWatch:
                 )
         return None
 
-    def _windup(self, now: Measurement, start: Measurement) -> Fault | None:
-        windup_rad = now.base_angle_rad - now.hall_rad[-1] - (start.base_angle_rad - start.hall_rad[-1])
+    def _windup(self, now: Measurement, datum: Measurement) -> Fault | None:
+        since_rad = now.base_angle_rad - now.hall_rad[-1] - (datum.base_angle_rad - datum.hall_rad[-1])
+        windup_rad = since_rad + self._wound_before_rad
         if abs(windup_rad) <= self._limits.windup_rad:
             return None
         return _fault(
@@ -151,72 +187,104 @@ class ShaftWatch:
             f" {deg(self._limits.windup_rad):g}° (drive.windup_limit_deg); free the needle",
         )
 
+    def _share_rad(self, turned_rad: float) -> float:
+        """What gain and eccentricity of a sensor may make of a turn."""
+        return self._limits.disagreement_share * min(turned_rad, math.pi)
+
     def _against_encoder(
-        self, now: Measurement, then: Measurement, dt_s: float, spring: Spring
+        self, now: Measurement, datum: Measurement, dt_s: float, spring: Spring
     ) -> Fault | None:
+        base_rad = now.base_angle_rad - datum.base_angle_rad
+        hall_rad = now.hall_rad[0] - datum.hall_rad[0]
+        sprung_rad = spring.middle * (now.torque_nm - datum.torque_nm)
+        new = 1.0 - math.exp(-dt_s / SMOOTHING_S)
+        self._disagreement_rad += new * (base_rad - hall_rad - sprung_rad - self._disagreement_rad)
+        self._torque_nm += new * (now.torque_nm - self._torque_nm)
+        size_rad = abs(self._disagreement_rad)
+        # the base turned on between the two samples
+        apart_rad = self._pace_rad_s * abs(now.hall_age_s - now.drive_age_s)
+        limit_rad = (
+            self._limits.disagreement_rad
+            + self._share_rad(max(abs(base_rad), abs(hall_rad)))
+            + TORQUE_SHARE * abs(sprung_rad)
+            + apart_rad
+        )
+        if not size_rad <= limit_rad:
+            return self._named(now, size_rad, limit_rad, spring)
+        return self._at_the_same_torque(now, apart_rad, spring)
+
+    def _at_the_same_torque(self, now: Measurement, apart_rad: float, spring: Spring) -> Fault | None:
+        """The same torque twists the shaft by the same, whatever its spring: unknown stiffness drops out."""
+        same = round(self._torque_nm / self._same_nm)
+        least_rad, most_rad = self._seen_rad.get(same, (math.inf, -math.inf))
+        least_rad = min(least_rad, self._disagreement_rad + apart_rad)
+        most_rad = max(most_rad, self._disagreement_rad - apart_rad)
+        self._seen_rad[same] = least_rad, most_rad
+        limit_rad = self._limits.disagreement_rad + spring.spread * self._most_torque_nm
+        if most_rad - least_rad <= limit_rad:
+            return None
+        return self._named(now, most_rad - least_rad, limit_rad, spring)
+
+    def _named(self, now: Measurement, size_rad: float, limit_rad: float, spring: Spring) -> Fault:
+        """Which witness it is, by what each of them saw in this motion."""
+        then = self._motion_start or now
         base_rad = now.base_angle_rad - then.base_angle_rad
         hall_rad = now.hall_rad[0] - then.hall_rad[0]
         torque_nm = now.torque_nm - then.torque_nm
         sprung_rad = spring.middle * torque_nm
-        raw_rad = base_rad - hall_rad - sprung_rad
-        kept = math.exp(-dt_s / SMOOTHING_S)
-        self._disagreement_rad += (1.0 - kept) * (raw_rad - self._disagreement_rad)
-        limit_rad = (
-            self._limits.disagreement_rad
-            + self._limits.disagreement_share * max(abs(base_rad), abs(hall_rad))
-            + TORQUE_SHARE * abs(sprung_rad)
-        )
-        if abs(self._disagreement_rad) <= limit_rad:
-            return None
         seen = (
-            f"in this motion the encoder turned by {deg(base_rad):.1f}°, Hall sensor 1 by"
-            f" {deg(hall_rad):.1f}°,"
-            f" the torque changed by {nmm(torque_nm):.3f} N·mm, which leaves {deg(raw_rad):.1f}°,"
-            f" limit {deg(limit_rad):.1f}° (drive.disagreement_deg)"
+            f"they are {deg(size_rad):.1f}° apart since the last reference, limit {deg(limit_rad):.1f}°"
+            f" (drive.disagreement_deg); in this motion the encoder turned by {deg(base_rad):.1f}°, Hall"
+            f" sensor 1 by {deg(hall_rad):.1f}°, the torque changed by {nmm(torque_nm):.3f} N·mm"
         )
-        twist_rad = base_rad - hall_rad
-        if abs(sprung_rad) < FLICKER * abs(twist_rad):
+        if abs(sprung_rad) < FLICKER * abs(base_rad - hall_rad):
             if abs(base_rad) < FLICKER * abs(hall_rad):
-                return _fault(
+                return _disagreement(
                     FaultName.ENCODER_DISAGREES, "drive", f"the needle turns and the encoder does not: {seen}"
                 )
-            return _fault(
+            return _disagreement(
                 FaultName.TWIST_WITHOUT_TORQUE,
                 "torque",
                 f"the shaft is twisted and the torque cell does not feel it: {seen}; the cell is dead, or the"
                 " coupling between base and needle slips",
             )
         if max(abs(base_rad), abs(hall_rad)) < FLICKER * abs(sprung_rad):
-            return _fault(
+            return _disagreement(
                 FaultName.TORQUE_WITHOUT_TWIST,
                 "torque",
                 f"there is a torque without a twist: {seen}; check the torque cell and the encoder",
             )
-        return _fault(
+        return _disagreement(
             FaultName.ENCODER_DISAGREES,
             "drive",
             f"encoder, torque and Hall angles do not fit together: {seen}; check the encoder's scale, the"
             " coupling and Hall sensor 1",
         )
 
-    def _neighbours(self, now: Measurement, start: Measurement) -> Fault | None:
-        twists = zip(now.hall_rad, now.hall_rad[1:], start.hall_rad, start.hall_rad[1:], strict=False)
-        turned_rad = abs(now.base_angle_rad - start.base_angle_rad)
+    def _neighbours(self, now: Measurement, datum: Measurement) -> Fault | None:
+        twists = zip(now.hall_rad, now.hall_rad[1:], datum.hall_rad, datum.hall_rad[1:], strict=False)
+        turned_rad = abs(now.base_angle_rad - datum.base_angle_rad)
+        # the datum may have been wound one way, and the shaft is wound the other way since
+        wound_nm = 2.0 * self._most_torque_nm
         for number, ((a, b, a0, b0), gap_m) in enumerate(zip(twists, self._gaps_m, strict=True), 1):
             twist_rad = (a - b) - (a0 - b0)
-            # the start may have been wound one way by an earlier sequence, and this one winds the other way
-            wound_nm = self._most_torque_nm + self._most_before_nm
             possible_rad = STRENGTH * wound_nm * gap_m / self._rigidity_nm2
-            limit_rad = self._limits.pair_rad + self._limits.disagreement_share * turned_rad + possible_rad
-            if abs(twist_rad) > limit_rad:
-                return _fault(
+            limit_rad = self._limits.pair_rad + self._share_rad(turned_rad) + possible_rad
+            if not abs(twist_rad) <= limit_rad:
+                return _disagreement(
                     FaultName.HALL_DISAGREES,
                     "hall",
                     f"Hall sensors {number} and {number + 1} came {deg(twist_rad):.0f}° apart, more than the"
-                    f" largest torque of this sequence can twist the shaft between them, limit"
+                    f" largest torque since the last reference can twist the shaft between them, limit"
                     f" {deg(limit_rad):.0f}°; one of them stands still or lost its zero",
                 )
         return None
+
+
+def _disagreement(name: FaultName, link: str, text: str) -> Fault:
+    """Two witnesses of one shaft disagree until one of them is put right and the base gets a reference."""
+    told = f"{text}; then give the base its angle: needle-rig home --by hall, or --here ANGLE if you know it"
+    return Fault(name, link, told, latching=True)
 
 
 def _fault(name: FaultName, link: str, text: str) -> Fault:

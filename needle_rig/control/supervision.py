@@ -1,6 +1,12 @@
-"""Everything that is watched beside the limits of single values: motion, shaft, reference, other masters."""
+"""Everything that is watched beside the limits of single values: motion, shaft, reference, other masters.
+
+It runs from switch-on to switch-off: in motion, at rest, in a hold, between sequences, and beside other
+faults. A link that is dead takes away what it alone can tell, and nothing else.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Collection, Iterator
 
 from needle_rig.control.faults import Fault, FaultName
 from needle_rig.control.following import CLEAR_TEXT, FollowingError, FollowingLimits
@@ -9,8 +15,10 @@ from needle_rig.control.shaft import ShaftLimits, ShaftWatch, spring_to_first_se
 from needle_rig.physics.rod import Layout
 from needle_rig.records import Command, DriveState, Measurement
 
-SIGHT_S = 0.02
-"""Of an encoder angle that is older nobody knows what the base did since: twenty frames are missing."""
+BLIND_S = 0.1
+"""An enabled drive that was not heard for longer may do what it likes: at 60°/s it turns by 6°, as far as the
+following error allows."""
+LINKS = ("torque", "hall", "drive")
 
 
 class Supervision:
@@ -39,33 +47,63 @@ class Supervision:
         self._shaft.motion()
 
     def clear(self, measurement: Measurement | None) -> None:
-        """A person has looked: what was found until now is forgiven."""
-        self._following.reset()
+        """A person has looked: a motion that was not asked for and another master are forgiven.
+
+        What the witnesses of the shaft say against one another is not: a reference alone settles it.
+        """
+        self._following.rebase()
         if measurement is not None:
             self._foreign_commands = measurement.foreign_commands
 
-    def lost_sight(self) -> None:
-        """The drive was not heard: what it did meanwhile cannot be held against it."""
-        self._following.reset()
+    def step(
+        self,
+        now: Measurement,
+        heard: Collection[str],
+        last: Command,
+        dt_s: float,
+        *,
+        unseen_s: float,
+        in_time: bool,
+    ) -> Iterator[Fault]:
+        """One tick: `last` was in force for `dt_s`, `heard` are the links whose values may be used.
 
-    def step(self, now: Measurement, last: Command, dt_s: float, *, active: bool) -> Fault | None:
-        """One tick with fresh values; `last` was in force for `dt_s`, `active` while a sequence runs."""
+        `unseen_s` is the time for which this computer listened and the drive was not heard. While this
+        computer is not `in_time`, values of different age stand side by side: they are not compared.
+        """
+        self._following.commanded(last.velocity_rad_s if last.enable else 0.0, dt_s)
+        if last.enable and unseen_s > BLIND_S:
+            yield Fault(
+                FaultName.BLIND,
+                "drive",
+                f"the drive is enabled and was not heard for {unseen_s * 1e3:.0f} ms, limit"
+                f" {BLIND_S * 1e3:g} ms: nobody sees what the base does; check its link",
+                latching=False,
+            )
         if now.foreign_commands > self._foreign_commands:
-            return Fault(
+            yield Fault(
                 FaultName.SECOND_MASTER,
                 "drive",
                 f"another master sent {now.foreign_commands - self._foreign_commands} commands to the drive;"
                 f" take it off the bus{CLEAR_TEXT}",
                 latching=True,
             )
-        lost = self.reference.step(now, dt_s)
+        if "drive" not in heard:
+            return
+        all_heard = len(heard) == len(LINKS)
+        lost = self.reference.step(now, dt_s, can_confirm=all_heard)
         if lost is not None:
-            self._following.reset()
-            return lost
-        by_hand = now.drive_state in (DriveState.SILENT, DriveState.FAULT)
-        if self.reference.wanted_rad is not None or by_hand or now.drive_age_s > SIGHT_S:
-            # its angle is being set, a hand may turn it, or it is out of sight
-            self._following.reset()
-            return None
-        astray = self._following.step(last.velocity_rad_s, last.enable, now.base_angle_rad, dt_s)
-        return astray or (self._shaft.step(now, dt_s) if active else None)
+            yield lost
+        if lost is not None or self.reference.wanted_rad is not None:
+            self._following.rebase()
+            self._shaft.rebase()
+            return
+        if now.drive_state in (DriveState.SILENT, DriveState.FAULT):
+            self._following.rebase()  # without its supply a hand may turn it
+        else:
+            astray = self._following.sample(now.base_angle_rad, now.drive_age_s, enabled=last.enable)
+            if astray is not None:
+                yield astray
+        if in_time and all_heard:
+            disagreement = self._shaft.step(now, dt_s)
+            if disagreement is not None:
+                yield disagreement

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from needle_rig.config.schema import DriveSection
-from needle_rig.records import COMMAND_AGE_S, STOP, Command, DriveFault, DriveState
+from needle_rig.records import COMMAND_AGE_S, STOP, TEMPORARY, Command, DriveFault, DriveState
 from needle_rig.simulation.motion_monitor import MotionMonitor, Verdict
 from needle_rig.units import deg, nm, rad
 
-TEMPORARY = DriveFault.COMMAND_AGE | DriveFault.FRAME | DriveFault.TORQUE_AGE
 ENDS_READY = DriveFault.IDLE_MOTION | DriveFault.EMERGENCY_STOP
 VELOCITY_MARGIN = 1.5
 
@@ -22,7 +21,8 @@ class GuardSettings:
     heartbeat_us: int = 50_000
     torque_age_us: int = 50_000
     still_us: int = 100_000
-    """Rest before a latching fault may be cleared or a reference taken."""
+    """Rest before a latching fault may be cleared or a reference taken, and time from its newest cause to the
+    clear."""
     still_mdeg: int = 10
     contact_us: int = 20_000
     resync_us: int = 20_000
@@ -68,7 +68,8 @@ class DriveGuard:
         self._sequence_us: int | None = None
         self._heartbeat_us = 0
         self._foreign_us = 0
-        self._clear_asked = False
+        self._clear_asked = self._acknowledged = False
+        self._cause_us = 0
         self._torque_nm = 0.0
         self._torque_us: int | None = None
         self._damaged = 0
@@ -99,7 +100,7 @@ class DriveGuard:
         if not command.clear or command.enable or command.velocity_rad_s:
             self._clear_asked = False
         elif not self._command.clear:
-            self._clear_asked = True
+            self._clear_asked, self._acknowledged = True, command.acknowledge
         self._command, self.command_us = command, now_us
         self._newest = (command, self._counter, self._heartbeat)
         return True
@@ -200,11 +201,28 @@ class DriveGuard:
         return now_us - self._still_since_us >= self._settings.still_us
 
     def _try_clear(self, now_us: int, causes: DriveFault) -> None:
-        latched = bool(self.faults & ~TEMPORARY)
-        if not causes & ~(DriveFault.FRAME | DriveFault.ANGLE) and (not latched or self._still(now_us)):
+        may = not self._latched or (self._acknowledged and self._still(now_us))
+        if not causes & ~(DriveFault.FRAME | DriveFault.ANGLE) and may:
             self.state, self.faults, self._damaged = DriveState.READY, DriveFault.NONE, 0
 
+    @property
+    def _latched(self) -> bool:
+        return bool(self.faults & ~TEMPORARY)
+
+    def _latch(self, now_us: int, causes: DriveFault) -> None:
+        latching = causes & ~TEMPORARY
+        if self.state is DriveState.SILENT and causes & DriveFault.EMERGENCY_STOP:
+            self.state = DriveState.FAULT
+        if self.state is not DriveState.FAULT:
+            return
+        self.faults |= latching
+        if latching & ~DriveFault.ANGLE:
+            self._cause_us = now_us
+        if self._latched and now_us - self._cause_us < self._settings.still_us:
+            self._clear_asked = False
+
     def _change_state(self, now_us: int, causes: DriveFault) -> None:
+        self._latch(now_us, causes)
         if self.state in (DriveState.SILENT, DriveState.FAULT):
             if self._clear_asked:
                 self._try_clear(now_us, causes)
@@ -213,7 +231,7 @@ class DriveGuard:
         waits = self.state is DriveState.READY and not self._command.enable
         reasons = causes & ENDS_READY if waits else causes
         if reasons:
-            self.state, self.faults = DriveState.FAULT, reasons
+            self.state, self.faults, self._cause_us = DriveState.FAULT, reasons, now_us
         elif waits and causes & DriveFault.COMMAND_AGE:
             self.state = DriveState.SILENT
         elif not self._command.enable:

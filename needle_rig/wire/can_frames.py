@@ -184,6 +184,7 @@ class CanCodec:
             velocity=min(max(deg(command.velocity_rad_s), -limit), limit) if finite else 0.0,
             enable=int(command.enable and finite),
             clear=int(command.clear),
+            acknowledge=int(command.acknowledge),
             counter=counter % COUNTER_MODULUS,
             heartbeat=heartbeat % HEARTBEAT_MODULUS,
         )
@@ -216,7 +217,8 @@ class CanCodec:
             )
         if frame_id == DRIVE_REFERENCE_ID:
             return DriveReference(rad(values["angle"]), values["counter"], values["heartbeat"])
-        command = Command(rad(values["velocity"]), bool(values["enable"]), bool(values["clear"]))
+        flags = (bool(values[name]) for name in ("enable", "clear", "acknowledge"))
+        command = Command(rad(values["velocity"]), *flags)
         return DriveCommand(command, values["counter"], values["heartbeat"])
 
     def _angle_deg(self, angle_rad: float) -> float:

@@ -259,28 +259,32 @@ class TestDriveGuard:
         ("torque", "velocity", "bit"),
         [(nm(2.1), 0.5, DriveFault.TORQUE_TRIP), (0.0, rad(91.0), DriveFault.VELOCITY)],
     )
-    def test_latching_faults_want_rest_before_a_clear(
+    def test_latching_faults_want_rest_and_a_person_before_a_clear(
         self, torque: float, velocity: float, bit: DriveFault
     ) -> None:
         guarded = running()
         assert guarded.step(Command(velocity, enable=True), torque) == 0.0
         assert guarded.state == (DriveState.FAULT, bit)
         guarded.step(Command())
-        guarded.step(Command(clear=True))
+        guarded.step(Command(clear=True, acknowledge=True))
         assert guarded.state == (DriveState.FAULT, bit)
         guarded.rest(110)
         guarded.step(Command(clear=True))
+        assert guarded.state == (DriveState.FAULT, bit)
+        guarded.step(Command())
+        guarded.step(Command(clear=True, acknowledge=True))
         assert guarded.state == (DriveState.READY, DriveFault.NONE)
 
     def test_a_stuck_clear_clears_once(self) -> None:
         guarded = running()
         guarded.step(torque_nm=nm(3.0))
+        guarded.rest(110)
         for _ in range(200):
-            guarded.step(Command(clear=True))
+            guarded.step(Command(clear=True, acknowledge=True))
         assert guarded.state == (DriveState.READY, DriveFault.NONE)
         guarded.step(Command(0.5, enable=True, clear=True), torque_nm=nm(3.0))
         for _ in range(200):
-            guarded.step(Command(clear=True))
+            guarded.step(Command(clear=True, acknowledge=True))
         assert guarded.state == (DriveState.FAULT, DriveFault.TORQUE_TRIP)
 
     def test_at_its_angle_limit_it_holds_and_may_turn_back(self) -> None:

@@ -29,6 +29,7 @@ class Guard:
     velocity: int = 0
     enable: bool = False
     clear: bool = False
+    acknowledge: bool = True
     permitted: int = 0
 
     def __post_init__(self) -> None:
@@ -58,6 +59,7 @@ class Guard:
                 "velocity": self.velocity,
                 "enable": self.enable,
                 "clear": self.clear,
+                "acknowledge": self.acknowledge,
                 "counter": counter,
                 "heartbeat": self.heartbeat,
             },

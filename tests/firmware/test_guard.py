@@ -410,10 +410,16 @@ def test_latching_faults_want_stillness_temporary_ones_do_not(nodes: HostNodes) 
         guard.tick(1)
         assert guard.faults == reason
         _mend(guard)
-        guard.enable, guard.clear = False, True
-        guard.tick(10)
+        guard.enable = False
+        guard.tick(5)
+        guard.clear = True
+        guard.tick(5)
         assert (guard.state is DriveState.FAULT) == latching
-        guard.tick(88)
+        guard.clear = False
+        guard.tick(100)
+        guard.angle_mdeg += 11
+        guard.clear = True
+        guard.tick(98)
         assert (guard.state is DriveState.FAULT) == latching
         guard.tick(3)
         assert guard.state is DriveState.READY

@@ -57,9 +57,11 @@ def test_the_emergency_stop_ends_ready_too_and_holds_off_every_clear(nodes: Host
     guard = Guard(nodes, emergency_stop=True)
     guard.tick(10)
     guard.clear_now()
-    assert now(guard.state) is DriveState.SILENT
+    assert (now(guard.state), guard.faults) == (DriveState.FAULT, DriveFault.EMERGENCY_STOP)
     guard.emergency_stop = False
-    guard.ready()
+    guard.tick(100)
+    guard.clear_now()
+    assert now(guard.state) is DriveState.READY
     guard.emergency_stop = True
     guard.tick()
     assert (guard.state, guard.faults) == (DriveState.FAULT, DriveFault.EMERGENCY_STOP)
@@ -68,6 +70,7 @@ def test_the_emergency_stop_ends_ready_too_and_holds_off_every_clear(nodes: Host
     guard.clear_now()
     assert now(guard.state) is DriveState.FAULT
     guard.emergency_stop = False
+    guard.tick(100)
     guard.clear_now()
     assert guard.state is DriveState.READY
 
@@ -106,10 +109,16 @@ def test_a_frame_that_the_bus_repeats_is_nobody_else(nodes: HostNodes) -> None:
     assert guard.c.foreign_us == 0
 
 
-@pytest.mark.parametrize("change", ["velocity", "enable", "clear", "heartbeat"])
+@pytest.mark.parametrize("change", ["velocity", "enable", "clear", "acknowledge", "heartbeat"])
 def test_a_repeat_that_says_something_else_is_counted(nodes: HostNodes, change: str) -> None:
     guard = Guard(nodes, host_thinks=False, clear=True).running()
-    changed = {"velocity": 1, "enable": False, "clear": False, "heartbeat": guard.heartbeat + 1}
+    changed = {
+        "velocity": 1,
+        "enable": False,
+        "clear": False,
+        "acknowledge": False,
+        "heartbeat": guard.heartbeat + 1,
+    }
     guard.clear = True
     guard.say()
     setattr(guard, change, changed[change])
@@ -157,7 +166,11 @@ def test_a_clear_waits_for_the_other_master_to_be_gone(nodes: HostNodes) -> None
         guard.tick()
         foreign(guard)
     assert now(guard.state) is DriveState.FAULT
-    guard.tick(60)
+    guard.tick(160)
+    assert now(guard.state) is DriveState.FAULT, "that clear was asked for while the cause was there"
+    guard.clear = False
+    guard.tick(10)
+    guard.clear_now()
     assert guard.state is DriveState.READY
 
 

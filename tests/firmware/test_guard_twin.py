@@ -13,12 +13,13 @@ from needle_rig.simulation.drive_guard import DriveGuard
 from needle_rig.units import nm, rad
 
 COMMANDS = st.tuples(
-    st.sampled_from([0, 0, 200_000, -200_000, 899_999, 900_001]), st.booleans(), st.booleans()
+    st.sampled_from([0, 0, 200_000, -200_000, 899_999, 900_001]), st.booleans(), st.booleans(), st.booleans()
 )
 DEEDS = st.one_of(
     st.tuples(st.just("command"), COMMANDS),
-    st.tuples(st.just("command"), st.just((0, False, True))),
-    st.tuples(st.just("command"), st.just((200_000, True, False))),
+    st.tuples(st.just("command"), st.just((0, False, True, False))),
+    st.tuples(st.just("command"), st.just((0, False, True, True))),
+    st.tuples(st.just("command"), st.just((200_000, True, False, False))),
     st.tuples(st.just("host"), st.sampled_from([True, True, False])),
     st.tuples(st.just("thinks"), st.sampled_from([True, True, False])),
     st.tuples(st.just("torque"), st.sampled_from([0, 0, 199_999, 200_001, -200_001, None])),
@@ -43,7 +44,7 @@ class Twins:
         self.python = DriveGuard()
         self.now_us = 0
         self.counter = self.heartbeat = 0
-        self.command = (0, False, False)
+        self.command = (0, False, False, False)
         self.host = self.thinks = True
         self.torque: int | None = 0
         self.angle_mdeg = self.asked = self.drift_mdeg = 0
@@ -58,7 +59,7 @@ class Twins:
                 self.python.damaged()
         elif what == "foreign":
             for _ in range(value):
-                self.tell((300_000, True, False), self.counter + 7, self.heartbeat + 1)
+                self.tell((300_000, True, False, False), self.counter + 7, self.heartbeat + 1)
         elif what == "repeat":
             for _ in range(value):
                 self.tell(self.command, self.counter, self.heartbeat)
@@ -77,19 +78,20 @@ class Twins:
         self.counter += 1
         self.tell(self.command, self.counter, self.heartbeat)
 
-    def tell(self, command: tuple[int, bool, bool], counter: int, heartbeat: int) -> None:
-        velocity, enable, clear = command
+    def tell(self, command: tuple[int, bool, bool, bool], counter: int, heartbeat: int) -> None:
+        velocity, enable, clear, acknowledge = command
         said = self.ffi.new(
             "struct nr_command *",
             {
                 "velocity": velocity,
                 "enable": enable,
                 "clear": clear,
+                "acknowledge": acknowledge,
                 "counter": counter % 16,
                 "heartbeat": heartbeat % 65536,
             },
         )
-        wish = Command(rad(velocity * 1e-4), enable, clear)
+        wish = Command(rad(velocity * 1e-4), enable, clear, acknowledge)
         taken = bool(self.lib.nr_guard_command(self.c, self.now_us, said))
         assert self.python.receive(self.now_us, wish, counter % 16, heartbeat % 65536) == taken
 
@@ -132,7 +134,12 @@ def test_both_guards_stand_in_the_same_state_for_the_same_reason(
 def test_the_twins_come_through_every_state(nodes: HostNodes) -> None:
     twins = Twins(nodes)
     reached = []
-    for command in ((0, False, False), (0, False, True), (200_000, True, False), (900_001, True, False)):
+    for command in (
+        (0, False, False, False),
+        (0, False, True, False),
+        (200_000, True, False, False),
+        (900_001, True, False, False),
+    ):
         twins.command = command
         for _ in range(25):
             twins.step()

@@ -15,7 +15,7 @@ import pytest
 from needle_rig.firmware.build import HOST_LIBRARY, build
 from needle_rig.firmware.sources import core_sources, firmware_folder
 
-GUARD_TESTS = ("test_guard.py", "test_guard_safety.py", "test_motion.py")
+GUARD_TESTS = ("test_guard.py", "test_guard_safety.py", "test_guard_latch.py", "test_motion.py")
 NODE_TESTS = (*GUARD_TESTS, "test_nodes.py", "test_codecs.py")
 GCC = shutil.which("gcc")
 

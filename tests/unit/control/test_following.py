@@ -20,14 +20,18 @@ class Base:
         self.error = FollowingError(LIMITS)
         self.commanded_deg_s, self.enabled = commanded_deg_s, enabled
         self.angle_deg = self.asked_deg = self.time_s = 0.0
-        self.error.step(0.0, enabled, 0.0, TICK_S)
+        self.step(0.0)
+
+    def step(self, commanded_deg_s: float) -> Fault | None:
+        self.error.commanded(rad(commanded_deg_s), TICK_S)
+        return self.error.sample(rad(self.angle_deg), 0.0, enabled=self.enabled)
 
     def turn(self, turned_deg_s: float, seconds: float) -> Fault | None:
         for _ in range(round(seconds / TICK_S)):
             self.time_s += TICK_S
             self.angle_deg += turned_deg_s * TICK_S
             self.asked_deg += self.commanded_deg_s * TICK_S
-            fault = self.error.step(rad(self.commanded_deg_s), self.enabled, rad(self.angle_deg), TICK_S)
+            fault = self.step(self.commanded_deg_s)
             if fault is not None:
                 return fault
         return None
@@ -112,7 +116,7 @@ def test_a_reset_begins_anew_wherever_the_base_stands() -> None:
     base = Base(0.0, enabled=False)
     base.angle_deg = 1.4
     assert base.turn(0.0, TICK_S) is None
-    base.error.reset()
+    base.error.rebase()
     base.angle_deg = 90.0
     assert base.turn(0.0, 1.0) is None
     base.angle_deg = 91.4

@@ -15,7 +15,7 @@ from needle_rig.control.limits import (
     Gated,
     Limits,
     drive_fault,
-    find_fault,
+    find_faults,
     gate,
     heard_age_s,
     slow_host_fault,
@@ -49,8 +49,13 @@ def having(**changes: Any) -> Measurement:
     return dataclasses.replace(GOOD, **changes)
 
 
+def first_fault(measurement: Measurement, limits: Limits) -> Fault | None:
+    own = drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+    return next(iter(find_faults(measurement, limits)[1]), own)
+
+
 def test_a_healthy_rig_has_no_fault() -> None:
-    assert find_fault(GOOD, LIMITS) is None
+    assert first_fault(GOOD, LIMITS) is None
 
 
 @pytest.mark.parametrize(("link", "limit_s"), [("torque", 0.05), ("hall", 0.06), ("drive", 0.07)])
@@ -58,8 +63,8 @@ def test_a_value_at_the_age_limit_counts_and_one_beyond_it_is_a_temporary_fault(
     link: str, limit_s: float
 ) -> None:
     field = f"{link}_age_s"
-    assert find_fault(having(**{field: limit_s}), LIMITS) is None
-    fault = known(find_fault(having(**{field: limit_s + 0.0011}), LIMITS))
+    assert first_fault(having(**{field: limit_s}), LIMITS) is None
+    fault = known(first_fault(having(**{field: limit_s + 0.0011}), LIMITS))
     assert (fault.link, fault.latching) == (link, False)
     assert fault.text == (
         f"the {link} link is dead: its newest value is {limit_s * 1e3 + 1:.0f} ms old, limit"
@@ -125,7 +130,7 @@ def test_what_is_held_against_a_link_is_its_age_or_what_was_listened(
 @pytest.mark.parametrize("link", ["torque", "hall", "drive"])
 @pytest.mark.parametrize("age", [math.inf, math.nan])
 def test_a_link_without_a_value_is_named(link: str, age: float) -> None:
-    fault = known(find_fault(having(**{f"{link}_age_s": age}), LIMITS))
+    fault = known(first_fault(having(**{f"{link}_age_s": age}), LIMITS))
     assert (fault.link, fault.latching) == (link, False)
     if math.isinf(age):
         assert fault.text == f"the {link} link has given no value yet; check {WHERE[link]}"
@@ -143,7 +148,7 @@ def test_a_link_without_a_value_is_named(link: str, age: float) -> None:
 def test_a_value_that_is_no_number_is_a_temporary_fault_of_its_link(
     bad: float, link: str, field: str, wrap: Callable[[float], object]
 ) -> None:
-    fault = known(find_fault(having(**{field: wrap(bad)}), LIMITS))
+    fault = known(first_fault(having(**{field: wrap(bad)}), LIMITS))
     assert (fault.link, fault.latching) == (link, False)
     assert f"the {link} link gives" in fault.text
     assert "no number" in fault.text
@@ -151,8 +156,8 @@ def test_a_value_that_is_no_number_is_a_temporary_fault_of_its_link(
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_torque_beyond_its_limit_trips_and_latches(sign: int) -> None:
-    assert find_fault(having(torque_nm=sign * LIMITS.torque_nm), LIMITS) is None
-    fault = known(find_fault(having(torque_nm=sign * LIMITS.torque_nm * 1.001), LIMITS))
+    assert first_fault(having(torque_nm=sign * LIMITS.torque_nm), LIMITS) is None
+    fault = known(first_fault(having(torque_nm=sign * LIMITS.torque_nm * 1.001), LIMITS))
     assert (fault.link, fault.latching) == ("torque", True)
     assert f"{sign * 2.002:.3f} N·mm, above the limit of 2 N·mm" in fault.text
     assert fault.text.endswith("then: needle-rig clear")
@@ -160,8 +165,8 @@ def test_torque_beyond_its_limit_trips_and_latches(sign: int) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
-    assert find_fault(having(base_angle_rad=sign * 10.0), LIMITS) is None
-    fault = known(find_fault(having(base_angle_rad=sign * 10.01), LIMITS))
+    assert first_fault(having(base_angle_rad=sign * 10.0), LIMITS) is None
+    fault = known(first_fault(having(base_angle_rad=sign * 10.01), LIMITS))
     assert (fault.link, fault.latching) == ("drive", True)
     assert f"the base stands at {sign * 573.5:.1f}°, outside ±572.958°" in fault.text
 
@@ -200,13 +205,26 @@ def test_a_drive_without_faults_is_none(state: DriveState) -> None:
     assert drive_fault(state, DriveFault.NONE) is None
 
 
-def test_find_fault_asks_the_drive() -> None:
-    fault = known(find_fault(having(drive_faults=DriveFault.ENCODER), LIMITS))
-    assert fault == drive_fault(DriveState.RUNNING, DriveFault.ENCODER)
+def test_the_gate_asks_the_drive() -> None:
+    gated = gate(0.1, having(drive_faults=DriveFault.ENCODER), 0.0, 0.005, LIMITS)
+    assert (gated.command, gated.fault) == (STOP, drive_fault(DriveState.RUNNING, DriveFault.ENCODER))
+
+
+def test_a_dead_link_hides_what_it_alone_tells_and_no_more() -> None:
+    heard, found = find_faults(having(hall_age_s=1.0, torque_nm=1.0, base_angle_rad=11.0), LIMITS)
+    assert heard == {"torque", "drive"}
+    assert [fault.name for fault in found] == [
+        FaultName.LINK_DEAD,
+        FaultName.TORQUE_LIMIT,
+        FaultName.ANGLE_LIMIT,
+    ]
+    heard, found = find_faults(having(drive_age_s=1.0, base_angle_rad=11.0, torque_nm=math.nan), LIMITS)
+    assert heard == {"hall"}
+    assert [fault.name for fault in found] == [FaultName.LINK_DEAD, FaultName.NOT_A_NUMBER]
 
 
 def test_dead_links_come_before_bad_values() -> None:
-    fault = known(find_fault(having(hall_age_s=1.0, torque_nm=math.nan), LIMITS))
+    fault = known(first_fault(having(hall_age_s=1.0, torque_nm=math.nan), LIMITS))
     assert fault.link == "hall"
 
 
@@ -268,7 +286,7 @@ def test_a_wish_that_is_no_number_stops_and_latches(wish: float) -> None:
 def test_a_fault_stops_whatever_is_wished() -> None:
     gated = gate(0.5, having(torque_nm=1.0), 0.5, 0.005, LIMITS)
     assert gated.command == STOP
-    assert gated.fault == find_fault(having(torque_nm=1.0), LIMITS)
+    assert gated.fault == first_fault(having(torque_nm=1.0), LIMITS)
 
 
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)
@@ -294,7 +312,7 @@ def test_nothing_that_comes_in_lets_a_command_beyond_its_limits_out(
 
 
 def test_a_long_dead_link_tells_its_age_to_the_millisecond() -> None:
-    assert "12345 ms old, limit 60 ms" in known(find_fault(having(hall_age_s=12.345), LIMITS)).text
+    assert "12345 ms old, limit 60 ms" in known(first_fault(having(hall_age_s=12.345), LIMITS)).text
 
 
 @pytest.mark.parametrize("words", [LIMITS, Gated(STOP, False), tick_fault(0.0)])
@@ -306,12 +324,12 @@ def test_nothing_that_was_decided_can_be_changed_afterwards(words: Limits | Gate
 
 def test_every_fault_has_its_name() -> None:
     for link in ("torque", "hall", "drive"):
-        assert known(find_fault(having(**{f"{link}_age_s": 1.0}), LIMITS)).name is FaultName.LINK_DEAD
+        assert known(first_fault(having(**{f"{link}_age_s": 1.0}), LIMITS)).name is FaultName.LINK_DEAD
     for field in ("torque_nm", "base_angle_rad"):
-        assert known(find_fault(having(**{field: math.nan}), LIMITS)).name is FaultName.NOT_A_NUMBER
-    assert known(find_fault(having(hall_rad=(0.1, math.nan)), LIMITS)).name is FaultName.NOT_A_NUMBER
-    assert known(find_fault(having(torque_nm=0.1), LIMITS)).name is FaultName.TORQUE_LIMIT
-    assert known(find_fault(having(base_angle_rad=11.0), LIMITS)).name is FaultName.ANGLE_LIMIT
+        assert known(first_fault(having(**{field: math.nan}), LIMITS)).name is FaultName.NOT_A_NUMBER
+    assert known(first_fault(having(hall_rad=(0.1, math.nan)), LIMITS)).name is FaultName.NOT_A_NUMBER
+    assert known(first_fault(having(torque_nm=0.1), LIMITS)).name is FaultName.TORQUE_LIMIT
+    assert known(first_fault(having(base_angle_rad=11.0), LIMITS)).name is FaultName.ANGLE_LIMIT
     assert known(tick_fault(0.0)).name is FaultName.LATE_TICK
     assert known(gate(math.nan, GOOD, 0.0, 0.005, LIMITS).fault).name is FaultName.CONTROL
 
@@ -337,7 +355,7 @@ def test_what_drive_and_host_both_know_has_one_name(bit: DriveFault, name: Fault
 
 
 def test_a_pressed_emergency_stop_latches_whatever_the_drive_says() -> None:
-    fault = known(find_fault(having(emergency_stop=True), LIMITS))
+    fault = known(first_fault(having(emergency_stop=True), LIMITS))
     assert (fault.name, fault.link, fault.latching) == (FaultName.EMERGENCY_STOP, "drive", True)
     assert fault.text == "the emergency stop is pressed; release it, then: needle-rig clear"
 
@@ -364,7 +382,7 @@ def test_a_slow_host_tells_long_times_to_the_millisecond() -> None:
 
 
 def test_what_a_drive_of_another_make_says_is_in_the_sentence_and_latches() -> None:
-    fault = find_fault(
+    fault = first_fault(
         having(drive_state=DriveState.FAULT, drive_complaint="emergency 0x2310 (over-current)"), LIMITS
     )
     assert fault is not None
@@ -375,4 +393,4 @@ def test_what_a_drive_of_another_make_says_is_in_the_sentence_and_latches() -> N
 
 
 def test_a_complaint_of_a_drive_that_goes_on_is_no_fault() -> None:
-    assert find_fault(having(drive_complaint="emergency 0x4210 (too hot)"), LIMITS) is None
+    assert first_fault(having(drive_complaint="emergency 0x4210 (too hot)"), LIMITS) is None

@@ -1,0 +1,54 @@
+"""The faults that stand: latched ones until a person clears them, passing ones while their cause lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from needle_rig.control.faults import Fault, FaultName
+
+
+class StandingFaults:
+    """Keeps every latching fault that was found, whatever else stands beside it."""
+
+    def __init__(self) -> None:
+        self._latched: dict[FaultName, Fault] = {}
+        self._passing: Fault | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self._latched) or self._passing is not None
+
+    @property
+    def latched(self) -> bool:
+        """Whether one of them stays until a person clears it."""
+        return bool(self._latched)
+
+    @property
+    def all(self) -> tuple[Fault, ...]:
+        """Every fault that stands: the latched ones in the order in which they came, then the passing one."""
+        return (*self._latched.values(), *filter(None, [self._passing]))
+
+    @property
+    def first(self) -> Fault | None:
+        """The one that a person is told first: the oldest latched one, else the passing one."""
+        return next(iter(self.all), None)
+
+    @property
+    def text(self) -> str:
+        """All of them as one sentence each; empty where nothing stands."""
+        return " Also: ".join(fault.text for fault in self.all)
+
+    def take(self, found: Sequence[Fault]) -> None:
+        """What was found in this tick: latching faults are kept, a passing one lasts until the next tick."""
+        for fault in found:
+            if fault.latching:
+                self._latched.setdefault(fault.name, fault)
+        self._passing = next((fault for fault in found if not fault.latching), None)
+
+    def only(self, names: Collection[FaultName]) -> bool:
+        """Whether nothing else stands than faults of these names."""
+        return all(fault.name in names for fault in self.all)
+
+    def clear(self) -> None:
+        """A person has looked: causes that are still there bring their faults back."""
+        self._latched.clear()
+        self._passing = None
