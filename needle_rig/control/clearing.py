@@ -16,7 +16,7 @@ def awake(measurement: Measurement) -> bool:
 
 
 class ClearHandshake:
-    """The clear that an order asks for: a motion only wakes the drive, a person's clear acknowledges faults."""
+    """The clear that an order asks for: a motion wakes the drive, a person's clear acknowledges faults."""
 
     def __init__(self) -> None:
         self._left_s = 0.0
@@ -60,9 +60,11 @@ class ClearHandshake:
     def command(self, measurement: Measurement) -> Command | None:
         """What goes out while the drive sleeps; None when it is awake or nothing is to be cleared.
 
-        A drive that was not heard for `COMMAND_AGE_S` may have latched something that nobody has seen.
+        A drive that was not heard for `COMMAND_AGE_S` may have latched what nobody has seen: it is not
+        acknowledged.
         """
         if not self.asked or awake(measurement):
             return None
-        now = self._ticks % CLEAR_EVERY == 0 and measurement.drive_age_s <= COMMAND_AGE_S
-        return Command(clear=now, acknowledge=now and self._acknowledged is not None)
+        now = self._ticks % CLEAR_EVERY == 0
+        seen = self._acknowledged is not None and measurement.drive_age_s <= COMMAND_AGE_S
+        return Command(clear=now, acknowledge=now and seen)

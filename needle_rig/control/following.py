@@ -66,7 +66,7 @@ class CommandedPath:
 
 
 class FollowingError:
-    """Commanded less turned from one sample of the encoder to the next, kept while the base is not driven too.
+    """Commanded less turned, from one sample of the encoder to the next, whether the base is driven or not.
 
     A sample is held against what had been commanded when it was taken: an answer that comes late, or only now
     and then, is judged by the same limits.

@@ -2,9 +2,9 @@
 
 Between the base and the first Hall sensor the shaft is a torsion spring: base - hall_1 = T c, where c is the
 length over the torsional rigidity. Past it the friction of the tissue may hold any twist that the torque at
-the base once made, and no more. Every change counts from the same datum: the first reading after the drive got
-its reference. Offsets of the sensors are in all of them. Motions, rests, holds, other faults and a person's
-clear do not move the datum; a new reference alone does.
+the base once made, and no more. Every change counts from the same datum: the first reading after the drive
+got its reference. Offsets of the sensors are in all of them. Motions, rests, holds, other faults and a
+person's clear do not move the datum; a new reference alone does.
 """
 
 from __future__ import annotations
@@ -264,12 +264,12 @@ class ShaftWatch:
     def _neighbours(self, now: Measurement, datum: Measurement) -> Fault | None:
         twists = zip(now.hall_rad, now.hall_rad[1:], datum.hall_rad, datum.hall_rad[1:], strict=False)
         turned_rad = abs(now.base_angle_rad - datum.base_angle_rad)
-        # the datum may have been wound one way, and the shaft is wound the other way since
-        wound_nm = 2.0 * self._most_torque_nm
         for number, ((a, b, a0, b0), gap_m) in enumerate(zip(twists, self._gaps_m, strict=True), 1):
             twist_rad = (a - b) - (a0 - b0)
-            possible_rad = STRENGTH * wound_nm * gap_m / self._rigidity_nm2
-            limit_rad = self._limits.pair_rad + self._share_rad(turned_rad) + possible_rad
+            possible_rad = STRENGTH * self._most_torque_nm * gap_m / self._rigidity_nm2
+            # the shaft may have been wound one way at the datum, and the other way since
+            before_rad = abs(math.remainder(a0 - b0, math.tau))
+            limit_rad = self._limits.pair_rad + self._share_rad(turned_rad) + possible_rad + before_rad
             if not abs(twist_rad) <= limit_rad:
                 return _disagreement(
                     FaultName.HALL_DISAGREES,

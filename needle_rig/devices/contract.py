@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from needle_rig.control.supervision import BLIND_S
 from needle_rig.devices.device import Device, Drive, HallSensors, TorqueSensor, Twin
 from needle_rig.devices.memory_host import MemoryHost
 from needle_rig.errors import RigFault
-from needle_rig.records import COMMAND_AGE_S, RELEASE, STOP, Command, DriveState
+from needle_rig.records import COMMAND_AGE_S, RELEASE, STOP, TEMPORARY, Command, DriveState
 from needle_rig.units import deg, nm, nmm, rad
 
 SENSORS = ("hall_1", "hall_2", "hall_3", "hall_4")
@@ -303,6 +304,40 @@ async def _host_lost(bench: Bench) -> None:
     _need(drive.state is not DriveState.RUNNING, "its host came back, and it runs without a clear")
 
 
+async def _watched(bench: Bench) -> None:
+    drive = await _turning(bench, _SPEED_RAD_S)
+    for steps in (1, 20):
+        for _ in range(round(_LONG_S / _STEP_S / steps)):
+            drive.command(Command(_SPEED_RAD_S, enable=True))
+            for _ in range(steps):
+                bench.step()
+            age_s = bench.age_s()
+            _need(
+                age_s <= BLIND_S,
+                f"at {1.0 / (steps * _STEP_S):g} ticks a second its angle was {age_s * 1e3:.0f} ms old,"
+                f" limit {BLIND_S * 1e3:g} ms: the host would stop it",
+            )
+
+
+async def _latches(bench: Bench) -> None:
+    drive = await _turning(bench, _SPEED_RAD_S)
+    fail = getattr(bench.twin, "fail", None)
+    if fail is None:
+        return
+    fail()
+    bench.run(_LONG_S, STOP)
+    latches = drive.state is DriveState.FAULT and not (drive.faults and not drive.faults & ~TEMPORARY)
+    _need(latches, f"it failed, and is {drive.state.name} with the faults {drive.faults!s}")
+    for acknowledge, state in ((False, DriveState.FAULT), (True, DriveState.READY)):
+        for _ in range(4):
+            bench.tick(Command(clear=True, acknowledge=acknowledge))
+            bench.tick(STOP, 4)
+        _need(
+            drive.state is state,
+            f"a clear {'that' if acknowledge else 'before'} a person gave leaves it {drive.state.name}",
+        )
+
+
 async def _releases(bench: Bench) -> None:
     drive = await _turning(bench, _SPEED_RAD_S)
     bench.run(_LONGEST_STOP_S, STOP)
@@ -369,6 +404,8 @@ _OF_DRIVES = (
     ("it takes a reference", _refers),
     ("a velocity that is no number stops it", _not_a_number),
     ("it stops by itself when its host falls silent, and sleeps until a clear", _host_lost),
+    ("while it turns its angle is at most 100 ms old, at 50 to 1000 ticks a second", _watched),
+    ("a fault that latches stays until a clear that a person gave", _latches),
     ("a release lets go of the base", _releases),
     ("a message that repeats itself grows old, or its angle stands still", _frozen_drive),
 )

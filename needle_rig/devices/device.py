@@ -89,8 +89,9 @@ class Host(Protocol):
 class Twin(Protocol):
     """A simulated device: what it is sent, and what it sends. A frame id is 0 where there is no CAN.
 
-    A drive's twin also has `angle_rad`, set from outside, and `velocity_rad_s`, what it asks of its motor; a
-    torque sensor's has `torque_nm`, Hall sensors' `hall_rad` (a tuple), to be measured.
+    A drive's twin also has `angle_rad`, set from outside, and `velocity_rad_s`, what it asks of its motor.
+    Where it has `fail()`, the drive stops by itself with a fault that latches. A torque sensor's has
+    `torque_nm`, Hall sensors' `hall_rad` (a tuple), to be measured.
     """
 
     def reset(self, now_s: float) -> None:
@@ -143,7 +144,8 @@ class Device:
 class Drive(Device):
     """A base drive that takes velocities.
 
-    It stops by itself when it hears nothing for `COMMAND_AGE_S`, and wakes by a clear alone.
+    It stops by itself when it hears nothing for `COMMAND_AGE_S`, and wakes by a clear alone. A fault that
+    latches ends by a clear with `acknowledge`, which a person gave.
     """
 
     angle_rad: float = math.nan

@@ -19,7 +19,7 @@ from needle_rig.control.reference import FASTEST_RAD_S, JUMP_RAD
 from needle_rig.devices.canopen_node import CanopenNode, OperationMode, State402, decode_emergency, meaning_of
 from needle_rig.devices.device import SILENT_S, Drive, Host
 from needle_rig.errors import RigFault
-from needle_rig.records import RELEASE, Command, DriveFault, DriveState
+from needle_rig.records import RELEASE, TEMPORARY, Command, DriveFault, DriveState
 
 PROFILE, NO_HEARTBEAT = 402, 0x8130
 QUICK_STOP, STOP_AND_DISABLE, KEEP_STATE = 3, 2, 1
@@ -141,12 +141,15 @@ class DriveCia402(Drive):
     def _controlword(self, command: Command) -> int:
         """The next step of the state machine towards what is asked.
 
-        A drive is woken by a clear alone: one that lost its power by itself keeps it off until then.
+        A drive is woken by a clear alone: one that lost its power by itself keeps it off until then. A fault
+        that latches is reset by a clear that a person acknowledged.
         """
+        temporary = bool(self.faults) and not self.faults & ~TEMPORARY
         if command.release or not self._set_up:
             self._woken = False
         elif command.clear and self._state == "FAULT":
-            return State402.CW_SWITCH_ON_DISABLED
+            may_reset = command.acknowledge or temporary
+            return State402.CW_SWITCH_ON_DISABLED if may_reset else State402.CW_DISABLE_VOLTAGE
         elif command.clear:
             self._woken, self._emergency = True, None
             self._tell_faults()

@@ -11,6 +11,7 @@ from typing import Literal
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import torsional_rigidity_nm2
+from needle_rig.control.supervision import BLIND_S
 from needle_rig.recording import run_tables
 from needle_rig.service.documents import Sensors, State
 from needle_rig.service.interface import Interface
@@ -194,7 +195,8 @@ def check_links(config: RigConfig, state: State) -> list[Finding]:
     limits_ms = {
         "torque": config.links.torque_age_limit_ms,
         "hall": config.links.hall_age_limit_ms,
-        "drive": config.links.drive_age_limit_ms,
+        # while it is enabled
+        "drive": min(config.links.drive_age_limit_ms, BLIND_S * 1e3),
     }
     ages = None if sensors is None else sensors["age_ms"]
     for name, limit_ms in limits_ms.items():

@@ -19,6 +19,8 @@ from needle_rig.simulation.slcan_hub import Frame
 from needle_rig.simulation.text_sensors import TextSensors
 from needle_rig.units import deg, nmm
 
+_TOO_HOT = 0x4210
+
 
 class DriveTwin:
     """A CiA 402 drive; `angle_rad` is its encoder's, `velocity_rad_s` what it asks of its motor."""
@@ -41,6 +43,10 @@ class DriveTwin:
         counts = round(deg(self.angle_rad) * ENCODER_COUNTS_PER_DEG)
         frames, self.velocity_rad_s = self._drive.step(_us(now_s), counts)
         return frames
+
+    def fail(self) -> None:
+        """It is too hot."""
+        self._drive.fail(_TOO_HOT)
 
     def page(self, path: str) -> bytes:
         """It serves none."""

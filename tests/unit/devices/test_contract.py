@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -117,6 +118,23 @@ class NoHeartbeatConsumer(DriveCia402):
         self._heartbeat_id = 0x7FF
 
 
+class ClearsWhatLatches(DriveCia402):
+    def command(self, command: Command) -> None:
+        super().command(dataclasses.replace(command, acknowledge=True))
+
+
+class NeverCleared(DriveCia402):
+    def command(self, command: Command) -> None:
+        super().command(dataclasses.replace(command, acknowledge=False))
+
+
+class Slow(DriveCia402):
+    def command(self, command: Command) -> None:
+        self.told = getattr(self, "told", -1) + 1
+        if self.told % 8 == 0 or not command.enable:
+            super().command(command)
+
+
 class Holds(DriveCia402):
     def command(self, command: Command) -> None:
         super().command(Command() if command.release else command)
@@ -152,6 +170,13 @@ class KeepsItsZero(DriveCia402):
             "it stops by itself when its host falls silent, and sleeps until a clear",
         ),
         (Holds, cia402(), "a release lets go of the base"),
+        (ClearsWhatLatches, cia402(), "a fault that latches stays until a clear that a person gave"),
+        (NeverCleared, cia402(), "a fault that latches stays until a clear that a person gave"),
+        (
+            Slow,
+            cia402(lost_host_ms=100),
+            "while it turns its angle is at most 100 ms old, at 50 to 1000 ticks a second",
+        ),
     ],
 )
 def test_a_device_that_breaks_a_clause_is_found_out(made: type[Device], options: Any, clause: str) -> None:
