@@ -1,4 +1,4 @@
-"""A recorded run to test with: the real brain against a needle made of play, in virtual time."""
+"""A recorded run to test with: the real brain against a needle that slips at its tip, in virtual time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from needle_rig.control.reports import Request
 from needle_rig.recording import RunWriter, run_attributes, run_tables, sample_row
 from needle_rig.records import DriveState, Measurement, Phase
 
-PLAY_RAD = np.radians([14.0, 20.0, 24.0, 26.0])
-STIFFNESS_NM_PER_RAD = 0.0996e-3 / PLAY_RAD[3]
+LAG_RAD = np.radians([19.6, 23.2, 25.3, 26.0])
+"""Of the sensors behind the base while the whole needle slips, and the torque then."""
+STIFFNESS_NM_PER_RAD = 0.0996e-3 / LAG_RAD[3]
 
 
 class PlayNeedle:
-    """Every sensor follows the base by at most its play; the torque is the tip's lag times a stiffness."""
+    """The tip follows the base by at most its lag; the shaft between them is a spring."""
 
     def __init__(self) -> None:
         self.base_rad, self.sensor_rad, self.velocity_rad_s = 0.0, np.zeros(4), 0.0
@@ -27,7 +28,8 @@ class PlayNeedle:
     def turn(self, velocity_rad_s: float, dt_s: float) -> None:
         self.base_rad += velocity_rad_s * dt_s
         self.velocity_rad_s = velocity_rad_s
-        self.sensor_rad = np.clip(self.sensor_rad, self.base_rad - PLAY_RAD, self.base_rad + PLAY_RAD)
+        tip_rad = np.clip(self.sensor_rad[3], self.base_rad - LAG_RAD[3], self.base_rad + LAG_RAD[3])
+        self.sensor_rad = self.base_rad - LAG_RAD * (self.base_rad - tip_rad) / LAG_RAD[3]
 
     @property
     def torque_nm(self) -> float:

@@ -64,5 +64,5 @@ def test_the_clauses_of_a_drive_are_as_many_as_the_page_says() -> None:
     options = Cia402Drive(device="cia402", node_id=5, position_units_per_turn=4e5, velocity_units_per_rpm=100)
     from needle_rig.devices.drive_cia402 import DriveCia402
 
-    assert len(list(check_device(DriveCia402, options, lambda: DriveTwin(options)))) == 6 + 7
-    assert "seven beside the first six" in PAGE
+    assert len(list(check_device(DriveCia402, options, lambda: DriveTwin(options)))) == 6 + 9
+    assert "nine beside the first six" in PAGE

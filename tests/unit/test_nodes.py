@@ -28,7 +28,7 @@ from tests.values import now
 
 CODEC = CanCodec(find_config_file("needle_rig.dbc"))
 LIMITS = load_rig_config().drive
-CLEAR = Command(clear=True)
+CLEAR = Command(clear=True, acknowledge=True)
 TURN = Command(rad(20), enable=True)
 
 
@@ -101,6 +101,7 @@ def test_a_stuck_clear_bit_clears_once() -> None:
     host.pass_ms(5, TURN)
     assert now(host.node.state) is DriveState.FAULT
     host.torque_nmm = 0.0
+    host.pass_ms(110, STOP)
     host.pass_ms(5, CLEAR)
     assert now(host.node.state) is DriveState.READY
     host.torque_nmm = 5.0
@@ -197,7 +198,8 @@ def test_out_of_range_it_may_turn_back_in_after_a_clear_and_no_further_out() -> 
     host.node.receive(host.now_us, DRIVE_REFERENCE_ID, data)
     host.pass_ms(5, back)
     assert host.node.faults == DriveFault.ANGLE
-    host.pass_ms(120, CLEAR)
+    host.pass_ms(110, STOP)
+    host.pass_ms(20, CLEAR)
     host.pass_ms(30, TURN)
     assert now(host.node.state) is DriveState.RUNNING
     host.pass_ms(10, back)
