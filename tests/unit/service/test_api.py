@@ -14,8 +14,8 @@ import pytest
 
 from needle_rig.service import api, connections
 from needle_rig.service.api import Answer, application
-from needle_rig.service.api_process import server
 from needle_rig.service.connections import Connections
+from needle_rig.service.serving import server
 from needle_rig.service.stream import Stream
 
 Reply = tuple[int, dict[str, Any]]
@@ -83,7 +83,7 @@ async def serving(tmp_path: Path, limit: int = 50) -> AsyncIterator[Service]:
         listener.listen()
         listener.setblocking(False)
         held = Connections(listener, limit)
-        running = server(application(service.ask, service.stream, held), held)
+        running = server(application(service.ask, service.stream, held), held, lifespan="off")
         tasks = [asyncio.create_task(running.serve()), asyncio.create_task(held.sweep())]
         try:
             yield service
