@@ -264,6 +264,11 @@ class WatcherConnection(WebSocketsSansIOProtocol):
             return
         super().send_receive_event_to_app()
 
+    def handle_parser_exception(self) -> None:
+        """See WebSocketsSansIOProtocol, which calls what is sent afterwards a defect of the application."""
+        super().handle_parser_exception()
+        self.disconnected = True
+
     def drop(self) -> None:
         """Close it at once, whatever goes on."""
         self.transport.abort()

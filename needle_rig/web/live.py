@@ -69,9 +69,9 @@ def _stop(text: str | None) -> tuple[int, dict[str, Any]]:
     """Key and content of a stop; raises BadInput."""
     try:
         said = json.loads(text or "")
-        key = said.pop("key")
-    except (ValueError, RecursionError, AttributeError, KeyError):
-        key = None
+    except (ValueError, RecursionError):
+        said = None
+    key = said.pop("key", None) if isinstance(said, dict) else None
     if not isinstance(key, int):
         raise BadInput("this is no stop; send a JSON object with a key and a reason")
     return key, read_order("stop", said).model_dump(exclude_none=True)
