@@ -54,6 +54,9 @@ enum {
     HEALTH_FLAGS = 0xFFF
 };
 
+static const int64_t MOST_MOVED = INT64_MAX / 1000000; /* 1e-4 deg, which fits in 64 bits as 1e-10 deg */
+static const int64_t MOST_VELOCITY = INT64_MAX / 512;  /* 1e-4 deg/s, of which two in 1/256 have a difference that fits */
+
 void nr_drive_init(struct nr_drive_node *node, const struct nr_drive_config *config, const void *page)
 {
     *node = (struct nr_drive_node){.config = *config};
@@ -72,6 +75,15 @@ static int32_t clamped(int64_t value, int32_t limit)
         return limit;
     }
     return value < -(int64_t)limit ? -limit : (int32_t)value;
+}
+
+/* `clamped` in 64 bits. */
+static int64_t saturated(int64_t value, int64_t limit)
+{
+    if (value > limit) {
+        return limit;
+    }
+    return value < -limit ? -limit : value;
 }
 
 static int64_t magnitude(int64_t value)
@@ -144,7 +156,8 @@ static void measure(struct nr_drive_node *node, uint32_t now_us, const struct nr
     node->last_counts = in->counts;
     node->last_us = now_us;
     if (elapsed_us > 0) {
-        const int64_t velocity = (int64_t)moved * UNITS_PER_TURN / node->config.counts_per_turn * 1000000 / elapsed_us;
+        const int64_t units = saturated((int64_t)moved * UNITS_PER_TURN / node->config.counts_per_turn, MOST_MOVED);
+        const int64_t velocity = saturated(units * 1000000 / elapsed_us, MOST_VELOCITY);
         node->velocity_q8 += (velocity * 256 - node->velocity_q8) / VELOCITY_FILTER;
     }
 }

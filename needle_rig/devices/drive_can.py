@@ -8,6 +8,7 @@ from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import NodeDevice
 from needle_rig.devices.device import Drive, Host
 from needle_rig.devices.link_clock import LinkClock
+from needle_rig.devices.shortest_way import CRYSTAL_TOLERANCE
 from needle_rig.records import Command, DriveFault
 from needle_rig.wire.can_frames import (
     COUNTER_MODULUS,
@@ -37,7 +38,7 @@ class DriveCan(Drive):
         self._host = host
         self._codec = load_codec(find_config_file("needle_rig.dbc"))
         self._bus = self.link = host.can(self._receive)
-        self._clock = LinkClock(self._codec.drive_clock_period_s)
+        self._clock = LinkClock(self._codec.drive_clock_period_s, CRYSTAL_TOLERANCE)
         self._counter = 0
         self._heartbeat = 0
         self._health = DriveHealth(DriveFault.NONE, False, False, False, math.nan, 0, 0)

@@ -6,6 +6,7 @@ from needle_rig.config.schema import SerialSection
 from needle_rig.devices.device import Host
 from needle_rig.devices.link_clock import LinkClock
 from needle_rig.devices.multi_turn import MultiTurnHall
+from needle_rig.devices.shortest_way import CRYSTAL_TOLERANCE
 from needle_rig.wire.hall_frames import CLOCK_PERIOD_S, HallFrame, HallStream
 
 
@@ -15,7 +16,7 @@ class HallSerial(MultiTurnHall):
     Options = SerialSection
 
     def __init__(self, options: SerialSection, host: Host) -> None:
-        super().__init__(host, LinkClock(CLOCK_PERIOD_S))
+        super().__init__(host, LinkClock(CLOCK_PERIOD_S, CRYSTAL_TOLERANCE))
         self.link = host.serial(options.port, options.baud, self._receive)
         self._stream = HallStream()
         self.frame: HallFrame | None = None

@@ -6,6 +6,7 @@ from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import NodeDevice
 from needle_rig.devices.device import Host, TorqueSensor
 from needle_rig.devices.link_clock import LinkClock
+from needle_rig.devices.shortest_way import CRYSTAL_TOLERANCE
 from needle_rig.wire.can_frames import TORQUE_OK, TORQUE_STATUS_ID, TorqueStatus, load_codec
 
 _COMPLAINTS = {
@@ -25,7 +26,7 @@ class TorqueCan(TorqueSensor):
         self._host = host
         self._codec = load_codec(find_config_file("needle_rig.dbc"))
         self.link = host.can(self._receive)
-        self._clock = LinkClock(self._codec.torque_clock_period_s)
+        self._clock = LinkClock(self._codec.torque_clock_period_s, CRYSTAL_TOLERANCE)
         self._complaint = ""
 
     def complaint(self, now_s: float) -> str:  # noqa: ARG002

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import math
 import os
 from contextlib import suppress
@@ -37,10 +38,39 @@ class RunSummary:
 
 
 def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
-    """The runs in `directory`, oldest first; unreadable files are listed too. An absent folder has none."""
+    """The runs in `directory`, oldest first; unreadable files are listed too. An absent folder has none.
+
+    Raises BadInput for one that is there and cannot be read.
+    """
+    try:
+        os.scandir(directory).close()
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise _unlistable(Path(directory), error) from None
     found = [*Path(directory).glob("*.h5"), *Path(directory).glob(f"*{SUFFIX}")]
     paths = {path.with_suffix(".h5") for path in found if not path.name.startswith(".")}
     return sorted((_summary(path) for path in paths), key=lambda run: (run.started_utc, run.name))
+
+
+def _unlistable(directory: Path, error: OSError) -> BadInput:
+    if error.errno != errno.ELOOP:
+        return BadInput(
+            f"{show_path(directory)}: cannot be listed ({error.strerror}); name a folder of runs with --dir"
+        )
+    links = [place for place in (*reversed(directory.absolute().parents), directory) if place.is_symlink()]
+    link = next((one for one in links if _loops(one)), directory)
+    return BadInput(
+        f"{show_path(link)}: this link leads to itself; remove it, or name another folder with --dir"
+    )
+
+
+def _loops(link: Path) -> bool:
+    try:
+        link.stat()
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    return False
 
 
 def unfinished_runs(directory: str | os.PathLike[str]) -> list[Path]:

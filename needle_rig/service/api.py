@@ -30,9 +30,10 @@ from needle_rig.errors import Aborted, BadInput
 from needle_rig.service.documents import Message
 from needle_rig.service.openapi import ROUTES, Path, openapi_document
 from needle_rig.service.orders import read_order
+from needle_rig.service.serving import LetIn
 
 if TYPE_CHECKING:
-    from starlette.types import Receive, Scope, Send
+    from starlette.types import ASGIApp, Receive, Scope, Send
 
     from needle_rig.service.connections import Connections
     from needle_rig.service.stream import Stream
@@ -164,7 +165,7 @@ class Acknowledgement(JSONResponse):
             self._desk.acknowledged()
 
 
-def application(ask: Ask, stream: Stream, connections: Connections) -> Starlette:
+def application(ask: Ask, stream: Stream, connections: Connections) -> ASGIApp:
     """The web application; `connections` must serve it, since they know when a request's first byte came."""
     desk = Desk(ask, connections)
 
@@ -213,7 +214,7 @@ def application(ask: Ask, stream: Stream, connections: Connections) -> Starlette
                     await task
 
     own = {"stop": stop, "state": state}
-    return Starlette(
+    app = Starlette(
         routes=[
             *(
                 Route(path.path, own[path.order], methods=[path.method]) if path.order in own else route(path)
@@ -228,6 +229,7 @@ def application(ask: Ask, stream: Stream, connections: Connections) -> Starlette
             HTTPException: _refuse_path,
         },
     )
+    return LetIn(app)
 
 
 async def _until_gone(socket: WebSocket) -> None:

@@ -8,7 +8,6 @@ inherited descriptors, where the socket is, and the daemon's process id. It begi
 from __future__ import annotations
 
 import asyncio
-import functools
 import json
 import logging
 import os
@@ -20,21 +19,21 @@ import time
 from pathlib import Path
 
 import uvicorn
-from starlette.applications import Starlette
 
 from needle_rig.records import JsonObject
 from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, application
-from needle_rig.service.connections import REQUEST_S, SPARE, Connections, HttpConnection, WatcherConnection
+from needle_rig.service.connections import Connections
 from needle_rig.service.documents import Answered, Asked, Message
 from needle_rig.service.endpoint import Made
 from needle_rig.service.lines import Lines
+from needle_rig.service.serving import connection_limit, server
 from needle_rig.service.stream import Stream
 
 CONNECTIONS = 256
-"""Far more than people and pages at one rig."""
+"""Of strangers, and of those let in: far more than people and pages at one rig."""
 _OWN_DESCRIPTORS = 32
 MEMORY_BYTES = 1 << 30
-"""Address space; 256 connections with full buffers take a tenth of it."""
+"""Address space; 512 connections with full buffers take a fifth of it."""
 ALIVE_EVERY_S = 1.0
 _COMPLAIN_EVERY_S = 10.0
 _DEATH_S = 1.0
@@ -61,8 +60,14 @@ class Process:
         await loop.create_connection(lambda: self._lines, sock=lines)
         living = asyncio.create_task(self._live(), name="alive")
         await self._serve.wait()
-        connections = Connections(self._listener, _connection_limit())
-        self._server = server(application(self._ask, self._stream, connections), connections)
+        connections = Connections(self._listener, connection_limit(CONNECTIONS, _OWN_DESCRIPTORS))
+        self._server = server(
+            application(self._ask, self._stream, connections),
+            connections,
+            lifespan="off",
+            h11_max_incomplete_event_size=BODY_LIMIT_BYTES,
+            ws_max_size=BODY_LIMIT_BYTES,
+        )
         sweeping = asyncio.create_task(connections.sweep(), name="sweep")
         try:
             await self._server.serve()
@@ -124,56 +129,6 @@ class Process:
                 break
             time.sleep(_DEATH_S / 100)
         os._exit(0)
-
-
-def server(app: Starlette, connections: Connections) -> uvicorn.Server:
-    """A server with our connections and their limits, which leaves signals and logs alone."""
-    return _Server(
-        uvicorn.Config(
-            app,
-            http=functools.partial(HttpConnection, connections),  # type: ignore[arg-type]
-            ws=functools.partial(WatcherConnection, connections),  # type: ignore[arg-type]
-            lifespan="off",
-            access_log=False,
-            log_config=None,
-            h11_max_incomplete_event_size=BODY_LIMIT_BYTES,
-            timeout_keep_alive=round(REQUEST_S),
-            timeout_graceful_shutdown=1,
-            ws_max_size=BODY_LIMIT_BYTES,
-        ),
-        connections,
-    )
-
-
-class _Server(uvicorn.Server):
-    def __init__(self, config: uvicorn.Config, connections: Connections) -> None:
-        super().__init__(config)
-        self._connections = connections
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:  # noqa: ARG002 uvicorn's
-        await super().startup([])
-        self._connections.open(self._make)
-
-    def _make(self) -> HttpConnection:
-        config = self.config
-        made = config.http_protocol_class(  # type: ignore[call-arg]
-            config=config, server_state=self.server_state, app_state=self.lifespan.state
-        )
-        assert isinstance(made, HttpConnection)
-        return made
-
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        self._connections.close()
-        await super().shutdown(sockets)
-
-
-def _connection_limit() -> int:
-    """As many as the system gives descriptors for, with room for the newcomers of one turn."""
-    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = CONNECTIONS + SPARE + _OWN_DESCRIPTORS
-    allowed = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
-    return max(allowed - SPARE - _OWN_DESCRIPTORS, 1)
 
 
 class _Rarely(logging.Filter):

@@ -48,7 +48,7 @@ another make from within."""
 _EMERGENCY_CODE = 0x2310
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
-_REGAIN_AT_MOST_S = 0.25
+_REGAIN_AT_MOST_S = 0.5
 _STEPS_A_WAKE = 4
 _TOO_OFTEN = 5
 _ALL_OF_A_CORE = 0.8
@@ -205,7 +205,8 @@ class BenchLoop:
         """
         self._start_s += late_s
         self._behind_s += late_s
-        self._regain_s = min(self._regain_s + late_s, _REGAIN_AT_MOST_S)
+        if late_s <= _REGAIN_AT_MOST_S:
+            self._regain_s += late_s
         self._say({"event": "late", "late_s": round(late_s, 4)})
         now_s, cpu_s = time.monotonic(), time.process_time()
         if now_s - self._late_at_s > 1.0:
@@ -218,7 +219,7 @@ class BenchLoop:
 
     def _regained_s(self) -> float:
         """How much sooner the next step comes. Clocks that stay behind would make fresh data look old for
-        ever; after more than a quarter of a second a host takes them for new clocks anyway.
+        ever; after a pause of more than a quarter of a second a host takes them for new clocks anyway.
         """
         regained_s = min(self._regain_s, _REGAIN / self._loop_hz)
         self._regain_s -= regained_s

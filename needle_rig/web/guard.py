@@ -16,6 +16,7 @@ from starlette.responses import JSONResponse
 from starlette.websockets import WebSocketClose
 
 from needle_rig.errors import BadInput
+from needle_rig.service.connections import LET_IN
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -70,6 +71,8 @@ class Guard:
             await self._app(scope, receive, send)
             return
         refusal = self.refusal(scope["path"], Headers(scope=scope))
+        if refusal is None and scope["path"].startswith(API):
+            scope["state"][LET_IN]()
         if scope["type"] == "websocket":
             if refusal is not None:
                 await WebSocketClose(code=1008, reason=refusal.sentence[:120])(scope, receive, send)

@@ -15,6 +15,7 @@ import httpx
 from websockets.asyncio.client import unix_connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
+from needle_rig.errors import NeedleRigError, RigFault
 from needle_rig.service.client import failure
 from needle_rig.service.endpoint import sockets_for_client
 from needle_rig.service.openapi import ROUTES
@@ -25,6 +26,8 @@ AGAIN_S = 0.3
 SILENT_S = 1.0
 """A stream that says nothing for so long is broken; it speaks 30 times a second."""
 ANSWER_S = 15.0
+STOP_S = 1.0
+"""A person who pressed Stop waits no longer for its confirmation before the emergency stop."""
 HOLDER = "a person at the page"
 ORDERS = frozenset(path.order for path in ROUTES if path.method == "POST" and path.order != "take_lease")
 
@@ -69,17 +72,25 @@ class RigLink:
         A stop waits behind nothing.
         """
         if name == "stop":
-            self._lease = None
-            return await self._ask("/stop", content, {})
+            return await self._stop(content)
         async with self._orders:
             await self._take_lease()
             headers = {} if self._lease is None else {"Lease": self._lease}
             return await self._ask(f"/{name}", content, headers)
 
+    async def _stop(self, content: Mapping[str, Any]) -> Document:
+        """The daemon's own confirmation, which comes once it took the stop."""
+        self._lease = None
+        try:
+            async with asyncio.timeout(STOP_S):
+                return await self._ask("/stop", content, {})
+        except TimeoutError:
+            raise RigFault(
+                f"the daemon did not confirm the stop within {STOP_S:g} s; use the emergency stop"
+            ) from None
+
     async def _take_lease(self) -> None:
         """Take it, or renew ours; one that a stop or ten seconds of rest ended is taken anew."""
-        from needle_rig.errors import NeedleRigError
-
         if self._lease is not None:
             try:
                 await self._ask("/lease", {"holder": HOLDER}, {"Lease": self._lease})
@@ -89,8 +100,6 @@ class RigLink:
         self._lease = (await self._ask("/lease", {"holder": HOLDER}, {}))["lease"]
 
     async def _ask(self, path: str, content: Mapping[str, Any], headers: Mapping[str, str]) -> Document:
-        from needle_rig.errors import RigFault
-
         last: Exception | None = None
         for place in self._places():
             try:

@@ -12,24 +12,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
+from needle_rig.service.connections import Connections
+from needle_rig.service.endpoint import QUEUE
 from needle_rig.service.orders import read_order
+from needle_rig.service.serving import connection_limit, server
 from needle_rig.web.estimate import shaft_estimate
 from needle_rig.web.glossary import glossary_html
-from needle_rig.web.guard import LOOPBACK, WEBSOCKET_TOKEN, Guard
+from needle_rig.web.guard import LOOPBACK, Guard
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.lessons_process import Lessons
+from needle_rig.web.live import STOP_BYTES, live
 from needle_rig.web.places import DATASET, DIAGNOSIS, MODEL
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.sources import NOTES_BYTES, Sources
@@ -41,9 +44,10 @@ BODY_BYTES = 64 << 10
 JOB_BYTES = 512 << 10
 """A mapping of some hundred channels, each with its reason."""
 BODY_S = 10.0
-CONNECTIONS = 128
-WATCHER_BYTES = 1024
-"""A watcher has nothing to say."""
+CONNECTIONS = 256
+"""Of strangers, and of those with the token: far more than pages of one person."""
+OWN_DESCRIPTORS = 256
+"""Files of jobs and uploads, and connections to the daemon."""
 
 Document = dict[str, Any]
 
@@ -78,28 +82,8 @@ class Page:
     # the rig
 
     async def live(self, socket: WebSocket) -> None:
-        """What the daemon tells, as it comes."""
-        offered = [n for n in socket.scope["subprotocols"] if n.startswith(WEBSOCKET_TOKEN)]
-        await socket.accept(subprotocol=offered[0])
-
-        async def tell() -> None:
-            async with self.rig.watch() as listener:
-                async for text in listener.messages():
-                    await socket.send_text(text)
-
-        async def until_gone() -> None:
-            while (await socket.receive())["type"] != "websocket.disconnect":
-                pass
-
-        both = {asyncio.create_task(tell()), asyncio.create_task(until_gone())}
-        try:
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in both:
-                task.cancel()
-            await asyncio.gather(*both, return_exceptions=True)
-            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-                await socket.close()
+        """What the daemon tells, and stops to it."""
+        await live(self.rig, socket)
 
     async def order(self, request: Request) -> Response:
         """One of the daemon's orders."""
@@ -379,8 +363,10 @@ def listening(port: int) -> sockets.socket:
     """A socket at the loopback address; raises BadInput when the port is taken."""
     listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
     listener.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+    listener.setblocking(False)
     try:
         listener.bind((LOOPBACK, port))
+        listener.listen(QUEUE)
     except OSError as error:
         listener.close()
         raise BadInput(
@@ -391,21 +377,22 @@ def listening(port: int) -> sockets.socket:
 
 async def serve(page: Page, listener: sockets.socket, token: str, ready: Callable[[], None]) -> None:
     """Serve until SIGINT or SIGTERM."""
-    config = uvicorn.Config(
+    connections = Connections(
+        listener, connection_limit(CONNECTIONS, OWN_DESCRIPTORS), timed_by_application=True
+    )
+    served = server(
         application(page, listener.getsockname()[1], token),
-        access_log=False,
-        log_config=None,
+        connections,
         server_header=False,
-        limit_concurrency=CONNECTIONS,
-        timeout_keep_alive=5,
-        timeout_graceful_shutdown=1,
-        ws="websockets-sansio",
-        ws_max_size=WATCHER_BYTES,
+        ws_max_size=STOP_BYTES,
         ws_per_message_deflate=False,
     )
-    server = uvicorn.Server(config)
-    running = asyncio.create_task(server.serve([listener]))
-    while not server.started and not running.done():
+    sweeping = asyncio.create_task(connections.sweep())
+    running = asyncio.create_task(served.serve())
+    while not served.started and not running.done():
         await asyncio.sleep(0.01)
     ready()
-    await running
+    try:
+        await running
+    finally:
+        sweeping.cancel()

@@ -5,15 +5,21 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from datetime import date
+from typing import Any
 
 import numpy as np
 import pytest
 
 from needle_rig.config.files import find_config_file
 from needle_rig.firmware.host import HostNode, HostNodes
+from needle_rig.firmware.pages import drive_page
 from needle_rig.firmware.pins import Pins
 from needle_rig.records import Command, DriveFault, DriveState
 from needle_rig.wire.can_frames import DRIVE_COMMAND_ID, TORQUE_STATUS_ID, CanCodec, TorqueStatus
+
+MOST_MOVED, MOST_VELOCITY = (2**63 - 1) // 1_000_000, (2**63 - 1) // 512
+"""What the drive node's arithmetic saturates at, 1e-4 deg and 1e-4 deg/s."""
 
 
 @pytest.fixture(scope="module")
@@ -198,3 +204,27 @@ def test_hall_calibration_page_takes_out_what_a_sensor_does_wrong(nodes: HostNod
         expected = raw - zero - h1 * math.sin(raw + phase1)
         assert abs(math.remainder(angle - expected, math.tau)) < 6e-4
         assert field[0] == pytest.approx(16 * 1500, rel=2e-3)
+
+
+@pytest.mark.parametrize("turns", [1, -1])
+@pytest.mark.parametrize("jump_counts", [2**20, 2**24, 2**30, 2**31 - 1, -(2**31 - 1)])
+@pytest.mark.parametrize("elapsed_us", [1, 1000])
+def test_counts_that_jump_with_one_count_a_turn_are_a_velocity_of_the_right_sign(
+    nodes: HostNodes, turns: int, jump_counts: int, elapsed_us: int
+) -> None:
+    node: Any = nodes.ffi.new("struct nr_drive_node *")
+    page = nodes.ffi.new("uint8_t[]", drive_page(turns, 1, date(2026, 1, 1)))
+    nodes.lib.nr_drive_init(node, nodes.ffi.addressof(nodes.lib.nr_drive_defaults), page)
+    outputs, inputs = nodes.ffi.new("struct nr_drive_outputs *"), nodes.ffi.new("struct nr_drive_inputs *")
+    inputs.encoder_good = True
+    nodes.lib.nr_drive_tick(node, 1_000_000, inputs, outputs)
+    expected = 0
+    for k in range(1, 6):
+        inputs.counts = jump_counts if k % 2 else 0
+        nodes.lib.nr_drive_tick(node, 1_000_000 + k * elapsed_us, inputs, outputs)
+        moved = (jump_counts if k % 2 else -jump_counts) * turns
+        units = max(-MOST_MOVED, min(moved * 3_600_000, MOST_MOVED))
+        velocity = max(-MOST_VELOCITY, min(int(units * 1_000_000 / elapsed_us), MOST_VELOCITY))
+        expected += int((velocity * 256 - expected) / 4)
+        assert node.velocity_q8 == pytest.approx(expected, rel=1e-9)
+        assert outputs.duty == 0

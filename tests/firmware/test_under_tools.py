@@ -84,6 +84,14 @@ def asan() -> Path | None:
     return path.resolve() if path.is_absolute() else None
 
 
+def test_counts_that_jump_are_no_undefined_behaviour(tmp_path: Path) -> None:
+    build(tmp_path, only_host=True, host_flags=("-fsanitize=undefined", "-fsanitize-trap=undefined"))
+    run_tests(
+        tmp_path,
+        "test_nodes.py::test_counts_that_jump_with_one_count_a_turn_are_a_velocity_of_the_right_sign",
+    )
+
+
 @pytest.mark.slow
 def test_no_undefined_behaviour_and_no_bad_address(tmp_path: Path) -> None:
     runtime = asan()

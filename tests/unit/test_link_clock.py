@@ -1,9 +1,12 @@
 import math
+import random
 
-from hypothesis import given
+import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needle_rig.devices.link_clock import LinkClock
+from needle_rig.devices.shortest_way import CRYSTAL_TOLERANCE, RC_TOLERANCE
 
 PERIOD_S = 6.5536
 
@@ -131,3 +134,104 @@ def test_a_pause_of_several_turns_of_the_nodes_clock() -> None:
         for index in range(30):
             node.send(start_s + index * 1e-3)
         assert node.clock.age_s(start_s + 0.029) < 0.002
+
+
+class Link:
+    """A node of any rate behind a link with jitter, whose queue may begin to grow; it keeps the worst."""
+
+    def __init__(self, rate_hz: float, jitter: str, rate: float, tolerance: float = RC_TOLERANCE) -> None:
+        self.clock = LinkClock(PERIOD_S, tolerance)
+        self.rate_hz, self.jitter, self.rate = rate_hz, jitter, rate
+        self.random = random.Random(1)
+        self.frames, self.node_s, self.now_s = 0, 5.0, 0.0
+        self.hidden_s = self.overstated_s = 0.0
+
+    def arrival_s(self, sent_s: float) -> float:
+        """When a frame comes out of the adapter: at once, every 16 ms, or within 16 ms."""
+        if self.jitter == "usb":
+            return math.ceil(sent_s / 0.016) * 0.016
+        return sent_s + (self.random.random() * 0.016 if self.jitter == "random" else 0.0)
+
+    def run(self, for_s: float, growth: float = 0.0, warming_per_s: float = 0.0) -> "Link":
+        begun_s = self.frames / self.rate_hz
+        for _ in range(round(for_s * self.rate_hz)):
+            sampled_s = self.frames / self.rate_hz
+            queued_s = growth * (sampled_s - begun_s)
+            self.rate += warming_per_s / self.rate_hz
+            self.frames += 1
+            self.node_s += (1.0 + self.rate) / self.rate_hz
+            self.now_s = max(self.now_s, self.arrival_s(sampled_s + queued_s))
+            self.clock.accept(self.frames, round(self.node_s % PERIOD_S, 6), self.now_s)
+            if sampled_s > 0.1:
+                said_s = self.clock.age_s(self.now_s)
+                self.hidden_s = max(self.hidden_s, queued_s - said_s)
+                self.overstated_s = max(self.overstated_s, said_s - (self.now_s - sampled_s))
+        return self
+
+
+JITTERS = ["none", "usb", "random"]
+
+
+@given(st.floats(-0.02, 0.02), st.sampled_from([50.0, 100.0, 200.0]), st.sampled_from(JITTERS))
+@settings(max_examples=25, deadline=None)
+def test_a_healthy_link_is_never_said_older_than_it_is(rate: float, rate_hz: float, jitter: str) -> None:
+    assert Link(rate_hz, jitter, rate).run(60.0).overstated_s < 0.01
+
+
+@pytest.mark.parametrize("jitter", JITTERS)
+@pytest.mark.parametrize("rate", [-0.02, 0.01, 0.02])
+def test_a_healthy_link_is_not_said_older_after_hours(rate: float, jitter: str) -> None:
+    assert Link(20.0, jitter, rate).run(2 * 3600.0).overstated_s < 0.01
+
+
+@given(
+    st.sampled_from([0.005, 0.01, 0.019, 0.03, 0.2]),
+    st.floats(-0.02, 0.02),
+    st.sampled_from([50.0, 100.0, 200.0]),
+    st.sampled_from(["none", "usb"]),
+    st.floats(10.5, 60.0),
+)
+@settings(max_examples=25, deadline=None)
+def test_a_queue_that_begins_to_grow_hides_50_ms_at_most(
+    growth: float, rate: float, rate_hz: float, jitter: str, healthy_s: float
+) -> None:
+    link = Link(rate_hz, jitter, rate).run(healthy_s)
+    assert link.overstated_s < 0.01
+    assert link.run(90.0, growth=growth).hidden_s < 0.05
+    assert link.clock.age_s(link.now_s) > 0.25
+
+
+@pytest.mark.parametrize("growth", [0.005, 0.01, 0.019])
+def test_behind_a_crystal_a_queue_that_grows_from_the_first_frame_on_hides_little(growth: float) -> None:
+    for rate in (-1e-4, 0.0, 1e-4):
+        link = Link(100.0, "usb", rate, CRYSTAL_TOLERANCE)
+        assert link.run(90.0, growth=growth).hidden_s < 0.05
+        assert link.clock.age_s(link.now_s) > 0.25
+
+
+def test_without_a_crystal_it_hides_the_tolerance_at_most() -> None:
+    assert Link(100.0, "none", 0.0).run(60.0, growth=0.03).hidden_s < 0.02 * 60.0 + 0.01
+
+
+@pytest.mark.parametrize("warming_per_s", [-20e-6, 20e-6])
+@pytest.mark.parametrize("jitter", ["none", "usb"])
+def test_a_node_that_warms_up_is_not_said_older(warming_per_s: float, jitter: str) -> None:
+    link = Link(100.0, jitter, 0.0).run(20.0)
+    link.run(120.0, warming_per_s=warming_per_s)
+    assert link.run(300.0).overstated_s < 0.01
+
+
+def test_a_queue_that_empties_again_is_forgotten() -> None:
+    link = Link(100.0, "none", 0.001).run(20.0)
+    link.run(15.0, growth=0.01)
+    assert link.clock.age_s(link.now_s) == pytest.approx(0.15, abs=0.02)
+    link.run(1.0)
+    assert link.clock.age_s(link.now_s) < 0.01
+
+
+def test_one_damaged_frame_that_seems_early_makes_none_of_the_others_old() -> None:
+    link = Link(100.0, "none", 0.0).run(20.0)
+    early_s = (link.node_s + 0.2) % PERIOD_S
+    assert link.clock.accept(7, early_s, link.now_s + 0.005)
+    link.overstated_s = 0.0
+    assert link.run(60.0).overstated_s < 0.01

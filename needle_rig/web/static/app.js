@@ -1,5 +1,6 @@
 // The frame: which page is shown, the connection, and a stop that is always in reach.
-import { Live, connected, rig, stop, said, open } from "./live.js";
+import { Live, connected, rig, said, open } from "./live.js";
+import { Stopped, stop } from "./stop.js";
 import { Workbench } from "./workbench.js";
 import { Runs } from "./runs.js";
 import { Learn } from "./learn.js";
@@ -43,6 +44,7 @@ function App() {
           ? html`${state?.rig.name}${state?.rig.simulated ? html` <span class="tag">simulated</span>` : null}`
           : "no connection to the rig"}</p>
       <button class="stop" onClick=${() => stop("the page's button")} title="Escape or Space">Stop</button>
+      <${Stopped} />
     </header>
     ${said.value ? html`<p class="refusal" role="alert">${said.value}
       <button onClick=${() => (said.value = "")} aria-label="Dismiss">×</button></p>` : null}

@@ -2,6 +2,7 @@
 import { ask, token } from "./net.js";
 import { Plot, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
+import { answered, moveOn, sendOn } from "./stop.js";
 import { batch, html, number, signal, useSignal, words } from "./ui.js";
 
 const SILENT_MS = 800;
@@ -27,18 +28,10 @@ let columns = [];
 let heard = 0;
 let drawn = 0;
 
-/** Stops the drive: no lease, no question. @param {string} how */
-export async function stop(how) {
-  try {
-    await ask("POST", "rig/stop", { reason: `stopped by a person with ${how}` });
-  } catch (error) {
-    said.value = `Stop was not passed on: ${/** @type {Error} */ (error).message}. Use the emergency stop.`;
-  }
-}
-
 /** Any other order. @param {string} name @param {object} [content] */
 async function order(name, content = {}) {
   said.value = "";
+  moveOn();
   try {
     await ask("POST", `rig/${name}`, content);
   } catch (error) {
@@ -49,6 +42,7 @@ async function order(name, content = {}) {
 /** Begin to listen, and again whenever the connection breaks. */
 export function open() {
   const socket = new WebSocket(`ws://${location.host}/api/live`, ["needle-rig", `token.${token}`]);
+  sendOn(socket);
   socket.onmessage = (event) => take(JSON.parse(event.data));
   socket.onclose = () => {
     lose("the page's server does not answer; start it again: needle-rig web");
@@ -69,6 +63,7 @@ function lose(text) {
 /** @param {any} document */
 function take(document) {
   if (document.type === "lost") return lose(document.text);
+  if (document.type === "stop") return answered(document);
   heard = performance.now();
   if (document.type === "ended") {
     ended.value = document;

@@ -44,3 +44,27 @@ def test_another_error_of_the_system_stays_a_defect(
     monkeypatch.setattr("needle_rig.recording.list_runs", broken)
     assert command(["runs", "--dir", str(tmp_path)]) == 70
     assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ("loop", "loop: this link leads to itself"),
+        ("a", "a: this link leads to itself"),
+        ("a/below", "a: this link leads to itself"),
+        ("text", "text: cannot be listed (Not a directory)"),
+    ],
+)
+def test_a_folder_of_runs_that_leads_nowhere_is_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], named: str, said: str
+) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    (tmp_path / "text").write_text("no folder")
+    assert command(["runs", "--dir", str(tmp_path / named)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+    assert "--dir" in err
+    assert len(err.splitlines()) == 1

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.frames import Frame, Opcode
 
 from needle_rig.service import api, connections
 from needle_rig.service.api import Answer, application
-from needle_rig.service.api_process import server
 from needle_rig.service.connections import Connections
+from needle_rig.service.serving import server
 from needle_rig.service.stream import Stream
 
 Reply = tuple[int, dict[str, Any]]
@@ -83,7 +84,7 @@ async def serving(tmp_path: Path, limit: int = 50) -> AsyncIterator[Service]:
         listener.listen()
         listener.setblocking(False)
         held = Connections(listener, limit)
-        running = server(application(service.ask, service.stream, held), held)
+        running = server(application(service.ask, service.stream, held), held, lifespan="off")
         tasks = [asyncio.create_task(running.serve()), asyncio.create_task(held.sweep())]
         try:
             yield service
@@ -205,6 +206,55 @@ async def test_a_new_connection_always_gets_in(tmp_path: Path) -> None:
         watchers = [await watch(service) for _ in range(20)]
         assert (await service.post("/stop"))[0] == 202
         assert await watchers[0].dropped(5)
+
+
+async def test_who_has_asked_nothing_pushes_out_nobody_who_has(tmp_path: Path) -> None:
+    async with serving(tmp_path, limit=5) as service:
+        watcher = await watch(service)
+        service.slow["jog"] = asyncio.Event()
+        asking = asyncio.create_task(service.post("/jog", b'{"by_deg": 5}'))
+        await until(lambda: "jog" in service.asked)
+        for _ in range(40):
+            (await service.connect()).writer.write(HEAD[:20])
+        assert (await service.post("/stop"))[0] == 202
+        service.slow["jog"].set()
+        assert (await asking)[0] == 202
+        assert not await watcher.dropped(0.2)
+
+
+CROWDS = {
+    "idle": b"",
+    "half open": HEAD[:20],
+    "endless": b"POST /jog HTTP/1.1\r\nHost: d\r\nTransfer-Encoding: chunked\r\n\r\n5\r\n{",
+}
+
+
+@pytest.mark.parametrize("said", CROWDS.values(), ids=CROWDS.keys())
+async def test_no_crowd_keeps_a_stop_off(tmp_path: Path, said: bytes) -> None:
+    async with serving(tmp_path) as service:
+        for _ in range(150):
+            (await service.connect()).writer.write(said)
+        async with asyncio.timeout(1.0):
+            assert (await service.post("/stop"))[0] == 202
+
+
+@pytest.mark.parametrize("parts", [[b"\xff\xfe"], [b"\xc3", b"\xa9\xff"]], ids=["whole", "in parts"])
+async def test_a_text_that_is_no_utf8_closes_a_watcher_with_1007(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, parts: list[bytes]
+) -> None:
+    async with serving(tmp_path) as service:
+        watcher = await watch(service)
+        opcodes = [Opcode.TEXT, *[Opcode.CONT] * (len(parts) - 1)]
+        for k, (opcode, part) in enumerate(zip(opcodes, parts, strict=True)):
+            frame = Frame(opcode, part, fin=k == len(parts) - 1)
+            watcher.writer.write(frame.serialize(mask=True, extensions=[]))
+        async with asyncio.timeout(5):
+            told = await watcher.reader.read()
+        assert told.endswith(
+            Frame(Opcode.CLOSE, (1007).to_bytes(2, "big")).serialize(mask=False, extensions=[])
+        )
+        assert (await service.post("/stop"))[0] == 202
+    assert "Traceback" not in caplog.text
 
 
 @pytest.mark.parametrize("sent", [b"", HEAD + BODY[:3]], ids=["silent", "half"])
