@@ -85,6 +85,8 @@ class Faults:
     """Of the power stage: -1 is wired backwards, 0 is dead."""
     shorted_rad_s: float | None = None
     """The power stage is shorted: the motor turns at this while it has its supply, whatever it is told."""
+    supply_welded: bool = False
+    """The contacts of the supply's relay stick: the motor keeps its supply when a node opens them."""
     coupling_slip: float = 0.0
     """Share of the base's motion that does not reach the needle."""
     emergency_stop: bool = False

@@ -139,7 +139,7 @@ class Plant:
     def turn(self, velocity_rad_s: float, dt_s: float, *, powered: bool = True) -> None:
         """Like `advance`, with the motor's command given from outside: for nodes that guard it themselves."""
         faults = self.faults
-        if not self.supply_on:
+        if not self.supply_on and not faults.supply_welded:
             self.motor.turn_now(0.0, powered=False)
         elif faults.shorted_rad_s is not None:
             self.motor.turn(faults.shorted_rad_s)

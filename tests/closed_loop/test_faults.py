@@ -192,3 +192,16 @@ def test_a_coupling_that_slips_leaves_the_needle_behind(kind: str) -> None:
     assert [deg(b - a) for a, b in zip(before, now.hall_rad, strict=True)] == pytest.approx(
         [0.0] * 4, abs=2.0
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("welded", [False, True])
+def test_a_relay_that_is_welded_leaves_a_shorted_stage_its_supply(kind: str, welded: bool) -> None:
+    rig = turning(kind)
+    rig.faults.supply_welded = welded
+    press(rig)
+    assert not go(rig, STOP, 0.1).supply_on
+    before_rad = rig.true_base_rad
+    short(rig)
+    go(rig, STOP, 0.5)
+    assert (abs(deg(rig.true_base_rad - before_rad)) > 45.0) == welded

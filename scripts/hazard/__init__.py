@@ -1,0 +1,1 @@
+"""What `scripts/hazards` is made of: rigs in virtual time, faults, trials of them, and tables."""
