@@ -199,7 +199,8 @@ FAULTS: dict[str, Fault] = {
     "Hall link frozen": Fault(link("hall", fault="freeze")),
     "commands do not arrive": Fault(link("command", fault="silence")),
     "commands do not arrive for 80 ms": silent("command", 0.08),
-    "commands arrive garbled": Fault(link("command", fault="garble")),
+    # CAN's own checksum drops such a frame; the node's second one is asked, which CANopen lacks
+    "commands arrive garbled": Fault(link("command", fault="garble"), drives=OWN),
     "another master, own counter": Fault(master(follows=False), turns_deg_s=60.0),
     "another master, same counter": Fault(master(follows=True), turns_deg_s=60.0, drives=OWN),
     "old commands replayed": Fault(replay, turns_deg_s=60.0, drives=OWN),

@@ -15,8 +15,20 @@ PASSING_BEFORE_S = 0.3
 """How long a passing fault stands before the other one begins."""
 LATEST_SECOND_S = 0.8
 PAIRS_A_SEQUENCE = 10
-_OF_A_RUN = (("run", "before"), ("run", "moving"), ("run", "between"), ("run", "seam"), ("run", "done"))
-_OF_OTHERS = (("run", "moving"), ("hold", "holding"), ("run", "seam"), ("run", "under"), ("hold", "under"))
+_PLACES = (
+    ("run", "before"),
+    ("run", "moving"),
+    ("run", "between"),
+    ("run", "seam"),
+    ("run", "done"),
+    ("run", "moving"),
+    ("hold", "holding"),
+    ("run", "seam"),
+    ("run", "under"),
+    ("hold", "under"),
+)
+_A_SEQUENCE = 5
+"""Places of one healthy sequence."""
 Breaks = tuple[tuple[str, float], ...]
 
 
@@ -48,8 +60,9 @@ def singles(
     """Every fault at every speed, at `instants` instants a drive; the setups take turns."""
     for drive, (row, speed_deg_s) in itertools.product(drives, enumerate(SPEEDS_DEG_S)):
         setups, faults = setups_of(drive), faults_of(drive, only)
-        for number, start in enumerate(range(0, instants, 5)):
-            wanted = (_OF_OTHERS if number % 2 else _OF_A_RUN)[: instants - start]
+        for number, start in enumerate(range(0, instants, _A_SEQUENCE)):
+            taken = range(start, min(start + _A_SEQUENCE, instants))
+            wanted = [_PLACES[(instant + 3 * row) % len(_PLACES)] for instant in taken]
             setup = setups[(number + 3 * row + number // len(setups)) % len(setups)]
             chance = random.Random(f"{seed} {setup} {speed_deg_s} {number}")
             for scene in dict.fromkeys(scene for scene, _ in wanted):

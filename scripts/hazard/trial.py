@@ -21,6 +21,8 @@ STEP_S = 0.001
 STILL_DEG_S = 0.5
 QUIET_S = 0.6
 """A base that stood and was off for so long has ended: three times the period in which a latch was lost."""
+LONGER_S = 10.0
+"""A base that turns when a healthy run is over has so long to come to an end: a fault may slow a run down."""
 ORDERED = ("rest", "moving", "settling", "measuring", "holding")
 FIRST_ORDER_S, NEXT_ORDER_S = 0.2, 0.1
 
@@ -225,7 +227,8 @@ def aftermath(trial: Trial, breaks: list[tuple[float, Inject]], watch_s: float, 
         quiet_s = 0.0 if off_s is None else since_s - off_s
         if name and quiet_s > QUIET_S and since_s > last_s + watch_s:
             break
-        if since_s > max(left_s, last_s + watch_s):
+        over_s = since_s - max(left_s, last_s + watch_s)
+        if over_s > LONGER_S or (over_s > 0.0 and (off_s is not None or stood_s > QUIET_S)):
             break
     return Result(
         commanded_deg=commanded_deg,

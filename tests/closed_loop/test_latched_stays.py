@@ -66,8 +66,7 @@ def test_an_emergency_stop_outlasts_a_link_that_comes_back(passing: str) -> None
 
 def test_a_person_s_clear_wakes_the_drive_again() -> None:
     trial = reached(OWN, "run", "moving")
-    broken(trial, (STOPPED, 0.0))
-    assert not trial.rig.awake
+    assert broken(trial, (STOPPED, 0.0)).name == "emergency_stop"
     trial.brain.clear()
     trial.latches.cleared()
     for _ in range(100):
