@@ -32,7 +32,7 @@ DRIVE_SENTENCES: dict[DriveFault, str] = {
     DriveFault.IDLE_MOTION: "it moved while nothing was asked of it; check the power stage (if you turned it"
     " by hand, `needle-rig release` it first)",
     DriveFault.MASTER: "another master sends it commands; take that one off the bus",
-    DriveFault.EMERGENCY_STOP: "the emergency stop was pressed; release it",
+    DriveFault.EMERGENCY_STOP: "the emergency stop was pressed, or its supply was cut; release it",
 }
 _NAMES = {
     DriveFault.STALL: FaultName.NOT_TURNING,

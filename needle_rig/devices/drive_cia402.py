@@ -52,7 +52,8 @@ _UPWARDS = {
     "SWITCHED ON": State402.CW_OPERATION_ENABLED,
     "OPERATION ENABLED": State402.CW_OPERATION_ENABLED,
 }
-_LATE_S, _QUIET_S, _ROUNDING_S = 0.02, 0.012, 1e-6
+_LATE_S, _QUIET_S, _LOST_S, _ROUNDING_S = 0.02, 0.012, 0.05, 1e-6
+_TICKS_OPEN = 1.5
 
 
 class DriveCia402(Drive):
@@ -76,7 +77,7 @@ class DriveCia402(Drive):
         way = -1.0 if options.reversed else 1.0
         self._unit_rad = way * math.tau / options.position_units_per_turn
         self._units_per_rad_s = way * options.velocity_units_per_rpm * 60.0 / math.tau
-        self._answers = SyncAnswers()
+        self._answers = SyncAnswers(self._host.tick_s)
         self._set_up = False
         self._set_up_s = -math.inf
         self._woken = False
@@ -87,6 +88,8 @@ class DriveCia402(Drive):
         self._emergency: tuple[int, str] | None = None
         self._passed = False
         self._error_code = 0
+        self._supply_cut = False
+        """It lost its supply while it was awake: an emergency stop of a rig opens it."""
         self._counter = 0
         self._starts = 0
 
@@ -118,7 +121,7 @@ class DriveCia402(Drive):
             raise RigFault(f"CANopen node {self._options.node_id} started again while it was set up")
         self._units, self._zero_rad, self.referenced = None, 0.0, False
         self._emergency, self._error_code, self.faults = None, 0, DriveFault.NONE
-        self._answers = SyncAnswers()
+        self._answers = SyncAnswers(self._host.tick_s)
         self._set_up, self._set_up_s = True, self._host.now()
 
     def shut_down(self) -> None:
@@ -142,16 +145,18 @@ class DriveCia402(Drive):
         """The next step of the state machine towards what is asked.
 
         A drive is woken by a clear alone: one that lost its power by itself keeps it off until then. A fault
-        that latches is reset by a clear that a person acknowledged.
+        that latches is reset by a clear that a person acknowledged, and so is a supply that was cut.
         """
-        temporary = bool(self.faults) and not self.faults & ~TEMPORARY
+        in_fault = self._state == "FAULT"
+        latched = self._supply_cut or (in_fault and (not self.faults or bool(self.faults & ~TEMPORARY)))
+        clears = command.clear and (command.acknowledge or not latched)
         if command.release or not self._set_up:
             self._woken = False
-        elif command.clear and self._state == "FAULT":
-            may_reset = command.acknowledge or temporary
-            return State402.CW_SWITCH_ON_DISABLED if may_reset else State402.CW_DISABLE_VOLTAGE
-        elif command.clear:
-            self._woken, self._emergency = True, None
+        elif clears and in_fault:
+            self._supply_cut = False
+            return State402.CW_SWITCH_ON_DISABLED
+        elif clears:
+            self._woken, self._supply_cut, self._emergency = True, False, None
             self._tell_faults()
         if not self._woken or self._state not in _UPWARDS:
             return State402.CW_DISABLE_VOLTAGE
@@ -244,8 +249,9 @@ class DriveCia402(Drive):
         self._units += moved
         self.angle_rad = self._units * self._unit_rad - self._zero_rad
         self._sampled_s, self._taken_s = asked_s, now_s
-        self._enter(state)
         self._error_code, self.supply_on = error_code, bool(status & _VOLTAGE_ENABLED)
+        self._supply_cut |= self._woken and not self.supply_on and _STATES[state] is DriveState.SILENT
+        self._enter(state)
         self._tell_faults()
         self._counter += 1
         row = (now_s, asked_s, float(self._counter), self.angle_rad, float(self.state), float(self.faults))
@@ -274,24 +280,30 @@ class DriveCia402(Drive):
         code = self._emergency[0] if self._emergency is not None else 0
         if not code and self.state is DriveState.FAULT:
             code = self._error_code
-        self.faults = _fault_of(code)
+        self.faults = _fault_of(code) | (DriveFault.EMERGENCY_STOP if self._supply_cut else DriveFault.NONE)
 
 
 class SyncAnswers:
     """Which SYNC an answer belongs to: they come in order, and some may be lost.
 
-    When one has been open for 20 ms no further SYNC goes out until nothing has come for 12 ms: what is late
-    has come by then and shows its age; what has not is lost.
+    While one has been open for too long no further SYNC goes out, until all are answered or the open ones are
+    lost. They are lost at once where answers came steadily until then and stopped with the SYNCs: late ones
+    would still come. They are lost after 50 ms where the answers had stopped before. So a value is never
+    said to be younger than it is; one after a lost answer is said to be a tick older, until then.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tick_s: float) -> None:
         self._asked_s: deque[float] = deque()
         self._answered_s = -math.inf
+        self._steady_s = _TICKS_OPEN * tick_s
+        self._late_s = max(_LATE_S, self._steady_s)
 
     def ask(self, now_s: float) -> bool:
         """Whether a SYNC may go out now."""
-        if self._asked_s and now_s - self._asked_s[0] >= _LATE_S - _ROUNDING_S:
-            if now_s - max(self._answered_s, self._asked_s[-1]) < _QUIET_S:
+        if self._asked_s and now_s - self._asked_s[0] >= self._late_s - _ROUNDING_S:
+            newest_s = self._asked_s[-1]
+            steady = self._answered_s >= newest_s - self._steady_s
+            if now_s - max(self._answered_s, newest_s) < (_QUIET_S if steady else _LOST_S) - _ROUNDING_S:
                 return False
             self._asked_s.clear()
         self._asked_s.append(now_s)

@@ -10,6 +10,7 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.faults import FaultName
 from needle_rig.control.reports import Request
+from needle_rig.errors import RigFault
 from needle_rig.records import DriveFault, DriveState, Phase
 from needle_rig.simulation.run import run_virtual
 from needle_rig.units import deg, nmm, rad
@@ -205,15 +206,25 @@ def test_after_a_clear_an_emergency_is_forgotten_and_the_base_turns_again(
     assert deg(rig.true_base_rad - start_rad) == pytest.approx(5.0, abs=0.2)
 
 
-def test_an_emergency_stop_takes_the_drives_power_and_is_noticed(moving: tuple[VirtualRig, Brain]) -> None:
+def test_an_emergency_stop_takes_the_drives_power_and_latches(moving: tuple[VirtualRig, Brain]) -> None:
     rig, brain = moving
     rig.plant.faults.emergency_stop = True
     until_fault(rig, brain, 0.1)
     outcome = brain.state.outcome
     assert outcome is not None
-    assert outcome.fault_name == FaultName.DRIVE_RESTARTED
+    assert outcome.fault_name == FaultName.EMERGENCY_STOP
     assert rig.read().drive_state is DriveState.SILENT
     assert not rig.read().supply_on
+    rig.plant.faults.emergency_stop = False
+    for _ in range(200):
+        tick(rig, brain)
+    assert brain.state.latched
+    with pytest.raises(RigFault, match="needle-rig clear"):
+        brain.jog(by_rad=rad(1.0))
+    brain.clear()
+    for _ in range(20):
+        tick(rig, brain)
+    assert (brain.state.fault, rig.read().drive_state) == (None, DriveState.READY)
 
 
 def test_a_saturated_sensor_is_no_torque(moving: tuple[VirtualRig, Brain]) -> None:

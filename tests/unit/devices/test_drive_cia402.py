@@ -217,16 +217,32 @@ def test_answers_that_are_lost_do_not_make_later_ones_old() -> None:
 
 
 def test_syncs_wait_for_answers_that_are_late_and_go_on_when_they_are_lost() -> None:
-    answers = SyncAnswers()
+    answers = SyncAnswers(0.005)
     assert [answers.ask(n * 0.005) for n in range(4)] == [True] * 4
     assert not answers.ask(0.020)
     assert answers.answered(0.021) == 0.0
     assert answers.ask(0.022)
     assert not answers.ask(0.025)
     assert not answers.ask(0.033)
-    assert answers.ask(0.0345)
+    assert answers.ask(0.0345), "they came steadily and stopped with the SYNCs: lost"
     assert answers.answered(0.035) == 0.0345
     assert answers.answered(0.036) is None
+
+
+def test_answers_that_stopped_before_the_syncs_may_be_on_a_longer_way() -> None:
+    answers = SyncAnswers(0.005)
+    for n in range(4):
+        assert answers.ask(n * 0.005)
+        assert answers.answered(n * 0.005 + 0.001) == n * 0.005
+    asked = [0.020, 0.025, 0.030, 0.035]
+    assert all(answers.ask(at_s) for at_s in asked)
+    assert not any(answers.ask(at_s) for at_s in (0.040, 0.050, 0.060))
+    assert [answers.answered(at_s + 0.04) for at_s in asked] == asked, "each is 40 ms old, and says so"
+    assert answers.ask(0.080)
+    for at_s in (0.085, 0.090, 0.095):
+        answers.ask(at_s)
+    assert not answers.ask(0.144)
+    assert answers.ask(0.1451), "nothing came for 50 ms: lost"
 
 
 def test_a_status_that_nobody_asked_for_is_no_reading() -> None:
@@ -234,7 +250,7 @@ def test_a_status_that_nobody_asked_for_is_no_reading() -> None:
     made.fault = "silence"
     made.tick(STOP)
     before_s = drive_of(made)._sampled_s
-    drive_of(made)._answers = SyncAnswers()
+    drive_of(made)._answers = SyncAnswers(0.005)
     made.host.bring(0x185, struct.pack("<HiH", 0x0270, 0, 0))
     assert drive_of(made)._sampled_s == before_s
 
