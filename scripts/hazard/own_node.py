@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hazard.setups import Setup
-from needle_rig.records import Command, DriveState, Measurement
+from needle_rig.records import TEMPORARY, Command, DriveState, Measurement
 from needle_rig.simulation.build import build_plant
-from needle_rig.simulation.drive_guard import TEMPORARY
 from needle_rig.simulation.firmware_rig import FirmwareRig
 from needle_rig.wire.can_frames import DRIVE_COMMAND_ID, DRIVE_REFERENCE_ID
 
