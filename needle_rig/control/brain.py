@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from needle_rig.physics.needle_model import NeedleModel
 
 
+STOPS_WITHIN_S = 0.1
+"""A drive that was told to stop and runs on after so long obeys somebody else: it hears nothing any more."""
+
+
 class Brain:
     """Runs sequences; pure, so that the same brain serves the daemon's tick and virtual time."""
 
@@ -70,6 +74,7 @@ class Brain:
         self._outcome: Outcome | None = None
         self._standing = StandingFaults()
         self._released = False
+        self._letting_go_s = 0.0
         self._hold_rad: float | None = None
         self._command = STOP
         self._measurement: Measurement | None = None
@@ -368,10 +373,11 @@ class Brain:
             return Command(reference_rad=self._supervision.reference.wanted_rad)
         if self._released or self._standing:
             # silence opens the supply; in mid-motion it is a fault to the drive, which is told to stop first
-            moving = self._command.enable or (
-                measurement.drive_state is DriveState.RUNNING and "drive" in heard
-            )
-            return STOP if moving else RELEASE
+            self._letting_go_s += dt_s
+            moving = measurement.drive_state is DriveState.RUNNING and "drive" in heard
+            in_time = self._letting_go_s < STOPS_WITHIN_S
+            return STOP if self._command.enable or (moving and in_time) else RELEASE
+        self._letting_go_s = 0.0
         clear = self._clearing.command(measurement)
         if clear is not None:
             return clear

@@ -137,7 +137,8 @@ class DriveCia402(Drive):
         velocity = command.velocity_rad_s * self._units_per_rad_s if command.enable else 0.0
         target = round(min(max(velocity, -_INT32), _INT32)) if math.isfinite(velocity) else 0
         self._bus.send(self._command_id, _COMMAND.pack(self._controlword(command), target))
-        self._bus.send(self._heartbeat_id, _OPERATIONAL)
+        if not (command.release and self.state is DriveState.RUNNING):  # its own guard ends what others ask
+            self._bus.send(self._heartbeat_id, _OPERATIONAL)
         if self._answers.ask(now_s):
             self._bus.send(_SYNC_ID, b"")
 
