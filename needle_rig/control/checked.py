@@ -83,9 +83,8 @@ class Checked(Strategy):
             raise BadInput(_words(refusal)) from refusal
         except BaseException as error:
             # also what asks a process to end: nobody but the daemon's own signals may do that
-            raise RigFault(
-                f"strategy {self.name} failed with {type(error).__name__}: {_words(error)}; choose another"
-            ) from error
+            told = f"{type(error).__name__}: {_words(error)}".rstrip(": ")
+            raise RigFault(f"strategy {self.name} failed with {told}; choose another") from error
 
     def _waypoint(self, answer: object, task: Task, history: History) -> Waypoint:
         number = len(history)

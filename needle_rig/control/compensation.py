@@ -206,7 +206,7 @@ class Sequence:
 
     def waiting(self, phase: Phase) -> tuple[str, float | None]:
         """What the sequence waits for, and the seconds left as far as known."""
-        if self._answer is not None:
+        if self._answer is not None and phase in ACTIVE:
             return f"strategy {self.strategy.name} to plan the next motion", None
         if phase is Phase.REST:
             return "the rig to be at rest", max(0.0, self._window_s - self._weight_s)

@@ -216,6 +216,7 @@ class Daemon:
         """Start a run; the answer names its file."""
         request = _request(order)
         self._brain.check(request)
+        await self._parts.thinker.get_ready(order.strategy)
         path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
         try:
             self._lease.check(claim)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ctypes
 import multiprocessing
@@ -26,7 +27,7 @@ from needle_rig.control.strategies.reed2008_elastic import Reed2008Elastic
 from needle_rig.control.strategies.relax import Relax
 from needle_rig.control.strategies.single_lag import SingleLag
 from needle_rig.control.strategies.tip_friction import TipFriction
-from needle_rig.control.strategy import History, Strategy, Task, Waypoint
+from needle_rig.control.strategy import History, Strategy, Task, Waypoint, find_strategies
 from needle_rig.errors import NeedleRigError, RigFault
 
 QUICK = frozenset(
@@ -70,6 +71,14 @@ class Thinker:
         self._answer = self._asking.submit(self._asked, self._questions, strategy, task, history)
         return self._answer
 
+    async def get_ready(self, strategy: str) -> None:
+        """Start the child that a strategy will need, while the drive still sleeps: it may take several ticks.
+
+        Raises RigFault.
+        """
+        if find_strategies()[strategy] not in QUICK:
+            await asyncio.wrap_future(self._asking.submit(self._started))
+
     @property
     def thinking(self) -> bool:
         """Whether an answer is awaited."""
@@ -95,21 +104,34 @@ class Thinker:
     def _asked(self, question: int, strategy: Checked, task: Task, history: History) -> Waypoint | None:
         try:
             asked = pickle.dumps((strategy, task, history), pickle.HIGHEST_PROTOCOL)
-            with self._lock:
-                if question != self._questions:
-                    return None  # dropped before a child heard of it
-                if self._child is None or not self._child.process.is_alive():
-                    self._child = _Child()
-                child = self._child
         except Exception as error:
             raise RigFault(
                 f"strategy {strategy.name} cannot be asked in another process:"
                 f" {type(error).__name__}: {error}; choose another"
             ) from error
+        with self._lock:
+            if question != self._questions:
+                return None  # dropped before a child heard of it
+            child = self._running()
         said = child.answer(asked, strategy.name, self._limit_s)
         if isinstance(said, NeedleRigError):
             raise said
         return said
+
+    def _started(self) -> None:
+        with self._lock:
+            self._running()
+
+    def _running(self) -> _Child:
+        if self._child is None or not self._child.process.is_alive():
+            try:
+                self._child = _Child()
+            except OSError as error:
+                raise RigFault(
+                    f"no process can be started that a strategy thinks in: {error.strerror};"
+                    " free some memory, or choose another strategy"
+                ) from error
+        return self._child
 
 
 class _Child:

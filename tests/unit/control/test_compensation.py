@@ -367,6 +367,7 @@ def test_the_base_holds_while_a_strategy_thinks() -> None:
     assert bench.phase is Phase.REST
     assert bench.sequence.setpoint_rad == 0.0
     assert bench.sequence.waiting(bench.phase) == ("strategy There to plan the next motion", None)
+    assert bench.sequence.waiting(Phase.ABORTED) == ("", None)
     assert len(bench.sequence.history) == 1
     asked[0].set_result(Waypoint(rad(20.0), "step_1"))
     assert bench.step() is Event.NEXT

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import multiprocessing
 import os
 import time
@@ -112,6 +113,10 @@ def process_of(thinker: Thinker) -> int:
     return int(waypoint.name)
 
 
+def thinkers() -> list[int | None]:
+    return [p.pid for p in multiprocessing.active_children() if p.name == "thinker"]
+
+
 def gone(process: int) -> bool:
     try:
         state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
@@ -171,12 +176,23 @@ def test_a_process_that_thinks_no_more_is_kept(thinker: Thinker) -> None:
     assert process_of(thinker) == first
 
 
+async def test_the_child_is_started_before_the_first_question_where_one_will_be_needed() -> None:
+    thinker = Thinker()
+    await thinker.get_ready("reed2008")
+    assert thinkers() == []
+    await thinker.get_ready("planned")
+    (child,) = thinkers()
+    answer = asked(thinker, WhoAmI())
+    assert await asyncio.wrap_future(answer) == Waypoint(0.0, str(child))
+    thinker.close()
+
+
 def test_a_question_dropped_before_its_child_started_costs_none(thinker: Thinker) -> None:
     for _ in range(20):
         asked(thinker, Hangs())
         thinker.drop()
     assert process_of(thinker)
-    assert len([p for p in multiprocessing.active_children() if p.name == "thinker"]) == 1
+    assert len(thinkers()) == 1
 
 
 def test_closing_takes_less_than_a_second_also_while_it_thinks(thinker: Thinker) -> None:
