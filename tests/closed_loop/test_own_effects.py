@@ -62,7 +62,7 @@ history: []
 """
 EFFECTS = {
     "own": "slit_membrane: {torque_nmm: {value: 0.03, unit: N·mm}, place_mm: {value: 315.0, unit: mm}}",
-    "learnt": "learnt_law: {size_mnmm: {value: 1.0, unit: mN·mm}}",
+    "learnt": "learnt_law: {strength: {value: 1.0, unit: '1'}}",
     "shipped": "torque_bias: {bias_nmm: {value: 0.001, unit: N·mm}}",
     "hangs": "hangs: {amount: {value: 1.0, unit: '1'}}",
 }
