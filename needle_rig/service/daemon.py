@@ -14,6 +14,7 @@ import structlog
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
+from needle_rig.control.faults import FaultName
 from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.numerics import rounded
@@ -320,7 +321,7 @@ class Daemon:
         self._time_s = sample.time_s
         active = sample.phase in ACTIVE
         if self._loop is not None:
-            self._loop.busy = self._wants_ticks
+            self._loop.busy = self._wants_ticks or (sample.phase is Phase.FAULT and self._fault_passes())
         if self._run is not None and self._finishing is None:
             self._recorder.sample(sample)
         told = (sample.phase, sample.motion)
@@ -345,6 +346,11 @@ class Daemon:
     def _wants_ticks(self) -> bool:
         """Something goes on that no strategy still thinks about: virtual time waits for the answer."""
         return self._brain.busy and not self._parts.thinker.thinking
+
+    def _fault_passes(self) -> bool:
+        """Whether the next tick ends the fault, as where a strategy was refused."""
+        state = self._brain.state
+        return state.fault_name == FaultName.CONTROL and not state.latched
 
     def _on_standstill(self) -> None:
         """Virtual time stands still; it goes on when a strategy has answered."""

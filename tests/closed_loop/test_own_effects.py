@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,9 @@ class Asked:
             transport=httpx.HTTPTransport(uds=str(place)), base_url="http://daemon", timeout=60.0
         )
 
+    def close(self) -> None:
+        self._client.close()
+
     def state(self) -> dict[str, Any]:
         state: dict[str, Any] = self._client.get("/state").json()
         return state
@@ -189,9 +193,10 @@ def test_a_planner_that_never_answers_hangs_neither_stop_nor_the_next_run_nor_th
 ) -> None:
     model = make_model(shell.folder, "hangs")
     fast = ["--fast"] if time_is == "virtual" else []
-    with shell.start("daemon", "--simulated", *fast, "--model", model) as process:
+    with ExitStack() as daemon:
+        process = daemon.enter_context(shell.start("daemon", "--simulated", *fast, "--model", model))
         wait_for_line(process, lambda line: "ready" in line)
-        asked = Asked(shell)
+        asked = daemon.enter_context(closing(Asked(shell)))
         (shell.folder / "HANG").touch()
         asked.order("/compensate", target_deg=10.0, strategy="planned", settle_s=0.2)
         state = asked.until(is_thinking, within_s=30.0)
@@ -225,9 +230,11 @@ def test_a_planner_that_never_answers_ends_the_run_by_its_name(shell: Shell) -> 
     rig = (ROOT / "config" / "rig.yaml").read_text()
     assert "motion_timeout_s: 60" in rig
     (shell.folder / "rig.yaml").write_text(rig.replace("motion_timeout_s: 60", "motion_timeout_s: 8"))
-    with shell.start("daemon", "--config", "rig.yaml", "--fast", "--model", model) as process:
+    with ExitStack() as daemon:
+        start = shell.start("daemon", "--config", "rig.yaml", "--fast", "--model", model)
+        process = daemon.enter_context(start)
         wait_for_line(process, lambda line: "ready" in line)
-        asked = Asked(shell)
+        asked = daemon.enter_context(closing(Asked(shell)))
         (shell.folder / "HANG").touch()
         asked.order("/compensate", target_deg=10.0, strategy="planned", settle_s=0.2)
         last = asked.until(is_over, within_s=60.0)["last"]
