@@ -66,7 +66,7 @@ def _real_parts(
 ) -> Parts:
     # imported now: looking for strategies within a run would hold up the tick
     find_strategies()
-    thinker = Thinker()
+    thinker = Thinker(config.sequence.motion_timeout_s)
     return Parts(
         config,
         Brain(config, model, thinker, trust),
@@ -74,7 +74,7 @@ def _real_parts(
         make_clock=lambda _: TimerClock(period_s),
         make_steady=make_steady,
         simulated=config.kind == "simulated",
-        close=thinker.close,
+        thinker=thinker,
     )
 
 
@@ -96,8 +96,15 @@ def _virtual_parts(
     def make_clock(_: Rig) -> Clock:
         return VirtualClock(period_s, rigs[-1].advance)
 
+    thinker = Thinker(config.sequence.motion_timeout_s)
     return Parts(
-        config, Brain(config, model, trust=trust), make_rig, make_clock, make_steady=list, simulated=True
+        config,
+        Brain(config, model, thinker, trust),
+        make_rig,
+        make_clock,
+        make_steady=list,
+        simulated=True,
+        thinker=thinker,
     )
 
 

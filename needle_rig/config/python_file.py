@@ -1,12 +1,17 @@
-"""Reading the Python files that users write: an effect, a device of their own."""
+"""Reading the Python files that users write: an effect, a device, a strategy of their own.
+
+A file is a module of the package `needle_rig.config.own`. The module's name says the file's folder and when
+the file last changed: equal names in two folders are two modules, and every process finds the same file.
+"""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
-import sys
 import traceback
-from importlib.machinery import SourceFileLoader
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
@@ -15,6 +20,7 @@ from needle_rig.errors import BadInput
 
 LIMIT_BYTES = 1_000_000
 """A law or a driver takes a page; what is a thousand times longer is neither."""
+PACKAGE = "needle_rig.config.own."
 
 
 def stamp_ns(path: Path) -> int:
@@ -23,19 +29,14 @@ def stamp_ns(path: Path) -> int:
         return os.fstat(file.fileno()).st_mtime_ns
 
 
-def load_module(path: Path, package: str) -> ModuleType:
-    """The file run as a module below `package`. Raises BadInput with file and line for any error in it.
-
-    The folder is in the module's name: equal names in two folders are two modules.
-    """
-    name = f"{package}.d{abs(hash(path.parent)):x}.{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=_Uncached(name, str(path)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+def load_module(path: Path) -> ModuleType:
+    """The file run as a module of its own. Raises BadInput with file and line for any error in it."""
+    if "." in path.stem:
+        raise BadInput(f"{path}:1: the name {path.stem} has a dot; rename the file")
+    folder = os.fsencode(path.parent.absolute()).hex()
+    name = f"{PACKAGE}d{folder}_{stamp_ns(path)}.{path.stem}"
     try:
-        spec.loader.exec_module(module)
+        return importlib.import_module(name)
     except SyntaxError as error:
         raise BadInput(f"{path}:{error.lineno}: {error.msg}; correct the file or move it away") from None
     except Exception as error:  # noqa: BLE001 any error of a user's file becomes one sentence
@@ -43,7 +44,31 @@ def load_module(path: Path, package: str) -> ModuleType:
         raise BadInput(
             f"{path}:{lines[-1] if lines else 1}: {type(error).__name__} while the file is read: {error}"
         ) from None
-    return module
+
+
+class Files:
+    """Finds the modules of `needle_rig.config.own` by the names that `load_module` gives them."""
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None = None,  # noqa: ARG002 see MetaPathFinder
+        target: ModuleType | None = None,  # noqa: ARG002
+    ) -> ModuleSpec | None:
+        """The file of a module, or the empty package that stands for its folder.
+
+        Raises BadInput where the file is no longer the one that the name was given to.
+        """
+        if not fullname.startswith(PACKAGE):
+            return None
+        place, _, stem = fullname.removeprefix(PACKAGE).partition(".")
+        if not stem:
+            return ModuleSpec(fullname, None, is_package=True)
+        folder, _, stamp = place.removeprefix("d").partition("_")
+        file = Path(os.fsdecode(bytes.fromhex(folder))) / f"{stem}.py"
+        if stamp_ns(file) != int(stamp):
+            raise BadInput(f"{file} has changed since it was read; start anew what uses it")
+        return importlib.util.spec_from_file_location(fullname, file, loader=_Uncached(fullname, str(file)))
 
 
 def the_subclass(module: ModuleType, base: type, what: str, path: Path) -> type:

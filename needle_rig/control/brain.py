@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
+from needle_rig.control.checked import Checked
 from needle_rig.control.clearing import ClearHandshake, awake
 from needle_rig.control.compensation import ACTIVE, Event, Sequence, Think, after, think_at_once
 from needle_rig.control.faults import REFERENCE_SETTLES, Fault, FaultName
@@ -237,7 +238,7 @@ class Brain:
     def _expected(self) -> int:
         if self._sequence is None:
             return 0
-        return max(self._sequence.strategy.expected_motions(), len(self.settled))
+        return max(self._sequence.expected, len(self.settled))
 
     def _judged(self, request: Request) -> tuple[Task, Strategy]:
         """What `request` means; raises BadInput or RigFault when it cannot be run."""
@@ -246,6 +247,7 @@ class Brain:
         strategy = request.strategy
         if not isinstance(strategy, Strategy):
             strategy = make_strategy(strategy, request.options)
+        strategy = Checked.of(strategy)
         strategy.check(task)
         return task, strategy
 

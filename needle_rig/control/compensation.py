@@ -8,14 +8,17 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from needle_rig.control.checked import Checked
 from needle_rig.control.reports import SettledMotion, settled_motion
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
-from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.records import Measurement, Phase
 from needle_rig.units import deg
 
-Think = Callable[[Strategy, Task, History], "Future[Waypoint | None]"]
-"""Asks a strategy for its next motion: a planner takes longer than a tick, so a daemon asks elsewhere."""
+Think = Callable[[Strategy, Task, History], "Waypoint | Future[Waypoint | None] | None"]
+"""Asks a strategy for its next motion, and has it at once or later; raises BadInput or RigFault.
+
+Who has it later takes longer than a tick: a daemon asks in another process.
+"""
 
 DITHER_FADE_S = 0.5
 
@@ -111,14 +114,9 @@ def after(phase: Phase, event: Event) -> Phase:
         raise ValueError(f"event {event} does not belong to phase {phase}") from None
 
 
-def think_at_once(strategy: Strategy, task: Task, history: History) -> Future[Waypoint | None]:
-    """Ask within the tick: for virtual time, where a tick takes as long as it takes."""
-    answer: Future[Waypoint | None] = Future()
-    try:
-        answer.set_result(strategy.next(task, history))
-    except Exception as error:  # noqa: BLE001 - as any Future does; raised again where the answer is read
-        answer.set_exception(error)
-    return answer
+def think_at_once(strategy: Strategy, task: Task, history: History) -> Waypoint | None:
+    """Ask within the tick. Raises BadInput or RigFault."""
+    return Checked.of(strategy).next(task, history)
 
 
 class Sequence:
@@ -133,8 +131,11 @@ class Sequence:
         timeout_s: float,
         think: Think = think_at_once,
     ) -> None:
+        """Raises BadInput or RigFault where the strategy does not say how many motions it expects."""
         self.task = task
-        self.strategy = strategy
+        self.strategy = Checked.of(strategy)
+        self.expected = self.strategy.expected_motions()
+        """Asked once: no tick calls the strategy but for its next motion."""
         self.waypoint: Waypoint | None = None
         self.history: tuple[SettledMotion, ...] = ()
         self._still_rad = still_rad
@@ -194,12 +195,8 @@ class Sequence:
     def overdue(self) -> str | None:
         """A sentence when the present motion takes too long to come to rest, else None."""
         allowed = self._travel_s + self.settle_s + self._timeout_s
-        if self._in_motion_s <= allowed:
+        if self._in_motion_s <= allowed or self._answer is not None:
             return None
-        if self._answer is not None:
-            return (
-                f"strategy {self.strategy.name} has not answered for {self._in_phase_s:.1f} s; choose another"
-            )
         moved = deg(self._spread_rad())
         return (
             f"the base does not come to rest: it still moves by {moved:.2f}° after {self._in_motion_s:.1f} s,"
@@ -209,7 +206,7 @@ class Sequence:
 
     def waiting(self, phase: Phase) -> tuple[str, float | None]:
         """What the sequence waits for, and the seconds left as far as known."""
-        if self._answer is not None:
+        if self._answer is not None and phase in ACTIVE:
             return f"strategy {self.strategy.name} to plan the next motion", None
         if phase is Phase.REST:
             return "the rig to be at rest", max(0.0, self._window_s - self._weight_s)
@@ -230,7 +227,7 @@ class Sequence:
             self._progress = 1.0
         elif self.history:
             done = len(self.history) - 1
-            expected = max(self.strategy.expected_motions(), done + 1)
+            expected = max(self.expected, done + 1)
             length_s = self._travel_s + self.settle_s + self._window_s
             part = min(self._in_motion_s / length_s, 1.0)
             self._progress = max(self._progress, min((done + part) / expected, 0.99))
@@ -238,7 +235,7 @@ class Sequence:
 
     def _rest(self, measurement: Measurement, dt_s: float) -> Event | None:
         if self._answer is not None:
-            return self._decide(measurement)
+            return self._answered(self._answer, measurement)
         if self._spread_rad() > self._still_rad:
             self._sums, self._weight_s = [], 0.0
         self._average(measurement, dt_s)
@@ -256,34 +253,30 @@ class Sequence:
 
     def _measuring(self, measurement: Measurement, dt_s: float) -> Event | None:
         if self._answer is not None:
-            return self._decide(measurement)
+            return self._answered(self._answer, measurement)
         if self._spread_rad() > self._still_rad:
             return Event.DISTURBED
         self._average(measurement, dt_s)
         return self._decide(measurement) if self._weight_s >= self._window_s else None
 
     def _decide(self, measurement: Measurement) -> Event | None:
-        if self._answer is None:
-            self.history = (*self.history, self._settled(measurement))
-            self._answer = self._think(self.strategy, self.task, self.history)
-        if not self._answer.done():
+        self.history = (*self.history, self._settled(measurement))
+        answer = self._think(self.strategy, self.task, self.history)
+        if isinstance(answer, Future):
+            # read at a later tick, however soon it comes: virtual time then takes as many ticks in every run
+            self._answer = answer
             return None
-        answer, self._answer = self._answer, None
-        failure = answer.exception()
-        if failure is not None and not isinstance(failure, NeedleRigError):
-            raise RigFault(
-                f"strategy {self.strategy.name} failed with {type(failure).__name__}: {failure};"
-                " choose another"
-            ) from failure
-        waypoint = answer.result()
+        return self._go(answer, measurement)
+
+    def _answered(self, answer: Future[Waypoint | None], measurement: Measurement) -> Event | None:
+        if not answer.done():
+            return None
+        self._answer = None
+        return self._go(answer.result(), measurement)
+
+    def _go(self, waypoint: Waypoint | None, measurement: Measurement) -> Event:
         if waypoint is None:
             return Event.FINISHED
-        if not abs(waypoint.angle_rad) <= self.task.angle_limit_rad:
-            raise BadInput(
-                f"strategy {self.strategy.name} asks for a base angle of {deg(waypoint.angle_rad):.1f}° in"
-                f" motion {waypoint.name}, outside ±{deg(self.task.angle_limit_rad):g}°"
-                " (drive.angle_limit_deg); choose a target nearer to 0"
-            )
         self.waypoint = waypoint
         self._hold_rad = waypoint.angle_rad
         self._in_motion_s = 0.0

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from needle_rig.control.ranges import check_option
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
 
@@ -87,6 +88,8 @@ class Task:
     angle_limit_rad: float = math.inf
     velocity_limit_rad_s: float = math.inf
     acceleration_limit_rad_s2: float = math.inf
+    tick_hz: float = math.inf
+    """How often the base's setpoint is renewed."""
     model: NeedleModel | None = None
     trust: Trust = field(default_factory=Trust)
     lag_left_rad: float | None = None
@@ -106,8 +109,6 @@ class Strategy:
 
     name: ClassVar[str] = ""
     """The file's name; set when the file is found."""
-    slow: ClassVar[bool] = False
-    """Thinks longer than a tick lasts: `next` solves models."""
 
     def next(self, task: Task, history: History) -> Waypoint | None:
         """The next motion, or None when the sequence is over.
@@ -157,8 +158,10 @@ def make_strategy(name: str, options: Mapping[str, Any]) -> Strategy:
         if option not in fields:
             known = ", ".join(sorted(fields)) or "none"
             raise BadInput(f"strategy {name} has no option {option!r}; its options: {known}")
-        if isinstance(options[option], bool) and fields[option].type != "bool":
+        if isinstance(options[option], bool) and fields[option].type not in ("bool", bool):
             raise BadInput(f"strategy {name}: {option} is {str(options[option]).lower()}; give a number")
+        if not isinstance(options[option], str) or fields[option].type not in ("str", str):
+            check_option(option, options[option])
     try:
         return found[name](**options)
     except TypeError:

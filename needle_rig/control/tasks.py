@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import layout_of, limits_of, torsional_rigidity_nm2
+from needle_rig.control.ranges import settle_fault, speed_fault
 from needle_rig.control.reports import Request
 from needle_rig.control.strategy import History, Strategy, Task, Trust
 from needle_rig.errors import BadInput
@@ -15,10 +16,6 @@ from needle_rig.units import deg, rad
 
 if TYPE_CHECKING:
     from needle_rig.physics.needle_model import NeedleModel
-
-SLOWEST_RAD_S = rad(0.1)
-"""At a slower speed a turn over the whole range would last longer than four hours."""
-SETTLE_S = (0.1, 600.0)
 
 
 @dataclass(frozen=True)
@@ -43,6 +40,7 @@ class Tasks:
         self._layout = layout_of(config)
         self._torsional_rigidity_nm2 = torsional_rigidity_nm2(config)
         self._limits = limits_of(config)
+        self._tick_hz = config.tick_hz
         self._model = model
         self._trust = trust or Trust()
 
@@ -59,14 +57,10 @@ class Tasks:
                 " (drive.angle_limit_deg)"
             )
         settle_s = self._sequence.settle_s if request.settle_s is None else request.settle_s
-        if not SETTLE_S[0] <= settle_s <= SETTLE_S[1]:
-            raise BadInput(f"the settling time {settle_s} s is outside {SETTLE_S[0]:g} to {SETTLE_S[1]:g} s")
         speed = rad(self._sequence.speed_deg_s) if request.speed_rad_s is None else request.speed_rad_s
-        if not SLOWEST_RAD_S <= speed <= limits.velocity_rad_s:
-            raise BadInput(
-                f"the speed {deg(speed):g}°/s is outside {deg(SLOWEST_RAD_S):g} to"
-                f" {deg(limits.velocity_rad_s):g}°/s (drive.velocity_limit_deg_s)"
-            )
+        fault = settle_fault(settle_s) or speed_fault(speed, limits.velocity_rad_s)
+        if fault is not None:
+            raise BadInput(fault)
         lag_left_rad, extra_before_deg = request.lag_left_rad, 0.0
         if lag_left_rad is None and before is not None:
             lag_left_rad = before.lag_left_rad()
@@ -80,6 +74,7 @@ class Tasks:
             angle_limit_rad=limits.angle_rad,
             velocity_limit_rad_s=limits.velocity_rad_s,
             acceleration_limit_rad_s2=limits.acceleration_rad_s2,
+            tick_hz=self._tick_hz,
             model=self._model,
             trust=self._trust,
             lag_left_rad=lag_left_rad,

@@ -107,7 +107,7 @@ def _kind_of(device: type[Device]) -> str:
 
 @cache
 def _load(path: Path, stamp: int) -> type[Device]:  # noqa: ARG001 the cache's key
-    module = load_module(path, "needle_rig_user_devices")
+    module = load_module(path)
     found: type[Device] = the_subclass(module, Device, "a device", path)
     _check(found, path)
     return found

@@ -13,7 +13,7 @@ import importlib.util
 import inspect
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -22,9 +22,6 @@ from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
 from needle_rig.errors import BadInput
 from needle_rig.physics import effects as built_in
 from needle_rig.physics.effect import Effect, ParameterInfo
-
-USERS = "needle_rig_user_effects"
-"""What stands for a package in the names of the modules that users' files are."""
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "shape": ("self", "rod", "trial"),
@@ -70,25 +67,9 @@ def load_effect(path: Path) -> type[Effect]:
     return _load(path.parent.resolve() / path.name, stamp_ns(path))
 
 
-def as_sent(effects: Mapping[str, type[Effect]]) -> dict[str, type[Effect] | Path]:
-    """Effects as another process can take them: those of users' files as the files."""
-    return {name: _file_of(effect) or effect for name, effect in effects.items()}
-
-
-def as_received(sent: Mapping[str, type[Effect] | Path]) -> dict[str, type[Effect]]:
-    """Inverse of `as_sent`. Raises BadInput where a file is no longer what it was."""
-    return {name: load_effect(each) if isinstance(each, Path) else each for name, each in sent.items()}
-
-
-def _file_of(effect: type[Effect]) -> Path | None:
-    if not effect.__module__.startswith(USERS):
-        return None
-    return Path(str(sys.modules[effect.__module__].__file__))
-
-
 @cache
 def _load(path: Path, stamp: int) -> type[Effect]:  # noqa: ARG001 the cache's key
-    return effect_in(load_module(path, USERS), path)
+    return effect_in(load_module(path), path)
 
 
 def effect_in(module: ModuleType, path: Path) -> type[Effect]:

@@ -14,6 +14,7 @@ import structlog
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
+from needle_rig.control.faults import FaultName
 from needle_rig.control.reports import BrainState, Request
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.numerics import rounded
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from needle_rig.rig import RawReadings, Rig
     from needle_rig.service.clock import Clock
     from needle_rig.service.notify import Notify
+    from needle_rig.service.thinker import Thinker
 
 log = structlog.get_logger("daemon")
 
@@ -58,8 +60,8 @@ class Parts:
     """Asks the system for a steady tick and returns what it refused."""
     simulated: bool
     """Whether no real needle is turned."""
-    close: Callable[[], None] = lambda: None
-    """Called last."""
+    thinker: Thinker
+    """Where the brain's strategies think."""
 
 
 class Daemon:
@@ -128,7 +130,7 @@ class Daemon:
         finally:
             await self._api.close()
             await self._recorder.close()
-            self._parts.close()
+            self._parts.thinker.close()
             asking.cancel()
             await asyncio.gather(asking, return_exceptions=True)
             self._logbook.end(self._end_reason)
@@ -147,7 +149,7 @@ class Daemon:
     async def _serve(self, rig: Rig, listener: socket.socket, on_ready: Callable[[], None]) -> None:
         clock = self._parts.make_clock(rig)
         self._loop = ControlLoop(
-            rig, self._brain, clock, self._on_sample, self._notify.alive, self._tell_state
+            rig, self._brain, clock, self._on_sample, self._notify.alive, self._on_standstill
         )
         self._notify.send(READY=1, STATUS="idle")
         log.info("ready", rig=self._parts.config.name, socket=str(listener.getsockname()))
@@ -215,6 +217,7 @@ class Daemon:
         """Start a run; the answer names its file."""
         request = _request(order)
         self._brain.check(request)
+        await self._parts.thinker.get_ready(order.strategy)
         path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
         try:
             self._lease.check(claim)
@@ -318,7 +321,7 @@ class Daemon:
         self._time_s = sample.time_s
         active = sample.phase in ACTIVE
         if self._loop is not None:
-            self._loop.busy = self._brain.busy
+            self._loop.busy = self._wants_ticks or (sample.phase is Phase.FAULT and self._fault_passes())
         if self._run is not None and self._finishing is None:
             self._recorder.sample(sample)
         told = (sample.phase, sample.motion)
@@ -339,8 +342,24 @@ class Daemon:
             self._next_status_s = now_s + _STATUS_EVERY_S
             self._notify.send(STATUS=f"{sample.phase} {sample.motion}".strip())
 
+    @property
+    def _wants_ticks(self) -> bool:
+        """Something goes on that no strategy still thinks about: virtual time waits for the answer."""
+        return self._brain.busy and not self._parts.thinker.thinking
+
+    def _fault_passes(self) -> bool:
+        """Whether the next tick ends the fault, as where a strategy was refused."""
+        state = self._brain.state
+        return state.fault_name == FaultName.CONTROL and not state.latched
+
+    def _on_standstill(self) -> None:
+        """Virtual time stands still; it goes on when a strategy has answered."""
+        if self._wants_ticks:
+            self._set_busy()
+        self._tell_state()
+
     def _tell_state(self) -> None:
-        """Tell those who listen where it stands, when it is time; also while virtual time stands still."""
+        """Tell those who listen where it stands, when it is time."""
         self._api.state(time.monotonic(), lambda: self._state("state"))
 
     def _on_phase(self, sample: Sample) -> None:
@@ -363,6 +382,7 @@ class Daemon:
             self._brain.stop(sentence)
 
     def _finish_soon(self) -> None:
+        self._parts.thinker.drop()
         self._finishing = asyncio.create_task(self._finish(self._brain.state), name="finish run")
 
     async def _finish(self, state: BrainState) -> None:

@@ -7,25 +7,26 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from needle_rig.control.ranges import (
+    FASTEST_DEG_S,
+    MOST_DEG,
+    MOST_MOTIONS,
+    SETTLE_S,
+    SLOWEST_DEG_S,
+    check_option,
+)
 from needle_rig.errors import BadInput
 
-ANGLE_DEG = 3600.0
-"""The largest drive.angle_limit_deg that a rig file may set."""
-SLOWEST_DEG_S = 0.1
-"""From one end of that range to the other in 20 hours; a slower motion is a mistake, and holds the rig."""
-FASTEST_DEG_S = 360.0
-LONGEST_S = 600.0
-STEPS = 200
 OPTIONS = 16
 _SHOWN_LETTERS = 60
 
-Angle = Annotated[float, Field(ge=-ANGLE_DEG, le=ANGLE_DEG)]
+Angle = Annotated[float, Field(ge=-MOST_DEG, le=MOST_DEG)]
 Speed = Annotated[float, Field(ge=SLOWEST_DEG_S, le=FASTEST_DEG_S)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]{1,64}$")]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
-Number = Annotated[float, Field(ge=-ANGLE_DEG, le=ANGLE_DEG)]
-Whole = Annotated[int, Field(ge=-ANGLE_DEG, le=ANGLE_DEG)]
-Option = bool | Whole | Number | Name | Annotated[list[Number | None], Field(max_length=STEPS)] | None
+Number = Annotated[float, Field(ge=-MOST_DEG, le=MOST_DEG)]
+Whole = Annotated[int, Field(ge=-MOST_DEG, le=MOST_DEG)]
+Option = bool | Whole | Number | Name | Annotated[list[Number | None], Field(max_length=MOST_MOTIONS)] | None
 
 
 class Model(BaseModel):
@@ -40,7 +41,7 @@ class Order(Model):
     target_deg: Angle
     strategy: Name = "reed2008"
     options: Annotated[dict[Name, Option], Field(max_length=OPTIONS)] = {}
-    settle_s: Annotated[float, Field(ge=0.1, le=LONGEST_S)] | None = None
+    settle_s: Annotated[float, Field(ge=SETTLE_S[0], le=SETTLE_S[1])] | None = None
     speed_deg_s: Speed | None = None
     lag_left_deg: Angle | None = None
 
@@ -48,10 +49,8 @@ class Order(Model):
     def _options_end(self) -> Self:
         """Speeds and times among the options must let the run end; their names carry the unit."""
         for name, value in self.options.items():
-            low, high = _range(name)
-            for one in value if isinstance(value, list) else [value]:
-                if isinstance(one, float | int) and not isinstance(one, bool) and not low <= one <= high:
-                    raise ValueError(f"option {name} is {one:g}; give {low:g} to {high:g}")
+            if not isinstance(value, str):
+                check_option(name, value)
         return self
 
 
@@ -128,16 +127,8 @@ def _complaint(error: ValidationError) -> str:
     if first["loc"][:1] == ("options",) and len(first["loc"]) > 1:
         option = str(first["loc"][1])[:_SHOWN_LETTERS]
         return (
-            f"option {option!r}: is {shown}; give a number within ±{ANGLE_DEG:g}, true, false, null, a name"
-            f" of small letters, or up to {STEPS} numbers"
+            f"option {option!r}: is {shown}; give a number within ±{MOST_DEG:g}, true, false, null, a name"
+            f" of small letters, or up to {MOST_MOTIONS} numbers"
         )
     place = ".".join(str(part) for part in first["loc"])[:_SHOWN_LETTERS] or "the request"
     return f"{place}: {first['msg'].lower()}, not {shown}"
-
-
-def _range(option: str) -> tuple[float, float]:
-    if option.endswith("_deg_s"):
-        return SLOWEST_DEG_S, FASTEST_DEG_S
-    if option.endswith("_s"):
-        return 0.0, LONGEST_S
-    return -ANGLE_DEG, ANGLE_DEG

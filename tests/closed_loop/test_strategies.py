@@ -145,12 +145,16 @@ def test_a_protocol_runs_its_steps_with_their_speeds_and_dwells() -> None:
         (lambda: Protocol(steps_deg=(1.0,), dwell_s=(1.0, 2.0)), "dwell_s has 2 values for 1 steps"),
         (lambda: Protocol(steps_deg=(1.0,), speed_deg_s=-1.0), "speed_deg_s of step 1 is -1.0"),
         (lambda: Protocol(steps_deg=(1.0, 800.0)).check(TASK), "step 2 is 800°, outside ±720°"),
-        (lambda: Protocol(steps_deg=(1.0,), speed_deg_s=70).check(TASK), "turns at 70°/s, limit 60°/s"),
+        (
+            lambda: Protocol(steps_deg=(1.0,), speed_deg_s=70).check(TASK),
+            "in step 1 the speed 70°/s is outside",
+        ),
+        (lambda: Protocol(steps_deg=(1.0,), dwell_s=0.05).check(TASK), "in step 1 the settling time 0.05 s"),
         (lambda: Decay(rotations=0), "rotations must be a whole number from 1 to 100"),
         (lambda: Decay(rotations=2.5), "rotations must be a whole number"),  # type: ignore[arg-type]
         (
             lambda: make_strategy("decay", {"ratio": "much"}),
-            "decay: ratio='much' has a value of the wrong kind",
+            "option ratio is 'much'; give a number",
         ),
         (lambda: make_strategy("decay", {"ratio": [1, 2]}), "has a value of the wrong kind; give numbers"),
         (lambda: Decay(ratio=1.0), "ratio between 0 and 1"),

@@ -48,8 +48,6 @@ class Estimator(Strategy):
     starts from the model of the rig where there is one.
     """
 
-    slow = True
-
     tolerance_deg: float = 0.5
     corrections: int = 4
     torque_noise_nmm: float = 0.0005

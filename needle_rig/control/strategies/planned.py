@@ -72,8 +72,6 @@ class Planned(Strategy):
     `use_hall` that is done for every model.
     """
 
-    slow = True
-
     largest_overshoot_deg: float = 120.0
     rotation_price_deg: float = 0.1
     quantile: float = 0.9

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from needle_rig.control.ranges import settle_fault, speed_fault
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput
 from needle_rig.units import deg, rad
@@ -38,13 +39,15 @@ class Protocol(Strategy):
 
     def check(self, task: Task) -> None:
         """Refuse steps beyond the drive's limits, before the first."""
-        limit, fastest = task.angle_limit_rad, task.velocity_limit_rad_s
+        limit = task.angle_limit_rad
         for number, angle in enumerate(self.steps_deg, 1):
             if abs(rad(angle)) > limit:
                 raise BadInput(f"protocol: step {number} is {angle:g}°, outside ±{deg(limit):g}°")
-            speed = _each(self.speed_deg_s, number - 1)
-            if speed is not None and rad(speed) > fastest:
-                raise BadInput(f"protocol: step {number} turns at {speed:g}°/s, limit {deg(fastest):g}°/s")
+            speed, dwell_s = _each(self.speed_deg_s, number - 1), _each(self.dwell_s, number - 1)
+            fault = None if speed is None else speed_fault(rad(speed), task.velocity_limit_rad_s)
+            fault = fault or (None if dwell_s is None else settle_fault(dwell_s))
+            if fault is not None:
+                raise BadInput(f"protocol: in step {number} {fault}")
 
     def next(self, task: Task, history: History) -> Waypoint | None:  # noqa: ARG002 see Strategy
         """The next step of the list."""

@@ -8,14 +8,12 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
-from needle_rig.physics.library import as_received, as_sent
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
@@ -71,13 +69,6 @@ class Problem:
         if not self.nuisance:
             none = tuple(np.zeros((w.channel.size, 0)) for w in self.whiteners)
             object.__setattr__(self, "nuisance", none)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "library": as_sent(self.library)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        object.__setattr__(self, "library", as_received(state["library"]))
 
     def with_noise(self, noise: Noise) -> Problem:
         """The same data under other noise; nuisance directions are dropped."""

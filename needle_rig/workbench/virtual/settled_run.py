@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from needle_rig.control.compensation import DITHER_FADE_S
+from needle_rig.control.ranges import MOST_MOTIONS
 from needle_rig.control.reports import SettledMotion, settled_motion
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import RigFault
@@ -30,7 +31,6 @@ WINDOW_S = 0.5
 RATE_HZ = 50.0
 DITHER_POINTS = 16
 DITHER_FADES = 6.0
-MOST_MOTIONS = 200
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,12 @@ from typing import Any
 
 import pytest
 
+from needle_rig.control.ranges import FASTEST_DEG_S, MOST_DEG, SLOWEST_DEG_S
+from needle_rig.control.ranges import MOST_MOTIONS as STEPS
 from needle_rig.errors import BadInput
 from needle_rig.service.orders import (
-    ANGLE_DEG,
-    FASTEST_DEG_S,
     MODELS,
     OPTIONS,
-    SLOWEST_DEG_S,
-    STEPS,
     read_order,
 )
 
@@ -33,7 +31,7 @@ BAD: list[tuple[str, str, str]] = [
     ("compensate", '{"target_deg": 1, "options": {"steps_deg": [true]}}', "'steps_deg'"),
     ("compensate", '{"target_deg": 1, "options": {"steps_deg": [[1]]}}', "'steps_deg'"),
     ("compensate", '{"target_deg": 1, "options": {"speed_deg_s": [1, 0.09]}}', "0.1 to 360"),
-    ("compensate", '{"target_deg": 1, "options": {"dwell_s": 601}}', "0 to 600"),
+    ("compensate", '{"target_deg": 1, "options": {"dwell_s": 601}}', "0.1 to 600"),
     ("compensate", '{"target_deg": 1, "options": {"a": {"b": 1}}}', "'a'"),
     ("compensate", '{"target_deg": 1, "options": {"__class__.x": 1}}', "__class__.x"),
     ("compensate", json.dumps({"target_deg": 1, "options": {f"o{n}": 1 for n in range(OPTIONS + 1)}}), "16"),
@@ -64,8 +62,8 @@ def test_what_cannot_be_asked_is_one_sentence(name: str, text: str, told: str) -
 
 
 GOOD: list[tuple[str, dict[str, Any]]] = [
-    ("compensate", {"target_deg": -ANGLE_DEG, "speed_deg_s": SLOWEST_DEG_S, "settle_s": 0.1}),
-    ("compensate", {"target_deg": ANGLE_DEG, "speed_deg_s": FASTEST_DEG_S, "settle_s": 600.0}),
+    ("compensate", {"target_deg": -MOST_DEG, "speed_deg_s": SLOWEST_DEG_S, "settle_s": 0.1}),
+    ("compensate", {"target_deg": MOST_DEG, "speed_deg_s": FASTEST_DEG_S, "settle_s": 600.0}),
     ("compensate", {"target_deg": 1, "options": {"steps_deg": [1.5] * STEPS, "speed_deg_s": 0.1, "a": None}}),
     ("compensate", {"target_deg": 1, "options": {"use_hall": True, "rotations": 6, "ratio": 0.7}}),
     ("jog", {"by_deg": -5}), ("jog", {"to_deg": 0}), ("home", {}), ("home", {"by": "here", "angle_deg": 90}),
