@@ -221,6 +221,7 @@ function Compared() {
   return html`<section class="card wide"><h2>2 · Where it fails</h2>
       <p><strong>${found.name}</strong> ${found.sentence}</p>
       <${ResidualMap} found=${found} />
+      ${found.traces && found.values.length ? html`<ul aria-label="Values">${found.values.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
       ${found.traces && found.sentences.length ? html`<details><summary>The worst places in words</summary><ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
       ${found.traces ? null : html`<ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>`}
       ${found.notes?.length ? html`<details><summary>${found.notes.length} notes on the data</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
