@@ -26,7 +26,7 @@ from needle_rig.web.worker import Voice
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.learning.adopt import adopt_diagnosis
 from needle_rig.workbench.learning.adopt import undo as take_back
-from needle_rig.workbench.learning.compare import TraceComparison
+from needle_rig.workbench.learning.compare import TraceComparison, compared, values_document
 from needle_rig.workbench.learning.diagnosis_file import keep, load_diagnosis, save_diagnosis
 from needle_rig.workbench.learning.observations import read_observations
 from needle_rig.workbench.observations.runs import runs_as_dataset
@@ -103,6 +103,9 @@ def diagnose(
         "candidates": {},
     }
     if isinstance(found, Diagnosis):
+        if saved is not None:
+            held = compared(found.baseline, saved)
+            document["model_values"] = values_document(held, structure_holds=found.verdict == "none")
         voice.step("drawing what each candidate foretells")
         document["candidates"] = _candidates(found)
     return document

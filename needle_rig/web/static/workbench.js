@@ -302,6 +302,7 @@ function Missing() {
 function Verdict({ found }) {
   const choices = found.verdict !== "effect" ? [] : found.ties.length ? [...found.effects, ...found.ties] : [""];
   return html`<p class="verdict">${found.sentence.charAt(0).toUpperCase() + words(found.sentence.slice(1))}</p>
+    ${found.model_values ? html`<p>Values: ${found.model_values.sentences[0]}</p>` : null}
     <p>${found.errors_sentence}</p>
     ${found.quick ? html`<p>One effect alone was looked for. <button disabled=${Boolean(job.value)} onClick=${() => diagnose(false)}>Look for several</button></p>` : null}
     ${found.reasons.length ? html`<ul>${found.reasons.map((/** @type {any} */ r) => html`<li>${r.sentence ?? r.text ?? words(String(r.rule ?? r.name ?? ""))}</li>`)}</ul>` : null}

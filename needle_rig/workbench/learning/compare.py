@@ -24,7 +24,13 @@ from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import shared_names
 from needle_rig.workbench.learning.misfit import Misfit, finite, misfit
 from needle_rig.workbench.selection.answer import left_out_error
-from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, FittedNumber, PlaceError
+from needle_rig.workbench.selection.documents import (
+    ChannelError,
+    CompareDocument,
+    FittedNumber,
+    PlaceError,
+    ValuesDocument,
+)
 from needle_rig.workbench.selection.values import ComparedValues, compared_values, with_uncertainty
 
 
@@ -111,6 +117,19 @@ class TraceComparison:
         own = f"each trial's own: its friction about the common one, scatter {percent} %"
         return [*self.values.sentences(), own]
 
+    def verdict_on_values(self, *, structure_holds: bool) -> list[str]:
+        """What a diagnosis says of the values before it speaks of the structure; nothing without values."""
+        if self.held is None:
+            return []
+        said = (
+            f"its values as they stand leave {self.held.error:.2f} × the noise, a refit of the same structure"
+            f" {self.refit.error:.2f} ×: {self.values.sentence()}"
+        )
+        moved = [value.sentence() for value in self.values.each if abs(value.sigmas or 0.0) > TOLD_SIGMAS]
+        if self.values.contradict and not structure_holds:
+            moved.append("what the structure lacks may be what moves these values: see to that first")
+        return [said, *moved]
+
     @property
     def _scatter_uncertainty(self) -> float:
         """Of the relative scatter: its posterior is a scaled inverse χ²."""
@@ -160,6 +179,8 @@ class TraceComparison:
         }
 
 
+TOLD_SIGMAS = 3.0
+"""Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
 NULL = "null"
 """Name of the model without values of its own."""
 
@@ -215,6 +236,18 @@ def compared(
         column = _held(baseline, saved, free, known, names)
     values = compared_values(found.parameters, refit, known, problem.fixed, found.pull_rigidity)
     return TraceComparison(baseline, column, misfit(problem, found, names), values, free)
+
+
+def values_document(found: TraceComparison, *, structure_holds: bool) -> ValuesDocument:
+    """Whether the model's values hold, as it stands in the JSON of a diagnosis."""
+    return {
+        "held_error": None if found.held is None else finite(found.held.error),
+        "refit_error": finite(found.refit.error),
+        "contradiction_p": found.values.p,
+        "contradict": found.values.contradict,
+        "parameters": [value.as_json() for value in found.values.each],
+        "sentences": found.verdict_on_values(structure_holds=structure_holds),
+    }
 
 
 def _held(

@@ -47,6 +47,7 @@ from needle_rig.workbench.estimation.information import Information
 from needle_rig.workbench.estimation.parameters import FreeParameter, shared_names
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.values import CONTRADICTS
 
 SCATTER = "friction_scatter"
 DAMPING = "viscous_slip"
@@ -54,8 +55,6 @@ CONFIDENCE = 0.95
 NARROWED = 0.5
 """Standard deviation after over before a recording from which on it gives nothing: it holds less than three
 times the information that was there without it."""
-CONTRADICTS = 1e-3
-"""p value below which a recording contradicts a model file: one in a thousand that agree is refused."""
 
 
 class Contradiction(NeedleRigError):

@@ -124,8 +124,23 @@ class LeftOver(TypedDict):
     where: list[str]
 
 
+class ValuesDocument(TypedDict):
+    """Whether the values of the model that is diagnosed hold, whatever its structure lacks."""
+
+    held_error: float | None
+    refit_error: float | None
+    """Over noise: with the values as they stand, and with those of a refit."""
+    contradiction_p: float | None
+    contradict: bool
+    parameters: list[ComparedNumber]
+    sentences: list[str]
+
+
 class DiagnoseDocument(TypedDict):
     """What `needle-rig diagnose` answers."""
+
+    model_values: NotRequired[ValuesDocument]
+    """Of a model with values of its own, held against traces."""
 
     dataset: str
     model: str
