@@ -31,7 +31,7 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.contest.strategies_table import Bout
 from needle_rig.workbench.learning.adopt import adopt as _adopt
 from needle_rig.workbench.learning.adopt import adopt_diagnosis
-from needle_rig.workbench.learning.compare import Held
+from needle_rig.workbench.learning.compare import Held, compared
 from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, save_diagnosis
 from needle_rig.workbench.learning.history import ladder
 from needle_rig.workbench.learning.observations import Comparison as _Compared
@@ -40,6 +40,7 @@ from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.selection.answer import Answer
+from needle_rig.workbench.selection.diagnose import Diagnosis as FromTraces
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun
@@ -204,6 +205,14 @@ class Diagnosis(Shown):
         return (
             f"{found.dataset} against the model {found.model}: {found.sentence()} {found.errors_sentence()}"
         )
+
+    @property
+    def model_values(self) -> tuple[str, ...]:
+        """Whether the values of the model hold as they stand, in words; empty for the null model."""
+        if self.started is None or not isinstance(self.found, FromTraces):
+            return ()
+        held = compared(self.found.baseline, self.started)
+        return tuple(held.verdict_on_values(structure_holds=self.verdict == "none"))
 
     def table(self) -> Table:
         """The ranking: a row a candidate."""

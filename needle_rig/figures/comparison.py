@@ -26,7 +26,7 @@ def traces(found: TraceComparison) -> Figure:
     """Measured and modelled traces with the ±2σ noise band, the worst trial first, few of all."""
     problem, shown = found.baseline.problem, worst_trials(found)
     names = ("torque", *found.baseline.dataset.sensor_names)
-    width, height = 4.0 * len(shown), 1.7 * len(names) + 0.6
+    width, height = 4.0 * len(shown), 1.7 * len(names) + 1.0
     figure = Figure(figsize=(width, height))
     axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
     # margins in inches: a layout engine would draw everything once more to find them
@@ -34,7 +34,7 @@ def traces(found: TraceComparison) -> Figure:
         left=0.9 / width,
         right=1 - 0.1 / width,
         bottom=0.5 / height,
-        top=1 - 0.55 / height,
+        top=1 - 0.65 / height,
         wspace=0.2,
         hspace=0.12,
     )
@@ -95,7 +95,8 @@ def traces(found: TraceComparison) -> Figure:
                 axis.set_ylabel(f"{name} / {unit}")
             if c == 0:
                 error = found.shown.trial_errors[t]
-                axis.set_title(f"{given.file}, {_title(given.command)}: {error:.3g} × the noise", fontsize=8)
+                title = f"{Path(given.file).name}, {_title(given.command)}\n{error:.3g} × the noise"
+                axis.set_title(title, fontsize=8)
         axes[-1, column].set_xlabel("time / s")
     axes[min(1, len(names) - 1), 0].legend(fontsize=7, loc="upper right")
     hidden = len(problem.trials) - len(shown)
@@ -111,12 +112,12 @@ def traces(found: TraceComparison) -> Figure:
 
 
 def worst_trials(found: TraceComparison) -> list[int]:
-    """Places of the trials that are drawn: the worst of each command first, then the worst of all others."""
-    errors = found.shown.trial_errors
-    first = [max(group, key=lambda t: errors[t]) for group in found.baseline.problem.groups]
-    others = [t for t in range(errors.size) if t not in first]
-    ordered = [*sorted(first, key=lambda t: -errors[t]), *sorted(others, key=lambda t: -errors[t])]
-    return ordered[:SHOWN_TRIALS]
+    """Places of the trials that are drawn: those of the worst places first, then those of the largest error."""
+    files = [binned.file for binned in found.baseline.problem.trials]
+    worst = sorted(found.shown.places, key=lambda place: -place.sigmas)
+    largest = np.argsort(-found.shown.trial_errors).tolist()
+    ordered = [*(files.index(place.trial) for place in worst), *largest]
+    return list(dict.fromkeys(ordered))[:SHOWN_TRIALS]
 
 
 def _modelled(problem: Problem, fit: Fit, trial: int) -> Array:

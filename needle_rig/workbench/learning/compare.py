@@ -57,6 +57,8 @@ class TraceComparison:
     values: ComparedValues
     free: tuple[str, ...] = ()
     """Values that are fitted in `held`, too."""
+    learnt_here: bool = False
+    """Whether the model's history names these data: then its values were fitted to them."""
 
     @property
     def shown(self) -> Misfit:
@@ -128,6 +130,8 @@ class TraceComparison:
         moved = [value.sentence() for value in self.values.each if abs(value.sigmas or 0.0) > TOLD_SIGMAS]
         if self.values.contradict and not structure_holds:
             moved.append("what the structure lacks may be what moves these values: see to that first")
+        if self.learnt_here:
+            moved.append(LEARNT_HERE)
         return [said, *moved]
 
     @property
@@ -138,7 +142,8 @@ class TraceComparison:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes of the dataset and of the baseline fit."""
-        return *self.baseline.dataset.notes, *self.baseline.notes
+        learnt = (LEARNT_HERE,) if self.learnt_here else ()
+        return *learnt, *self.baseline.dataset.notes, *self.baseline.notes
 
     def places(self) -> list[PlaceError]:
         """Every channel × motion × state × direction."""
@@ -181,6 +186,9 @@ class TraceComparison:
 
 TOLD_SIGMAS = 3.0
 """Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
+LEARNT_HERE = (
+    "the model's history names these data: its values were fitted to them, and hold here without being tested"
+)
 NULL = "null"
 """Name of the model without values of its own."""
 
@@ -235,7 +243,8 @@ def compared(
         known = known_of(found.parameters, saved, Gaussian(at, np.zeros((at.size, at.size))))
         column = _held(baseline, saved, free, known, names)
     values = compared_values(found.parameters, refit, known, problem.fixed, found.pull_rigidity)
-    return TraceComparison(baseline, column, misfit(problem, found, names), values, free)
+    learnt = saved is not None and problem.name in {entry.dataset for entry in saved.history}
+    return TraceComparison(baseline, column, misfit(problem, found, names), values, free, learnt)
 
 
 def values_document(found: TraceComparison, *, structure_holds: bool) -> ValuesDocument:
