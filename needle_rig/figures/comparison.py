@@ -112,7 +112,7 @@ def traces(found: TraceComparison) -> Figure:
 
 
 def worst_trials(found: TraceComparison) -> list[int]:
-    """Places of the trials that are drawn: those of the worst places first, then those of the largest error."""
+    """Places of the trials that are drawn: those of the worst places, then those of the largest error."""
     files = [binned.file for binned in found.baseline.problem.trials]
     worst = sorted(found.shown.places, key=lambda place: -place.sigmas)
     largest = np.argsort(-found.shown.trial_errors).tolist()

@@ -186,9 +186,7 @@ class TraceComparison:
 
 TOLD_SIGMAS = 3.0
 """Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
-LEARNT_HERE = (
-    "the model's history names these data: its values were fitted to them, and hold here without being tested"
-)
+LEARNT_HERE = "the model's history names data called so: if they are these, its values were fitted to them"
 NULL = "null"
 """Name of the model without values of its own."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from functools import lru_cache
 from pathlib import Path
@@ -12,11 +13,13 @@ from click.testing import CliRunner
 
 import needle_rig as nr
 from needle_rig.cli.compare import command
+from needle_rig.cli.diagnose import command as diagnose_command
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput
-from needle_rig.model import SavedModel, load_parameters, save_model
+from needle_rig.figures.comparison import residual_map, traces
+from needle_rig.model import HistoryEntry, SavedModel, load_parameters, save_model
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
-from needle_rig.workbench.learning.compare import Held, TraceComparison, compare
+from needle_rig.workbench.learning.compare import LEARNT_HERE, Held, TraceComparison, compare, compared
 from needle_rig.workbench.selection.values import with_uncertainty
 from tests.workbench.hidden import dataset, effect, few
 
@@ -169,6 +172,53 @@ def test_python_holds_a_set_by_its_name() -> None:
     assert found.table()["rmse"] / found.table()["noise"] == pytest.approx(
         found.table()["in_noise_units"], rel=2e-3
     )
+
+
+def test_data_that_the_model_was_fitted_to_are_no_test_of_it() -> None:
+    known = dataclasses.replace(model(), history=(HistoryEntry(dataset="hidden", date="2026-11-27"),))
+    assert LEARNT_HERE in compared(held().baseline, known).notes
+    assert LEARNT_HERE not in held().notes
+
+
+def test_the_trial_with_the_worst_place_is_drawn_first_and_those_left_out_are_counted() -> None:
+    found = held(STIFFNESS, 0.5)
+    assert found.held is not None
+    figure = traces(found)
+    assert figure.axes[0].get_title().startswith(Path(found.held.worst[0].trial).name)
+    assert figure.get_suptitle().endswith("the 4 worst of 5 trials, worst first; 1 left out")
+
+
+def test_the_scale_of_the_map_is_the_same_for_all_data() -> None:
+    scales = [residual_map(held(STIFFNESS, factor)).axes[0].images[0].get_clim() for factor in (0.5, 1.0)]
+    assert scales[0] == scales[1] == (0.5, 100.0)
+
+
+def test_a_diagnosis_says_whether_values_fail_before_it_speaks_of_the_structure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("needle_rig.cli.diagnose.library", lambda _: few("tissue_elasticity", "torque_bias"))
+    folder = str(write_dataset(dataset(ELASTIC), tmp_path / "data"))
+    half, right = tmp_path / "half.yaml", tmp_path / "right.yaml"
+    save_model(half, model(STIFFNESS, 0.5))
+    save_model(right, model())
+    words = [folder, "--quick", "--jobs", "1", "--model"]
+    lines = CliRunner().invoke(diagnose_command, [*words, str(half)]).stdout
+    said = " ".join(lines.split())
+    values = said.index("its values as they stand leave")
+    off = said.index(f"contradict these data (p < 1e-09, limit 0.001): {STIFFNESS} is off by")
+    assert values < off < said.index("structure: nothing is missing")
+    assert f"needle-rig identify {folder} --model {half} --out MODEL.yaml" in lines
+    result = CliRunner().invoke(diagnose_command, [*words, str(right), "--json"])
+    told = json.loads(result.stdout)["model_values"]
+    assert not told["contradict"]
+    assert "the model's values hold on these data" in told["sentences"][0]
+
+
+def test_what_the_structure_lacks_may_be_what_moves_the_values() -> None:
+    found = compare(dataset(ELASTIC), few(), SavedModel(load_parameters("rig_rigid"), "null"))
+    *_, last = found.verdict_on_values(structure_holds=False)
+    assert last == "what the structure lacks may be what moves these values: see to that first"
+    assert last not in found.verdict_on_values(structure_holds=True)
 
 
 @pytest.mark.parametrize(
