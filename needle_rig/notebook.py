@@ -154,20 +154,14 @@ class Comparison(Shown):
         )
 
     def plot(self, what: str = "residuals") -> Figure:
-        """`residuals`: error over noise by channel, phase and direction; `traces`; or `pulls`.
+        """`residuals`: error over noise by channel, phase and direction; or another figure by its name.
 
-        Raises BadInput for settled values, which have no traces to draw.
+        There are `traces`, `pulls`, `loop`, `strips`, `over_time`, `over_model`, `qq`, `autocorrelation`,
+        `correlation`, `profile` and `band`. Raises BadInput, also for settled values, which have no traces.
         """
-        from needle_rig.figures import comparison
+        from needle_rig.figures.residuals import drawn
 
-        drawn = {
-            "residuals": comparison.residual_map,
-            "traces": comparison.traces,
-            "pulls": comparison.pulls,
-        }
-        if what not in drawn:
-            raise BadInput(f"plot {what!r}: there are {', '.join(drawn)}")
-        return drawn[what](self.found.traces())
+        return drawn(self.found.traces(), what)
 
 
 @dataclass(frozen=True, repr=False)

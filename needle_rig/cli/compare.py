@@ -38,6 +38,14 @@ if TYPE_CHECKING:
 @click.option(
     "--png", "png_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder."
 )
+@click.option(
+    "--figure",
+    "figures",
+    multiple=True,
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Write the figure that the file is named after, as loop.svg, qq.pdf or strips.png.",
+)
 @json_option
 def command(
     data: tuple[Path, ...],
@@ -48,6 +56,7 @@ def command(
     free: tuple[str, ...],
     html_path: Path | None,
     png_folder: Path | None,
+    figures: tuple[Path, ...],
     as_json: bool,
 ) -> None:
     """Drive the model with the measured base angle and show where it fails, worst first.
@@ -59,6 +68,7 @@ def command(
     needle-rig compare data/mine
     needle-rig compare data/mine --model fitted.yaml --html report.html
     needle-rig compare data/mine --model rig_elastic --free friction_nmm_per_100mm
+    needle-rig compare data/mine --figure loop.svg --figure pictures/qq.pdf
 
     DATA is a dataset folder or a run file, or several; or a folder of settled values as published
     (settled.yaml; reed2008 is shipped), which have no pictures. Without --model: rigid tissue with uniform
@@ -69,9 +79,17 @@ def command(
     one_thread_each()
     from needle_rig.workbench.learning.compare import Held
 
+    if figures:
+        from needle_rig.figures.residuals import asked, write_figure
+
+        for path in figures:
+            asked(path)
     values = Held(refit, dict(map(_value, fixed)), free)
     saved = read_saved(model_path, directories)
     found = read_observations(data).compare(library(directories), saved, values)
+    for path in figures:
+        write_figure(found.traces(), path)
+        click.echo(f"wrote {path}", err=True)
     if png_folder is not None or html_path is not None:
         from needle_rig.figures.comparison import pictures, write_html
         from needle_rig.figures.page import write_pngs

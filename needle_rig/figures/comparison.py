@@ -41,8 +41,8 @@ def traces(found: TraceComparison) -> Figure:
     for column, t in enumerate(shown):
         given = found.baseline.dataset.trials[t]
         binned = problem.trials[t]
-        model = _modelled(problem, found.shown.fit, t)
-        again = None if found.held is None else _modelled(problem, found.refit.fit, t)
+        model = modelled(problem, found.shown.fit, t)
+        again = None if found.held is None else modelled(problem, found.refit.fit, t)
         data = np.vstack([given.torque_nm[None, :], given.hall_rad.T])
         thin = max(1, given.trial.time_s.size // SHOWN_SAMPLES)
         for c, name in enumerate(names):
@@ -99,14 +99,9 @@ def traces(found: TraceComparison) -> Figure:
                 axis.set_title(title, fontsize=8)
         axes[-1, column].set_xlabel("time / s")
     axes[min(1, len(names) - 1), 0].legend(fontsize=7, loc="upper right")
-    hidden = len(problem.trials) - len(shown)
-    figure.suptitle(
-        f"{found.baseline.dataset.name}: the {len(shown)} worst of {len(problem.trials)} trials, worst first;"
-        f" {hidden} left out"
-        if hidden
-        else f"{found.baseline.dataset.name}: all {len(shown)} trials, worst first",
-        fontsize=9,
-    )
+    name, count, of = found.baseline.dataset.name, len(shown), len(problem.trials)
+    hidden = f"; {of - count} left out" if of > count else ""
+    figure.suptitle(f"{name}: {count} of {of} trials, those of the worst places first{hidden}", fontsize=9)
     figure.align_ylabels(axes[:, 0])
     return figure
 
@@ -120,7 +115,7 @@ def worst_trials(found: TraceComparison) -> list[int]:
     return list(dict.fromkeys(ordered))[:SHOWN_TRIALS]
 
 
-def _modelled(problem: Problem, fit: Fit, trial: int) -> Array:
+def modelled(problem: Problem, fit: Fit, trial: int) -> Array:
     """What a fit says the sensors read (C, samples) in one trial."""
     reading = problem.model(fit.parameters, fit.vector, trial).predict(problem.trials[trial].trial)
     return np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])

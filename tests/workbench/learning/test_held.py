@@ -185,7 +185,7 @@ def test_the_trial_with_the_worst_place_is_drawn_first_and_those_left_out_are_co
     assert found.held is not None
     figure = traces(found)
     assert figure.axes[0].get_title().startswith(Path(found.held.worst[0].trial).name)
-    assert figure.get_suptitle().endswith("the 4 worst of 5 trials, worst first; 1 left out")
+    assert figure.get_suptitle().endswith("4 of 5 trials, those of the worst places first; 1 left out")
 
 
 def test_the_scale_of_the_map_is_the_same_for_all_data() -> None:
