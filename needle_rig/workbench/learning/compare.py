@@ -33,6 +33,12 @@ from needle_rig.workbench.selection.documents import (
 )
 from needle_rig.workbench.selection.values import ComparedValues, compared_values, with_uncertainty
 
+TOLD_SIGMAS = 3.0
+"""Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
+LEARNT_HERE = "the model's history names data called so: if they are these, its values were fitted to them"
+NULL = "null"
+"""Name of the model without values of its own."""
+
 
 @dataclass(frozen=True)
 class Held:
@@ -84,6 +90,8 @@ class TraceComparison:
         )
         if self.held is None:
             fitted = "its two constants are fitted" if model == NULL else "its values are fitted"
+            if fixed := self.baseline.problem.fixed:
+                fitted += f" but for {', '.join(fixed)}"
             return self.baseline.dataset.name, f"against the model {model} ({fitted}): {refit}"
         but = f" but for {', '.join(self.free)}, fitted" if self.free else ""
         return self.baseline.dataset.name, (
@@ -184,13 +192,6 @@ class TraceComparison:
         }
 
 
-TOLD_SIGMAS = 3.0
-"""Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
-LEARNT_HERE = "the model's history names data called so: if they are these, its values were fitted to them"
-NULL = "null"
-"""Name of the model without values of its own."""
-
-
 def ratio(value: float | None) -> str:
     """Error over noise for a table."""
     return "—" if value is None else f"{value:.3g}"
@@ -210,10 +211,10 @@ def compare(
     model = None if saved is None else saved.model
     if held.fixed or held.free:
         model = model or null_model(dataset)
-        known = tuple(model.values())
+        names = tuple(model.values())
         for name in (*held.fixed, *held.free):
-            if name not in known:
-                raise BadInput(f"{name}: no value of the model {model.name}; it has {', '.join(known)}")
+            if name not in names:
+                raise BadInput(f"{name}: no value of the model {model.name}; it has {', '.join(names)}")
         if both := set(held.fixed) & set(held.free):
             raise BadInput(f"{min(both)} is both fixed and free; name it once")
         if held.free and (saved is None or held.refit_only):
@@ -221,7 +222,8 @@ def compare(
         model = model.replaced(held.fixed)
     baseline = fit_baseline(dataset, model, library, fixed=tuple(held.fixed))
     if saved is not None and model is not None:
-        saved = dataclasses.replace(saved, model=model)
+        known = {name: size for name, size in saved.uncertainties.items() if name not in held.fixed}
+        saved = dataclasses.replace(saved, model=model, uncertainties=known)
     return compared(baseline, None if held.refit_only else saved, tuple(held.free))
 
 

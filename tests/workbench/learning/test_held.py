@@ -20,7 +20,9 @@ from needle_rig.figures.comparison import residual_map, traces
 from needle_rig.model import HistoryEntry, SavedModel, load_parameters, save_model
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.workbench.learning.compare import LEARNT_HERE, Held, TraceComparison, compare, compared
+from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS, errors_by_channel
 from needle_rig.workbench.selection.values import with_uncertainty
+from tests.values import known
 from tests.workbench.hidden import dataset, effect, few
 
 STIFFNESS = "tissue_elasticity.stiffness_nmm_per_rad_per_100mm"
@@ -117,6 +119,7 @@ def test_the_null_models_constants_may_be_fixed_one_by_one() -> None:
     assert found.held is None
     assert np.exp(found.refit.fit.vector.log_rigidity) == pytest.approx(65.7e-6)
     assert found.refit.error > 1.1
+    assert f"(its two constants are fitted but for {TORSIONAL_RIGIDITY})" in found.headline()[1]
 
 
 @pytest.mark.parametrize(
@@ -219,6 +222,17 @@ def test_what_the_structure_lacks_may_be_what_moves_the_values() -> None:
     *_, last = found.verdict_on_values(structure_holds=False)
     assert last == "what the structure lacks may be what moves these values: see to that first"
     assert last not in found.verdict_on_values(structure_holds=True)
+
+
+def test_each_error_of_the_ladder_has_a_floor_of_its_kind() -> None:
+    baseline = held().baseline
+    errors = errors_by_channel(baseline, baseline.current, baseline.validation)
+    for name, of in errors.items():
+        told = [of.training_after, of.training_floor, of.held_out_after, of.floor]
+        training, training_floor, left_out, floor = (known(value) for value in told)
+        assert 0.6 < training / training_floor < 1.1, name
+        assert 0.6 < left_out / floor < 1.4, name
+        assert training_floor < 0.8 * floor or name == IN_NOISE_UNITS, name
 
 
 @pytest.mark.parametrize(
