@@ -22,7 +22,7 @@ from needle_rig.control.strategy import make_strategy
 from needle_rig.dataset import Dataset, write_dataset
 from needle_rig.dataset.settled import SettledData
 from needle_rig.errors import BadInput
-from needle_rig.model import SavedModel, effect_directories, load_model, load_parameters, save_model
+from needle_rig.model import SavedModel, effect_directories, load_parameters, load_saved, save_model
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.recording import RunFile
@@ -31,6 +31,7 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.contest.strategies_table import Bout
 from needle_rig.workbench.learning.adopt import adopt as _adopt
 from needle_rig.workbench.learning.adopt import adopt_diagnosis
+from needle_rig.workbench.learning.compare import Held, compared
 from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, save_diagnosis
 from needle_rig.workbench.learning.history import ladder
 from needle_rig.workbench.learning.observations import Comparison as _Compared
@@ -39,6 +40,7 @@ from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.selection.answer import Answer
+from needle_rig.workbench.selection.diagnose import Diagnosis as FromTraces
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from needle_rig.workbench.virtual.settled_run import SettledRun
@@ -99,7 +101,7 @@ class Comparison(Shown):
         return tuple(f"{_or_nan(p['sigmas']):.0f}σ  {p['words']}" for p in self.found.as_json()["worst"])
 
     def headline(self) -> str:
-        """Dataset, model and the error on commands left out."""
+        """Dataset, model, the error with its values as they stand and on commands left out."""
         return " ".join(self.found.headline())
 
     def table(self) -> Table:
@@ -110,9 +112,27 @@ class Comparison(Shown):
                 "rmse": float(v["rmse"]),
                 "noise": _or_nan(v["noise"]),
                 "unit": v["unit"],
-                "in_noise_units": _or_nan(v["whitened"]),
+                "in_noise_units": _or_nan(v["in_noise_units"]),
             }
             for name, v in self.found.channels.items()
+        )
+
+    def parameters(self) -> Table:
+        """A row a value: of the model, of the refit, each with its σ, and their distance in σ of both.
+
+        NaN where there is none: the null model has no values, a fixed one no σ.
+        """
+        return _table(
+            {
+                "parameter": p["name"],
+                "model": _or_nan(p["model"]),
+                "model_sigma": _or_nan(p["model_uncertainty"]),
+                "refit": _or_nan(p["refit"]),
+                "refit_sigma": _or_nan(p["refit_uncertainty"]),
+                "sigmas": _or_nan(p["sigmas"]),
+                "unit": p["unit"],
+            }
+            for p in self.found.as_json()["parameters"]
         )
 
     def places(self) -> Table:
@@ -134,20 +154,14 @@ class Comparison(Shown):
         )
 
     def plot(self, what: str = "residuals") -> Figure:
-        """`residuals`: error over noise by channel, phase and direction; `traces`; or `pulls`.
+        """`residuals`: error over noise by channel, phase and direction; or another figure by its name.
 
-        Raises BadInput for settled values, which have no traces to draw.
+        There are `traces`, `pulls`, `loop`, `strips`, `over_time`, `over_model`, `qq`, `autocorrelation`,
+        `correlation`, `profile` and `band`. Raises BadInput, also for settled values, which have no traces.
         """
-        from needle_rig.figures import comparison
+        from needle_rig.figures.residuals import drawn
 
-        drawn = {
-            "residuals": comparison.residual_map,
-            "traces": comparison.traces,
-            "pulls": comparison.pulls,
-        }
-        if what not in drawn:
-            raise BadInput(f"plot {what!r}: there are {', '.join(drawn)}")
-        return drawn[what](self.found.traces())
+        return drawn(self.found.traces(), what)
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,6 +199,14 @@ class Diagnosis(Shown):
         return (
             f"{found.dataset} against the model {found.model}: {found.sentence()} {found.errors_sentence()}"
         )
+
+    @property
+    def model_values(self) -> tuple[str, ...]:
+        """Whether the values of the model hold as they stand, in words; empty for the null model."""
+        if self.started is None or not isinstance(self.found, FromTraces):
+            return ()
+        held = compared(self.found.baseline, self.started)
+        return tuple(held.verdict_on_values(structure_holds=self.verdict == "none"))
 
     def table(self) -> Table:
         """The ranking: a row a candidate."""
@@ -346,8 +368,8 @@ def read_run(path: PathLike) -> Run:
 
 
 def read_model(path: PathLike, *, effects: Iterable[PathLike] = ()) -> Model:
-    """A model file; `effects` are further folders with effects. Raises BadInput."""
-    return Model(load_model(path, effects=[Path(e) for e in effects]))
+    """A model file or a parameter set; `effects` are further folders with effects. Raises BadInput."""
+    return Model(load_saved(path, effects=[Path(e) for e in effects]))
 
 
 def simulate(
@@ -382,10 +404,24 @@ def simulate(
 
 
 def compare(
-    data: Dataset | SettledData, model: Model | None = None, *, effects: Sequence[PathLike] = ()
+    data: Dataset | SettledData,
+    model: Model | str | None = None,
+    *,
+    refit: bool = False,
+    fixed: Mapping[str, float] | None = None,
+    free: Sequence[str] = (),
+    effects: Sequence[PathLike] = (),
 ) -> Comparison:
-    """Hold `model` (default: the null model) against `data`. Raises BadInput, SolverError."""
-    return Comparison(observations(data).compare(_library(effects), model.saved.model if model else None))
+    """Hold `model` against `data` with its values as they stand, and beside them those of a refit.
+
+    Without a model the null model is fitted. A model may be a parameter set's name. `refit` leaves the values
+    as they stand out; `fixed` are values that replace the model's and that no fit moves; `free` are fitted
+    also where the others stand. Raises BadInput, SolverError.
+    """
+    if isinstance(model, str):
+        model = read_model(model, effects=effects)
+    values = Held(refit, fixed or {}, tuple(free))
+    return Comparison(observations(data).compare(_library(effects), model.saved if model else None, values))
 
 
 def diagnose(
@@ -465,7 +501,7 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> Table:
     return table
 
 
-def _or_nan(value: float | None) -> float:
+def _or_nan(value: float | str | None) -> float:
     return np.nan if value is None else float(value)
 
 

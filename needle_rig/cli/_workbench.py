@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 
 data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
 model_option = click.option(
-    "--model", "model_path", type=click.Path(path_type=Path), help="Model file; default: the null model."
+    "--model",
+    "model_path",
+    metavar="FILE|NAME",
+    type=click.Path(path_type=Path),
+    help="Model file, or a parameter set as rig_elastic; default: the null model.",
 )
 effects_option = click.option(
     "--effects",
@@ -83,18 +87,18 @@ def _mark_read(paths: tuple[Path, ...]) -> None:
 
 
 def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:
-    """The model of a model file; None for the null model."""
+    """The model of a model file or a parameter set; None for the null model."""
     saved = read_saved(path, directories)
     return None if saved is None else saved.model
 
 
 def read_saved(path: Path | None, directories: tuple[str, ...]) -> SavedModel | None:
-    """A model file with its history; None for the null model."""
+    """A model file with its history, or a parameter set; None for the null model."""
     if path is None:
         return None
-    from needle_rig.model import load_model
+    from needle_rig.model import load_saved
 
-    return load_model(path, effects=directories)
+    return load_saved(path, effects=directories)
 
 
 def progress(results: Iterable[Any], total: int) -> Iterable[Any]:

@@ -14,9 +14,10 @@ from needle_rig.cli._workbench import (
     json_option,
     library,
     model_option,
-    read_model,
     read_observations,
+    read_saved,
 )
+from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
     from needle_rig.workbench.learning.observations import Comparison
@@ -26,33 +27,69 @@ if TYPE_CHECKING:
 @data_argument
 @model_option
 @effects_option
+@click.option("--refit", is_flag=True, help="Only with the values of a refit, none as it stands.")
+@click.option(
+    "--fixed", multiple=True, metavar="NAME=VALUE", help="This value instead of the model's; no fit moves it."
+)
+@click.option(
+    "--free", multiple=True, metavar="NAME", help="Fit this value also where the model's others stand."
+)
 @click.option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
 @click.option(
     "--png", "png_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder."
+)
+@click.option(
+    "--figure",
+    "figures",
+    multiple=True,
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Write the figure that the file is named after, as loop.svg, qq.pdf or strips.png.",
 )
 @json_option
 def command(
     data: tuple[Path, ...],
     model_path: Path | None,
     directories: tuple[str, ...],
+    refit: bool,
+    fixed: tuple[str, ...],
+    free: tuple[str, ...],
     html_path: Path | None,
     png_folder: Path | None,
+    figures: tuple[Path, ...],
     as_json: bool,
 ) -> None:
     """Drive the model with the measured base angle and show where it fails, worst first.
 
+    The model's values stand as they are; beside them, in a second column, are those of a refit, with how far
+    the two are apart. What is a trial's own, as its friction about the common one, is estimated in both.
+
     \b
     needle-rig compare data/mine
     needle-rig compare data/mine --model fitted.yaml --html report.html
+    needle-rig compare data/mine --model rig_elastic --free friction_nmm_per_100mm
+    needle-rig compare data/mine --figure loop.svg --figure pictures/qq.pdf
 
     DATA is a dataset folder or a run file, or several; or a folder of settled values as published
     (settled.yaml; reed2008 is shipped), which have no pictures. Without --model: rigid tissue with uniform
-    friction.
+    friction (the null model), whose two constants are fitted.
     """
     from needle_rig.workbench.parallel import one_thread_each
 
     one_thread_each()
-    found = read_observations(data).compare(library(directories), read_model(model_path, directories))
+    from needle_rig.workbench.learning.compare import Held
+
+    if figures:
+        from needle_rig.figures.residuals import asked, write_figure
+
+        for path in figures:
+            asked(path)
+    values = Held(refit, dict(map(_value, fixed)), free)
+    saved = read_saved(model_path, directories)
+    found = read_observations(data).compare(library(directories), saved, values)
+    for path in figures:
+        write_figure(found.traces(), path)
+        click.echo(f"wrote {path}", err=True)
     if png_folder is not None or html_path is not None:
         from needle_rig.figures.comparison import pictures, write_html
         from needle_rig.figures.page import write_pngs
@@ -68,6 +105,17 @@ def command(
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
     else:
         _show(found)
+
+
+def _value(text: str) -> tuple[str, float]:
+    """NAME=VALUE. Raises BadInput."""
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise BadInput(
+            f"--fixed {text}: give NAME=VALUE with a number, as torsional_rigidity_nmm2=62.56"
+        ) from None
 
 
 def _show(found: Comparison) -> None:

@@ -97,6 +97,8 @@ def command(
         out = rig.get("out")
         extra = learned_extra_deg(the_run(after, Path(out) if out else None, rig.get("config")))
         click.echo(f"extra turn learned from {after}: {extra:.1f}°", err=True)
+    if strategy == "planned" and rig.get("model") is not None:
+        _warn(rig["model"], rig.get("out"), rig.get("config"))
     end_as_by_ctrl_c()
     orders = _orders(target, protocol, strategy, options, extra, settle, speed)
     picture = not as_json if picture is None else picture
@@ -120,6 +122,24 @@ def command(
         if ended["result"]["status"] in ("aborted", "fault"):
             break
     return code
+
+
+def _warn(model: str, out: str | None, config: str | None) -> None:
+    """Say so before the needle is turned with a model that the last run contradicts."""
+    from needle_rig.cli._runs import runs_directory
+    from needle_rig.recording.watch_summary import WATCH_FOLDER
+
+    directory = runs_directory(Path(out) if out else None, Path(config) if config else None)
+    if not (directory / WATCH_FOLDER).is_dir():
+        return
+    from needle_rig.model import load_saved
+    from needle_rig.workbench.learning.last_run import contradiction
+
+    said = contradiction(directory, load_saved(model))
+    if said:
+        click.echo(
+            f"warning: {said}; find out which is true: needle-rig compare last --model {model}", err=True
+        )
 
 
 def _orders(

@@ -117,9 +117,9 @@ def _build(
     needle = trust = None
     if model is not None:
         from needle_rig.control.strategy import Trust
-        from needle_rig.model import load_model
+        from needle_rig.model import load_saved
 
-        saved = load_model(model)
+        saved = load_saved(model)
         needle, trust = saved.model, Trust(saved.uncertainties, saved.error_over_floor)
     runs = out or Path(rig.recording.directory)
     return build_daemon(

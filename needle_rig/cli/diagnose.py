@@ -59,6 +59,8 @@ def command(
 ) -> None:
     """Say which effect is missing from the model: its size, its rivals, and what the data cannot tell.
 
+    Of a --model it says first whether its values hold as they stand, then whether its structure does.
+
     \b
     needle-rig diagnose data/mine --out diagnosis.yaml
     needle-rig diagnose data/mine --model fitted.yaml --effects my_effects --json
@@ -91,12 +93,23 @@ def command(
         say("keeping the fits")
         save_diagnosis(out, keep(found, observed, saved))
         click.echo(f"wrote {out}", err=True)
+    from needle_rig.workbench.learning.compare import compared, values_document
+    from needle_rig.workbench.selection.diagnose import Diagnosis
+
+    document = found.as_json()
+    if saved is not None and isinstance(found, Diagnosis):
+        held = compared(found.baseline, saved)
+        document["model_values"] = values_document(held, structure_holds=found.verdict == "none")
     if as_json:
-        click.echo(json.dumps(found.as_json(), ensure_ascii=False))
+        click.echo(json.dumps(document, ensure_ascii=False))
         return
-    _show(found)
+    values = document.get("model_values")
+    _show(found, [] if values is None else values["sentences"])
     started = () if model_path is None else ("--model", str(model_path))
     folders = [word for folder in directories for word in ("--effects", folder)]
+    if found.verdict == "none" and values is not None and values["contradict"]:
+        words = ["needle-rig", "identify", *(str(path) for path in data), *started, *folders]
+        click.echo(f"take the values of these data over: {shlex.join([*words, '--out', 'MODEL.yaml'])}")
     if found.verdict == "effect":
         click.echo(_next_step(found, data, started, folders, out))
     elif found.verdict == "unknown" and isinstance(observed, Traces):
@@ -119,7 +132,7 @@ def _next_step(
     return f"adopt it: {shlex.join(again)}, then {shlex.join(adopt)}"
 
 
-def _show(found: Answer) -> None:
+def _show(found: Answer, values: Sequence[str]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -128,8 +141,15 @@ def _show(found: Answer) -> None:
 
     # names and notes come from files: brackets in them are no markup
     console = Console(highlight=False, soft_wrap=False, markup=False)
-    against = f" against the model {found.model}: {found.sentence()}"
-    console.print(Text.assemble((found.dataset, "bold"), against))
+    against = f" against the model {found.model}: "
+    if values:
+        first, *others = values
+        console.print(Text.assemble((found.dataset, "bold"), against + first))
+        for sentence in others:
+            console.print(f"  {sentence}")
+        console.print(Text.assemble(("structure", "bold"), f": {found.sentence()}"))
+    else:
+        console.print(Text.assemble((found.dataset, "bold"), against + found.sentence()))
     console.print(found.errors_sentence())
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("effect", "held out", "removed"):

@@ -1,4 +1,4 @@
-"""Pictures of a comparison: traces with their noise band, the map of what is left, pulls; one HTML file."""
+"""Pictures of a comparison: traces with their noise band, the map of residuals, pulls; one HTML file."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
-from needle_rig.workbench.learning.compare import TraceComparison, motion_words, scale_of
+from needle_rig.numerics import Array
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.learning.compare import TraceComparison
+from needle_rig.workbench.learning.places import NOISE_LIMIT, motion_words, scale_of
 
 SHOWN_TRIALS = 4
+MAP_SIGMAS = (0.5, 100.0)
+"""Ends of the map's colour scale, the same for all data, so that maps can be laid side by side."""
 SHOWN_SAMPLES = 2000
 """Samples of a trace that are drawn, at most twice as many: more than a picture has dots across."""
 
 
 def traces(found: TraceComparison) -> Figure:
-    """Measured and modelled traces of one trial of each command (at most four), with the ±2σ noise band."""
-    problem, fit = found.baseline.problem, found.baseline.current
-    shown = [group[0] for group in problem.groups][:SHOWN_TRIALS]
+    """Measured and modelled traces with the ±2σ noise band, the worst trial first, few of all."""
+    problem, shown = found.baseline.problem, worst_trials(found)
     names = ("torque", *found.baseline.dataset.sensor_names)
-    width, height = 4.0 * len(shown), 1.7 * len(names) + 0.6
+    width, height = 4.0 * len(shown), 1.7 * len(names) + 1.0
     figure = Figure(figsize=(width, height))
     axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
     # margins in inches: a layout engine would draw everything once more to find them
@@ -29,15 +34,15 @@ def traces(found: TraceComparison) -> Figure:
         left=0.9 / width,
         right=1 - 0.1 / width,
         bottom=0.5 / height,
-        top=1 - 0.3 / height,
+        top=1 - 0.65 / height,
         wspace=0.2,
         hspace=0.12,
     )
     for column, t in enumerate(shown):
         given = found.baseline.dataset.trials[t]
         binned = problem.trials[t]
-        reading = problem.model(fit.parameters, fit.vector, t).predict(binned.trial)
-        model = np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
+        model = modelled(problem, found.shown.fit, t)
+        again = None if found.held is None else modelled(problem, found.refit.fit, t)
         data = np.vstack([given.torque_nm[None, :], given.hall_rad.T])
         thin = max(1, given.trial.time_s.size // SHOWN_SAMPLES)
         for c, name in enumerate(names):
@@ -52,7 +57,22 @@ def traces(found: TraceComparison) -> Figure:
                 color="0.5",
                 label="measured",
             )
-            axis.plot(binned.trial.time_s, factor * model[c], color="tab:red", lw=1.0, label="model")
+            axis.plot(
+                binned.trial.time_s,
+                factor * model[c],
+                color="tab:red",
+                lw=1.0,
+                label="model" if again is None else "model as it stands",
+            )
+            if again is not None:
+                axis.plot(
+                    binned.trial.time_s,
+                    factor * again[c],
+                    color="tab:blue",
+                    lw=0.8,
+                    ls="--",
+                    label="refitted",
+                )
             axis.fill_between(
                 binned.trial.time_s,
                 factor * model[c] - 2 * noise,
@@ -69,25 +89,47 @@ def traces(found: TraceComparison) -> Figure:
                     color="0.8",
                     lw=0.6,
                     zorder=0,
+                    label="base",
                 )
             if column == 0:
                 axis.set_ylabel(f"{name} / {unit}")
             if c == 0:
-                axis.set_title(_title(given.command), fontsize=9)
+                error = found.shown.trial_errors[t]
+                title = f"{Path(given.file).name}, {_title(given.command)}\n{error:.3g} × the noise"
+                axis.set_title(title, fontsize=8)
         axes[-1, column].set_xlabel("time / s")
-    axes[0, 0].legend(fontsize=7, loc="upper right")
+    axes[min(1, len(names) - 1), 0].legend(fontsize=7, loc="upper right")
+    name, count, of = found.baseline.dataset.name, len(shown), len(problem.trials)
+    hidden = f"; {of - count} left out" if of > count else ""
+    figure.suptitle(f"{name}: {count} of {of} trials, those of the worst places first{hidden}", fontsize=9)
     figure.align_ylabels(axes[:, 0])
     return figure
 
 
+def worst_trials(found: TraceComparison) -> list[int]:
+    """Places of the trials that are drawn: those of the worst places, then those of the largest error."""
+    files = [binned.file for binned in found.baseline.problem.trials]
+    worst = sorted(found.shown.places, key=lambda place: -place.sigmas)
+    largest = np.argsort(-found.shown.trial_errors).tolist()
+    ordered = [*(files.index(place.trial) for place in worst), *largest]
+    return list(dict.fromkeys(ordered))[:SHOWN_TRIALS]
+
+
+def modelled(problem: Problem, fit: Fit, trial: int) -> Array:
+    """What a fit says the sensors read (C, samples) in one trial."""
+    reading = problem.model(fit.parameters, fit.vector, trial).predict(problem.trials[trial].trial)
+    return np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
+
+
 def residual_map(found: TraceComparison) -> Figure:
-    """Error in units of the noise, channel by motion and state, all directions."""
+    """Error in units of the noise, channel by motion and state, all directions; one scale for all data."""
     from matplotlib.colors import LogNorm
 
-    names = list(dict.fromkeys(p.channel for p in found.every_place))
-    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in found.every_place))
+    places = found.shown.places
+    names = list(dict.fromkeys(p.channel for p in places))
+    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in places))
     values = np.full((len(names), len(columns)), np.nan)
-    for place in found.every_place:
+    for place in places:
         values[names.index(place.channel), columns.index((place.motion, place.direction, place.state))] = (
             place.sigmas
         )
@@ -95,8 +137,9 @@ def residual_map(found: TraceComparison) -> Figure:
         figsize=(max(6.0, 0.34 * len(columns) + 2.0), 0.45 * len(names) + 2.2), layout="constrained"
     )
     axis = figure.subplots()
-    top = max(30.0, float(np.nanmax(values)))
-    image = axis.imshow(np.clip(values, 0.5, None), cmap="magma_r", norm=LogNorm(0.5, top), aspect="auto")
+    low, top = MAP_SIGMAS
+    image = axis.imshow(np.clip(values, low, top), cmap="magma_r", norm=LogNorm(low, top), aspect="auto")
+    axis.set_title(" ".join(found.headline()).split(":")[0], fontsize=9, loc="left")
     axis.set_yticks(range(len(names)), names)
     arrows = {"up": "↑", "down": "↓", "": ""}
     labels = [
@@ -107,7 +150,7 @@ def residual_map(found: TraceComparison) -> Figure:
         for i in range(len(names)):
             for j in range(len(columns)):
                 if np.isfinite(values[i, j]):
-                    dark = values[i, j] > np.sqrt(top * 0.5)
+                    dark = values[i, j] > np.sqrt(low * top)
                     axis.text(
                         j,
                         i,
@@ -117,13 +160,15 @@ def residual_map(found: TraceComparison) -> Figure:
                         fontsize=6,
                         color="w" if dark else "k",
                     )
-    figure.colorbar(image, label="error / noise")
+    bar = figure.colorbar(image, label="error / noise", extend="both")
+    bar.set_ticks([1.0, NOISE_LIMIT, 10.0, 30.0, 100.0], labels=["1", "3", "10", "30", "100"])
+    bar.ax.axhline(NOISE_LIMIT, color="tab:green", lw=2)
     return figure
 
 
 def pulls(found: TraceComparison) -> Figure:
     """Histogram of the whitened residuals beside the standard normal."""
-    values = np.concatenate(found.baseline.current.residuals)
+    values = np.concatenate(found.shown.fit.residuals)
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")
     axis = figure.subplots()
     edges = np.linspace(-6, 6, 61)
@@ -158,22 +203,17 @@ def pictures(found: TraceComparison) -> tuple[Picture, ...]:
 
 
 def write_html(found: TraceComparison, drawn: Sequence[Picture], path: Path) -> None:
-    """One self-contained file: the numbers in words and tables, and the three pictures."""
-    left_out = f"{found.held_out_error:.2f}" if np.isfinite(found.held_out_error) else "—"
-    channels = [
-        row(name, (f"{v['rmse']} {v['unit']}", f"{v['noise']} {v['unit']}", str(v["whitened"])))
-        for name, v in found.channels.items()
-    ]
-    worst = [f"{p.words} ({p.sigmas:.0f} × the noise)" for p in found.worst]
+    """One self-contained file: the numbers in words and tables, and the pictures."""
+    name, said = found.headline()
+    headings, rows = found.rows()
+    worst = [f"{p.words} ({p.sigmas:.0f} × the noise)" for p in found.shown.worst]
     write_page(
         path,
-        f"{found.baseline.dataset.name} against the model {found.baseline.problem.base.name}",
+        f"{name} against the model {found.baseline.problem.base.name}",
         (
-            paragraph(
-                f"Error on commands left out: {left_out} in units of the noise (noise alone: 1.00);"
-                f" reduced χ² {found.reduced_chi2:.2f}."
-            ),
-            table(("channel", "rmse", "noise", "in units of the noise"), channels),
+            paragraph(f"{name} {said}."),
+            table(headings, [row(first, cells) for first, *cells in rows]),
+            items("Values", found.value_sentences()),
             items("Worst places", worst or ["none above 3 × the noise"]),
             *map(shown, drawn),
             items("Notes", found.notes),

@@ -17,7 +17,7 @@ TICKS = np.array([1.0, 2.0, 5.0])
 
 
 def ladder_figure(saved: SavedModel) -> Figure:
-    """Training and held-out error over the steps, over all and for each channel, with the noise floor."""
+    """Training and held-out error over the steps, over all and for each channel, each with its own floor."""
     steps = ladder(saved)
     names = list(dict.fromkeys(n for s in steps for n in s.channels))
     columns = 3
@@ -27,11 +27,12 @@ def ladder_figure(saved: SavedModel) -> Figure:
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     place = list(range(len(steps)))
 
-    def draw(axis: Any, title: str, training: list[Any], held: list[Any], floor: list[Any]) -> None:
-        as_numbers = np.array(
-            [[float("nan") if v is None else v for v in values] for values in (training, held, floor)]
+    def draw(axis: Any, title: str, *curves: list[Any]) -> None:
+        as_numbers = np.array([[float("nan") if v is None else v for v in values] for values in curves])
+        axis.plot(
+            place, as_numbers[2], color="tab:red", lw=1, ls=":", label="floor: noise and scatter of trials"
         )
-        axis.plot(place, as_numbers[2], color="tab:green", lw=1, label="noise floor")
+        axis.plot(place, as_numbers[3], color="0.5", lw=1, ls=":", label="floor: noise")
         axis.plot(place, as_numbers[0], "o--", color="0.5", markersize=5, label="training")
         axis.plot(place, as_numbers[1], "o-", color="tab:red", markersize=4, label="commands left out")
         for x, value in zip(place, as_numbers[1], strict=True):
@@ -55,6 +56,7 @@ def ladder_figure(saved: SavedModel) -> Figure:
         [s.training for s in steps],
         [s.held_out for s in steps],
         [s.floor for s in steps],
+        [s.floor for s in steps],
     )
     grid[0].legend(fontsize=7)
     for axis, name in zip(grid[1:], names, strict=False):
@@ -65,6 +67,7 @@ def ladder_figure(saved: SavedModel) -> Figure:
             [e.training_after for e in errors],
             [e.held_out_after for e in errors],
             [e.floor for e in errors],
+            [e.training_floor for e in errors],
         )
     for axis in grid[1 + len(names) :]:
         axis.set_visible(False)

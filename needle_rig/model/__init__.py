@@ -12,6 +12,7 @@ from needle_rig.model.sets import (
     MODEL_LAYOUT,
     load_parameter_set,
     load_parameters,
+    load_saved,
     parameter_sets,
     parameters_path,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "load_model",
     "load_parameter_set",
     "load_parameters",
+    "load_saved",
     "parameter_sets",
     "parameters_path",
     "save_model",

@@ -75,13 +75,18 @@ class LayoutOfModel(Section):
 
 
 class ChannelErrors(Section):
-    """Root-mean-square error of one channel, in the unit of its name, and the floor that noise sets."""
+    """Root-mean-square error of one channel, in the unit of its name, and the floors that noise sets.
+
+    A trial that is fitted has a friction of its own; of one that is left out the scatter of friction counts.
+    """
 
     training_before: float | None = None
     training_after: float | None = None
     held_out_before: float | None = None
     held_out_after: float | None = None
+    training_floor: float | None = None
     floor: float | None = None
+    """Of `held_out`."""
 
 
 class HistoryEntry(Section):

@@ -12,7 +12,7 @@ from needle_rig.config.files import config_directories
 from needle_rig.config.places import read_yaml
 from needle_rig.errors import BadInput
 from needle_rig.model.build import built_effect, built_model, effect_directories
-from needle_rig.model.files import saved_model
+from needle_rig.model.files import SavedModel, saved_model
 from needle_rig.model.schema import MODEL_FORMAT, ParameterSet
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NMM2_PER_NM2, NeedleModel
@@ -52,6 +52,18 @@ def parameters_path(name_or_path: str | os.PathLike[str]) -> Path:
             " or name a model file (ending in .yaml)"
         )
     return sets[given]
+
+
+def load_saved(name_or_path: str | os.PathLike[str], *, effects: Iterable[str | Path] = ()) -> SavedModel:
+    """A parameter set, whose values have no uncertainty, or a model file with what it knows.
+
+    Raises BadInput with file and line.
+    """
+    path = parameters_path(name_or_path)
+    data, places = read_yaml(path)
+    if data.get("format") == MODEL_FORMAT:
+        return saved_model(data, places, effects)
+    return SavedModel(load_parameters(path, effects=effects), path.stem)
 
 
 def load_parameter_set(name_or_path: str | os.PathLike[str]) -> ParameterSet:

@@ -26,12 +26,11 @@ from needle_rig.web.worker import Voice
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.learning.adopt import adopt_diagnosis
 from needle_rig.workbench.learning.adopt import undo as take_back
-from needle_rig.workbench.learning.compare import TraceComparison
+from needle_rig.workbench.learning.compare import TraceComparison, compared, values_document
 from needle_rig.workbench.learning.diagnosis_file import keep, load_diagnosis, save_diagnosis
 from needle_rig.workbench.learning.observations import read_observations
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.parallel import workers
-from needle_rig.workbench.selection.answer import fitted_sentences
 from needle_rig.workbench.selection.diagnose import Diagnosis
 
 Document = dict[str, Any]
@@ -42,9 +41,9 @@ CANDIDATES = 8
 def compare(voice: Voice, *, data: list[str], model: str | None, effects: list[str], out: str) -> Document:
     """Where a model fails: traces with the noise band, and every place of the residual map."""
     del out
-    voice.step("fitting the model to the data")
+    voice.step("holding the model against the data, and fitting it")
     observed = read_observations(data)
-    found = observed.compare(_library(effects), _needle(model, effects))
+    found = observed.compare(_library(effects), load_model(model, effects=effects) if model else None)
     voice.step("drawing the traces")
     headings, rows = found.rows()
     document: Document = {
@@ -54,13 +53,13 @@ def compare(voice: Voice, *, data: list[str], model: str | None, effects: list[s
         "rows": rows,
         "sentences": found.sentences(),
         "places": found.places(),
+        "values": found.value_sentences(),
         "held_out_error": finite(found.held_out_error),
         "traces": None,
     }
     if isinstance(found, TraceComparison):
         document["traces"] = _traces(found)
-        document["sentences"] = [p.words for p in found.worst]
-        document["fitted"] = fitted_sentences(found.free_parameters)
+        document["sentences"] = [p.words for p in found.shown.worst]
         document["notes"] = list(found.notes)
     return document
 
@@ -73,7 +72,7 @@ def _traces(found: TraceComparison) -> Document:
     for t in traces.shown_trials(problem):
         trial = dataset.trials[t]
         drawn = traces.measured_document(dataset, trial, decimals)
-        drawn["model"] = traces.model_document(problem, found.baseline.current, t, trial, decimals)
+        drawn["model"] = traces.model_document(problem, found.shown.fit, t, trial, decimals)
         trials.append(drawn)
     return {"channels": told, "trials": trials, "of": len(dataset.trials)}
 
@@ -104,6 +103,9 @@ def diagnose(
         "candidates": {},
     }
     if isinstance(found, Diagnosis):
+        if saved is not None:
+            held = compared(found.baseline, saved)
+            document["model_values"] = values_document(held, structure_holds=found.verdict == "none")
         voice.step("drawing what each candidate foretells")
         document["candidates"] = _candidates(found)
     return document
@@ -241,7 +243,3 @@ KINDS: Mapping[str, Callable[..., Document]] = {
 
 def _library(effects: list[str]) -> Mapping[str, type[Effect]]:
     return find_effects(effect_directories(tuple(effects)))
-
-
-def _needle(model: str | None, effects: list[str]) -> Any:
-    return load_model(model, effects=effects).model if model else None

@@ -221,6 +221,7 @@ function Compared() {
   return html`<section class="card wide"><h2>2 · Where it fails</h2>
       <p><strong>${found.name}</strong> ${found.sentence}</p>
       <${ResidualMap} found=${found} />
+      ${found.traces && found.values.length ? html`<ul aria-label="Values">${found.values.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
       ${found.traces && found.sentences.length ? html`<details><summary>The worst places in words</summary><ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
       ${found.traces ? null : html`<ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>`}
       ${found.notes?.length ? html`<details><summary>${found.notes.length} notes on the data</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
@@ -301,6 +302,7 @@ function Missing() {
 function Verdict({ found }) {
   const choices = found.verdict !== "effect" ? [] : found.ties.length ? [...found.effects, ...found.ties] : [""];
   return html`<p class="verdict">${found.sentence.charAt(0).toUpperCase() + words(found.sentence.slice(1))}</p>
+    ${found.model_values ? html`<p>Values: ${found.model_values.sentences[0]}</p>` : null}
     <p>${found.errors_sentence}</p>
     ${found.quick ? html`<p>One effect alone was looked for. <button disabled=${Boolean(job.value)} onClick=${() => diagnose(false)}>Look for several</button></p>` : null}
     ${found.reasons.length ? html`<ul>${found.reasons.map((/** @type {any} */ r) => html`<li>${r.sentence ?? r.text ?? words(String(r.rule ?? r.name ?? ""))}</li>`)}</ul>` : null}

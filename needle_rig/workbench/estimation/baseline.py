@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -14,17 +14,18 @@ from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
-from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.discretisation_error import (
     driven_at,
     refitted,
     with_discretisation_error,
 )
+from needle_rig.workbench.estimation.file_units import values_by_name
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import EXACT, ParameterVector, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, driven_by_samples
 from needle_rig.workbench.observations.blocks import in_blocks
@@ -46,8 +47,6 @@ REACHED = 1.5
 """χ² a value at which a converged first fit needs no second one."""
 OUTLIERS, OUTLIER_SHARE = 3, 0.0005
 """Outliers of a channel that are not worth a note: so many, or this share of its samples."""
-SMALLEST_RIGIDITY_SIGMA = 1e-4
-"""Relative prior standard deviation of a rigidity that is stated as exact."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +109,14 @@ def fit_baseline(
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
     beginning: Callable[[FirstFit], None] | None = None,
+    fixed: Collection[str] = (),
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each. `beginning` is told where the first fit begins.
+    alone, whole trials have one friction each. `beginning` is told where the first fit begins. The parameters
+    `fixed`, by name, stay as they are in the model.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -144,10 +145,12 @@ def fit_baseline(
         {**library, **effects},
         binned,
         noise,
-        max(dataset.needle.rigidity_sigma, SMALLEST_RIGIDITY_SIGMA),
+        max(dataset.needle.rigidity_sigma, EXACT),
     )
     names = tuple(effects)
     at = scaled_values_of(problem.parameters(names), current.effects)
+    values = values_by_name(problem.parameters(names), current)
+    problem = problem.fixing({name: values[name] for name in fixed})
 
     def rated(vector: ParameterVector) -> None:
         if beginning is not None:
@@ -156,7 +159,7 @@ def fit_baseline(
             with suppress(SolverError):  # the fit says so itself, if it cannot be solved there
                 beginning(FirstFit(problem, driven, problem.parameters(names), vector))
 
-    first = _first_fit(problem, names, at, current.friction_n if model else None, rated)
+    first = _first_fit(problem, names, at, current.friction_n if model or fixed else None, rated)
     notes = list(_notes(problem))
     if noise.replicates:
         noise = with_motion_scatter(
@@ -252,7 +255,7 @@ def _first_fit(
     """The current model's best fit from several levels of friction."""
     levels = tuple(problem.base.torque_scale * level for level in FRICTIONS_N)
     if friction_n is not None:
-        levels = (friction_n, *levels)
+        levels = (friction_n,) if FRICTION in problem.fixed else (friction_n, *levels)
     parameters = problem.parameters(names)
     best: Fit | None = None
     rated = []

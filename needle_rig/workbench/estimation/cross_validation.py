@@ -97,6 +97,9 @@ class _LeaveOut:
         reach = np.array([FRICTION_REACH, RIGIDITY_REACH])
         self.low = np.r_[self.at[:2] - reach, [a.bounds[0] for a in fit.parameters], -free]
         self.high = np.r_[self.at[:2] + reach, [a.bounds[1] for a in fit.parameters], free]
+        fixed = list(problem.fixed_places(fit.parameters))
+        for ends in (self.centre, self.low, self.high):
+            ends[fixed] = self.at[fixed]
 
     def every_command(self) -> CrossValidation:
         """Each command left out. Raises SolverError, BadInput."""

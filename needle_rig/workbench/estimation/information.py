@@ -13,25 +13,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from needle_rig.numerics import Array
+from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 
 SEEN = 1e-3
 """Information over that of the prior below which data say nothing of a direction: 0.05 % narrower."""
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """A normal distribution of the shared parameters: mean (p,) and covariance (p, p)."""
-
-    mean: Array
-    covariance: Array
-
-    @property
-    def deviations(self) -> Array:
-        """Standard deviations (p,)."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 @dataclass(frozen=True)

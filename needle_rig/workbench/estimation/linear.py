@@ -26,8 +26,8 @@ from scipy.linalg import null_space
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.parameters import FreeParameter, constrained_means
-from needle_rig.workbench.estimation.posterior import LEVEL
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.posterior import level
+from needle_rig.workbench.estimation.problem import EXACT, Problem
 from needle_rig.workbench.policy import POLICY
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ class LinearisedFit:
     """Places of the items whose mean is constrained, an array for each such field."""
     recorded: Places
     """The place (T,) of each trial's recorded trial: blocks of one have one random effect."""
+    fixed: tuple[int, ...] = ()
+    """Places of shared parameters that do not move."""
 
     @classmethod
     def at(
@@ -129,8 +131,11 @@ class LinearisedFit:
         widths = np.array([a.prior_sd for a in parameters])
         nuisances = np.ones(x.size - p - len(trials))
         precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, precisions, nuisances]
+        fixed = tuple(problem.fixed_places(parameters))
+        for place in fixed:
+            from_centre[place], precision[place] = 0.0, EXACT**-2
         means = tuple(2 + places for places in constrained_means(parameters))
-        return cls(trials, from_centre, precision, means, recorded)
+        return cls(trials, from_centre, precision, means, recorded, fixed)
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit) -> LinearisedFit:
@@ -198,8 +203,8 @@ class LinearisedFit:
         """Curvature (P, P) of the constraints: on means of items, and on that of the random effects."""
         curvature = np.zeros((self.precision.size, self.precision.size))
         for places in (self.random_effects, *self.constrained_means):
-            curvature[places[:, None], places] += LEVEL / places.size**2
-        curvature[np.ix_(self.random_effects, self.random_effects)] += LEVEL * self._apart
+            curvature[places[:, None], places] += level(self.fixed) / places.size**2
+        curvature[np.ix_(self.random_effects, self.random_effects)] += level(self.fixed) * self._apart
         return curvature
 
     @property
@@ -238,7 +243,9 @@ class LinearisedFit:
         shared, random_effect = (
             np.concatenate([t.columns[:, places] for t in self.trials]) for places in (slice(self.p), self.p)
         )
-        carried = np.linalg.lstsq(shared, random_effect, rcond=1e-9)[0]
+        moving = np.delete(np.arange(self.p), self.fixed)
+        carried = np.zeros(self.p)
+        carried[moving] = np.linalg.lstsq(shared[:, moving], random_effect, rcond=1e-9)[0]
         variance_of_mean = 1.0 / self.precision[self.p] / len(self.trials)
         return np.asarray(self._inverse[: self.p, : self.p] + variance_of_mean * np.outer(carried, carried))
 

@@ -80,15 +80,13 @@ def fit(
     jacobians: Sequence[Array] | None = None,
     iterations: int = 25,
     tolerance: float = OBJECTIVE_TOLERANCE,
-    held: Sequence[int] = (),
 ) -> Fit | None:
     """The nearest minimum from `start`, or None where the model cannot be solved at `start`.
 
-    `jacobians` are the derivatives there, of a fit that is gone on with. Scaled values at the places `held`
-    stay as they start.
+    `jacobians` are the derivatives there, of a fit that is gone on with. What the problem fixes stays.
     """
     parameters = problem.parameters(effects)
-    objective = Objective(problem, parameters, {k: float(start.scaled_values[k]) for k in held})
+    objective = Objective(problem, parameters)
     x = objective.packed(
         start, nuisance if nuisance is not None and nuisance.size == objective.q else np.zeros(objective.q)
     )

@@ -11,6 +11,7 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, ParameterInfo
+from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.physics.rod import Layout
 
 WIDE = 10.0
@@ -34,6 +35,11 @@ class FreeParameter:
     def name(self) -> str:
         """The parameter's name within its effect."""
         return self.field if self.item is None else f"{self.field}[{self.item}]"
+
+    @property
+    def full_name(self) -> str:
+        """The parameter's name within the model, as files have it."""
+        return f"{self.effect}.{self.name}"
 
     @cached_property
     def _scale(self) -> tuple[float, float, bool]:
@@ -119,6 +125,11 @@ def free_parameters(
             scaled = info.scaled(torque_scale)
             found += [FreeParameter(name, field, item, scaled) for item in items]
     return tuple(found)
+
+
+def shared_names(parameters: Sequence[FreeParameter]) -> tuple[str, ...]:
+    """Names of what all trials share, in the order of vectors: friction, torsional rigidity, the effects'."""
+    return FRICTION, TORSIONAL_RIGIDITY, *(p.full_name for p in parameters)
 
 
 def at_strength(parameters: Sequence[FreeParameter], strength: float, turn: float = 1.0) -> Array:

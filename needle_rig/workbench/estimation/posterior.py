@@ -7,7 +7,7 @@ are finite differences of 0.3 % of a typical size, taken at each trial's random 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -26,6 +26,9 @@ LEVEL = 1e6
 """Weight of the sum-to-zero constraints: on the random effects, whose mean is the common friction, and on
 items of an effect with a constrained mean. Without them the common value and the mean are not identifiable:
 damped steps creep, and errors of the derivatives pass for information."""
+FIXED_LEVEL = 1e10
+"""The same where the common friction is fixed: a shift of the random effects would stand for it, and the data
+know it to some 1e-4, which is a curvature of 1e8."""
 
 MOST_TRIAL_FRICTION = 1.2
 """Bound of a random effect: a friction 3.3 times the common one."""
@@ -56,10 +59,7 @@ class Objective:
     x holds friction and rigidity (logarithms), k scaled values, T random effects, q nuisances.
     """
 
-    def __init__(
-        self, problem: Problem, parameters: tuple[FreeParameter, ...], held: Mapping[int, float] | None = None
-    ) -> None:
-        """`held`: scaled values that stay, by their places."""
+    def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...]) -> None:
         self.problem, self.parameters = problem, parameters
         self.k, self.trials = len(parameters), len(problem.trials)
         self.recorded, self.blocks = problem.recorded, np.bincount(problem.recorded)
@@ -74,12 +74,12 @@ class Objective:
         reach = max(MOST_RIGIDITY, MOST_SIGMAS * problem.rigidity_prior)
         low = [a.bounds[0] for a in parameters]
         high = [a.bounds[1] for a in parameters]
-        for place, value in (held or {}).items():
-            low[place] = high[place] = value
         trial_friction, free = np.full(self.trials, MOST_TRIAL_FRICTION), np.full(self.q, MOST_NUISANCE)
         least, most = np.log(np.multiply(self.problem.base.torque_scale, FRICTION_BOUNDS_N))
         self.low = np.r_[least, self.stated - reach, low, -trial_friction, -free]
         self.high = np.r_[most, self.stated + reach, high, trial_friction, free]
+        for place, value in problem.fixed_places(parameters).items():
+            self.low[place] = self.high[place] = value
 
     def unpacked(self, x: Array) -> ParameterVector:
         """The parameter vector in x, without the nuisances."""
@@ -127,7 +127,7 @@ class Objective:
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.prior_sd) ** 2).sum()
             + (noise.scatter_dof + random_effects.size) * np.log1p((random_effects**2).sum() / room)
-            + LEVEL
+            + level(self.problem.fixed_places(self.parameters))
             * (
                 x[self.p : self.p + self.trials].mean() ** 2
                 + (apart**2).sum()
@@ -167,6 +167,11 @@ class Objective:
         if jacobian is None:
             return None
         return np.split(-jacobian, np.cumsum([r.size for r in residuals])[:-1])
+
+
+def level(fixed: Container[int]) -> float:
+    """Weight of the sum-to-zero constraints, where the shared parameters at places `fixed` do not move."""
+    return FIXED_LEVEL if 0 in fixed else LEVEL
 
 
 def excess(problem: Problem, value: float) -> float:

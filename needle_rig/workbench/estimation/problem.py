@@ -16,12 +16,19 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.workbench.estimation.parameters import FreeParameter, free_parameters, make_effects
+from needle_rig.workbench.estimation.parameters import (
+    FreeParameter,
+    free_parameters,
+    make_effects,
+    shared_names,
+)
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Noise, Places, Whitener, replicate_groups, whitener
 
 FRICTION_SCALE_N = 1e-3
+EXACT = 1e-4
+"""Standard deviation, of a logarithm or a scaled value, of what is fixed or stated as exact."""
 TIMINGS = 3
 """Of which the shortest counts: others hold what else the machine did."""
 
@@ -61,6 +68,8 @@ class Problem:
     nuisance: tuple[Array, ...] = ()
     """Directions (n, q) a trial, whitened, each with a coefficient of prior standard deviation 1."""
     whiteners: tuple[Whitener, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Shared parameters that no fit moves, by name: a logarithm, or a scaled value."""
     simulator: Simulator = field(default_factory=Simulator, repr=False)
 
     def __post_init__(self) -> None:
@@ -119,6 +128,14 @@ class Problem:
             effects=effects,
         )
 
+    def fixed_places(self, parameters: Sequence[FreeParameter]) -> dict[int, float]:
+        """What is fixed, by its place among the shared parameters."""
+        return {k: self.fixed[n] for k, n in enumerate(shared_names(parameters)) if n in self.fixed}
+
+    def fixing(self, values: Mapping[str, float]) -> Problem:
+        """The same with further shared parameters fixed."""
+        return dataclasses.replace(self, fixed={**self.fixed, **values})
+
     def lumps_friction(self, parameters: Sequence[FreeParameter]) -> bool:
         """Whether some friction among these effects does not grow with that of the tissue."""
         scale_n = FRICTION_SCALE_N * self.base.torque_scale
@@ -170,11 +187,13 @@ class Problem:
         return [self.whiteners[t](self.trials[t].mean - r) for r, t in zip(readings, trials, strict=True)]
 
     def raw(self, residuals: Sequence[Array]) -> list[Array]:
-        """Bin means (C, K), a trial each, that whiten to a fit's residuals (n,): data minus model at the
-        trials' random effects and at the coefficients of the nuisances; NaN where nothing was recorded."""
+        """Bin means (C, K, …), a trial each, that whiten to `residuals` (n, …); NaN where nothing was read.
+
+        Of a fit's residuals: data minus model at the trials' random effects and the nuisances' coefficients.
+        """
         found = []
         for binned, whitening, values in zip(self.trials, self.whiteners, residuals, strict=True):
-            means = np.full(binned.mean.shape, np.nan)
+            means = np.full((*binned.mean.shape, *values.shape[1:]), np.nan)
             known = whitening.raw(values)
             means[:, : known.shape[1]] = known
             found.append(means)

@@ -15,6 +15,7 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
+from needle_rig.workbench.estimation.parameters import shared_names
 from needle_rig.workbench.estimation.problem import Problem
 
 FIRST_STEPS = (1e-3, 0.05)
@@ -112,12 +113,12 @@ def _held(problem: Problem, near: _Point, start: Array) -> _Point | None:
         log_rigidity=float(start[1]),
         scaled_values=start[2:],
     )
+    name = shared_names(near.fit.parameters)[near.place]
     held = fit(
-        problem,
+        problem.fixing({name: float(start[near.place])}),
         near.fit.effects,
         vector,
         nuisance=near.fit.nuisance,
-        held=(near.place - 2,),
         tolerance=TOLERANCE,
     )
     return None if held is None else _Point(near.place, held)

@@ -1,75 +1,55 @@
-"""Where a model fails on measurements: by channel, motion and direction, in degrees, N·mm and noise units."""
+"""A model held against measurements: with its values as they stand, and with those that a refit wants.
+
+Held are the values of the model that all trials share. What is a trial's own stays estimated, in both
+columns: its friction about the common one, its start, and the coefficient of the discretisation error.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from needle_rig.dataset import Dataset
+from needle_rig.errors import BadInput
+from needle_rig.model import SavedModel
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
-from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.units import deg, nmm
-from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
-from needle_rig.workbench.observations.binning import direction_of
-from needle_rig.workbench.selection.answer import fitted_sentences, left_out_error
-from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, FittedNumber, PlaceError
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, null_model
+from needle_rig.workbench.estimation.file_units import known_of, values_by_name, vector_of
+from needle_rig.workbench.estimation.gaussian import Gaussian
+from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.parameters import shared_names
+from needle_rig.workbench.learning.misfit import Misfit, finite, misfit
+from needle_rig.workbench.selection.answer import left_out_error
+from needle_rig.workbench.selection.documents import (
+    ChannelError,
+    CompareDocument,
+    FittedNumber,
+    PlaceError,
+    ValuesDocument,
+)
+from needle_rig.workbench.selection.values import ComparedValues, compared_values, with_uncertainty
 
-WORST, WORST_OF_A_CHANNEL = 8, 2
-"""Places that are told, and those of one channel."""
-NOISE_LIMIT = 3.0
-"""Error in units of the noise above which a place is told."""
-FEWEST_DEPTHS = 3
-"""Sensors from which a trend along the needle is told."""
-GROWTH = 1.3
-"""Ratio of errors at the two ends of the needle from which they differ."""
-OTHER_WAY = 0.3
-"""Share of an error below which the other direction of motion does not have it."""
+TOLD_SIGMAS = 3.0
+"""Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
+LEARNT_HERE = "the model's history names data called so: if they are these, its values were fitted to them"
+NULL = "null"
+"""Name of the model without values of its own."""
 
 
 @dataclass(frozen=True)
-class Place:
-    """One channel in one motion (moving or settled), all trials of one direction together."""
+class Held:
+    """Which values are held, and which are fitted."""
 
-    channel: str
-    motion: str
-    state: str
-    direction: str
-    model: float
-    measured: float
-    error: float
-    """Root mean square of measured minus model over the trials, in `unit`."""
-    noise: float
-    """Standard deviation of the same from noise and the scatter of the trials, in `unit`."""
-    unit: str
-    trial: str
-    """File of the trial in which it is worst."""
-    words: str = ""
-
-    @property
-    def sigmas(self) -> float:
-        """Error in units of the noise."""
-        return self.error / self.noise if self.noise > 0 else 0.0
-
-    def as_json(self) -> PlaceError:
-        """As it stands in the JSON answer."""
-        return {
-            "channel": self.channel,
-            "motion": self.motion,
-            "state": self.state,
-            "direction": self.direction,
-            "model": round(self.model, 5),
-            "measured": round(self.measured, 5),
-            "error": round(self.error, 5),
-            "noise": round(self.noise, 5),
-            "sigmas": round(self.sigmas, 2),
-            "unit": self.unit,
-            "trial": self.trial,
-            "words": self.words,
-        }
+    refit_only: bool = False
+    """Leave the column with the model's own values out."""
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Values, in the units of files, that stand in place of the model's and that no fit moves."""
+    free: Collection[str] = ()
+    """Values that are fitted in the column with the model's own values, too."""
 
 
 @dataclass(frozen=True)
@@ -77,258 +57,235 @@ class TraceComparison:
     """The answer to `needle-rig compare` on traces."""
 
     baseline: Baseline = field(repr=False)
-    every_place: tuple[Place, ...]
-    """Every channel × motion × state × direction."""
-    worst: tuple[Place, ...]
-    channels: dict[str, ChannelError]
-    free_parameters: dict[str, FittedNumber]
-    reduced_chi2: float
-    held_out_error: float
+    held: Misfit | None
+    """With the model's values as they stand; None for the null model, which has none."""
+    refit: Misfit
+    values: ComparedValues
+    free: tuple[str, ...] = ()
+    """Values that are fitted in `held`, too."""
+    learnt_here: bool = False
+    """Whether the model's history names these data: then its values were fitted to them."""
+
+    @property
+    def shown(self) -> Misfit:
+        """The column that counts: the model as it stands, where it has values."""
+        return self.held or self.refit
+
+    @property
+    def held_out_error(self) -> float:
+        """Error of the refit in cross-validation, in units of the noise; infinite with one command alone."""
+        return self.baseline.validation.error
+
+    @property
+    def channels(self) -> dict[str, ChannelError]:
+        """By channel, of the column that counts."""
+        return self.shown.channels
 
     def headline(self) -> tuple[str, str]:
         """The dataset's name, and what is said of it."""
+        model = self.baseline.problem.base.name
+        refit = (
+            f"error on commands left out {left_out_error(self.held_out_error)} × the noise,"
+            f" reduced χ² {self.refit.reduced_chi2:.2f}"
+        )
+        if self.held is None:
+            fitted = "its two constants are fitted" if model == NULL else "its values are fitted"
+            if fixed := self.baseline.problem.fixed:
+                fitted += f" but for {', '.join(fixed)}"
+            return self.baseline.dataset.name, f"against the model {model} ({fitted}): {refit}"
+        but = f" but for {', '.join(self.free)}, fitted" if self.free else ""
         return self.baseline.dataset.name, (
-            f"against the model {self.baseline.problem.base.name}: error on commands left out"
-            f" {left_out_error(self.held_out_error)} × the noise, reduced χ² {self.reduced_chi2:.2f}"
+            f"against the model {model}, its values as they stand{but}: {self.held.error:.2f} × the noise;"
+            f" refitted: {self.refit.error:.2f} ×, {refit}"
         )
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headings of the table by channel, and its rows."""
+        columns = [self.refit] if self.held is None else [self.held, self.refit]
+        named = ("rmse",) if self.held is None else ("as it stands", "refitted")
+        headings = [h for name in named for h in (name, "noise", "rmse / noise")]
         rows: list[tuple[str, ...]] = []
-        for name, of in self.channels.items():
-            whitened = "—" if of["whitened"] is None else f"{of['whitened']:.3g}"
-            rows.append((name, f"{of['rmse']} {of['unit']}", f"{of['noise']} {of['unit']}", whitened))
-        return ("channel", "rmse", "noise", "in units of the noise"), rows
+        for name in self.refit.channels:
+            told = [of.channels[name] for of in columns]
+            cells = [
+                (f"{of['rmse']} {of['unit']}", f"{of['noise']} {of['unit']}", ratio(of["in_noise_units"]))
+                for of in told
+            ]
+            rows.append((name, *(cell for each in cells for cell in each)))
+        return ("channel", *headings), rows
 
     def sentences(self) -> list[str]:
-        """The worst places, fitted parameters and notes."""
-        worst = ["Worst places:"] if self.worst else ["No place is above 3 × its noise."]
-        worst += [f"  {place.sigmas:6.0f}σ  {place.words}" for place in self.worst]
-        return [*worst, *fitted_sentences(self.free_parameters), *(f"note: {n}" for n in self.notes)]
+        """The worst places, the values, the trials' own friction, and notes."""
+        worst = ["Worst places:"] if self.shown.worst else ["No place is above 3 × its noise."]
+        worst += [f"  {place.sigmas:6.0f}σ  {place.words}" for place in self.shown.worst]
+        return [*worst, *self.value_sentences(), *(f"note: {n}" for n in self.notes)]
+
+    def value_sentences(self) -> list[str]:
+        """Whether the model's values hold, each beside that of the refit, and the trials' own friction."""
+        found = self.baseline.current
+        percent = with_uncertainty(100 * found.scatter, 100 * self._scatter_uncertainty)
+        own = f"each trial's own: its friction about the common one, scatter {percent} %"
+        return [*self.values.sentences(), own]
+
+    def verdict_on_values(self, *, structure_holds: bool) -> list[str]:
+        """What a diagnosis says of the values before it speaks of the structure; nothing without values."""
+        if self.held is None:
+            return []
+        said = (
+            f"its values as they stand leave {self.held.error:.2f} × the noise, a refit of the same structure"
+            f" {self.refit.error:.2f} ×: {self.values.sentence()}"
+        )
+        moved = [value.sentence() for value in self.values.each if abs(value.sigmas or 0.0) > TOLD_SIGMAS]
+        if self.values.contradict and not structure_holds:
+            moved.append("what the structure lacks may be what moves these values: see to that first")
+        if self.learnt_here:
+            moved.append(LEARNT_HERE)
+        return [said, *moved]
+
+    @property
+    def _scatter_uncertainty(self) -> float:
+        """Of the relative scatter: its posterior is a scaled inverse χ²."""
+        return self.baseline.current.scatter / float(np.sqrt(2.0 * self.baseline.current.scatter_dof))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes of the dataset and of the baseline fit."""
-        return *self.baseline.dataset.notes, *self.baseline.notes
+        learnt = (LEARNT_HERE,) if self.learnt_here else ()
+        return *learnt, *self.baseline.dataset.notes, *self.baseline.notes
 
     def places(self) -> list[PlaceError]:
         """Every channel × motion × state × direction."""
-        return [p.as_json() for p in self.every_place]
+        return [p.as_json() for p in self.shown.places]
 
     def traces(self) -> TraceComparison:
         """What can be drawn: all of it."""
         return self
 
+    @property
+    def free_parameters(self) -> dict[str, FittedNumber]:
+        """What the refit found, by name."""
+        free = self.values.fitted()
+        free["friction_scatter"] = {
+            "value": float(f"{self.baseline.current.scatter:.3g}"),
+            "unit": "1",
+            "uncertainty": float(f"{self._scatter_uncertainty:.3g}"),
+        }
+        return free
+
     def as_json(self) -> CompareDocument:
         """The stated form of the answer."""
+        shown = self.shown.as_json()
         return {
             "dataset": self.baseline.dataset.name,
             "model": self.baseline.problem.base.name,
+            "held": None if self.held is None else self.held.as_json(),
+            "refit": self.refit.as_json(),
+            "parameters": [value.as_json() for value in self.values.each],
+            "contradiction_p": self.values.p,
             "free_parameters": self.free_parameters,
-            "held_out_error": _finite(self.held_out_error),
+            "held_out_error": finite(self.held_out_error),
             "noise_floor": 1.0,
-            "reduced_chi2": _finite(self.reduced_chi2),
-            "channels": self.channels,
-            "worst": [p.as_json() for p in self.worst],
+            "reduced_chi2": shown["reduced_chi2"],
+            "channels": shown["channels"],
+            "worst": shown["worst"],
             "notes": list(self.notes),
         }
 
 
-def _finite(value: float) -> float | None:
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+def ratio(value: float | None) -> str:
+    """Error over noise for a table."""
+    return "—" if value is None else f"{value:.3g}"
 
 
 def compare(
-    dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    saved: SavedModel | None = None,
+    held: Held | None = None,
 ) -> TraceComparison:
-    """Fit the model to the dataset and look where it still fails. Raises BadInput, SolverError."""
-    return compared(fit_baseline(dataset, model, library))
+    """Hold a model against the dataset, and fit it; the null model is fitted alone.
+
+    Raises BadInput, SolverError.
+    """
+    held = held or Held()
+    model = None if saved is None else saved.model
+    if held.fixed or held.free:
+        model = model or null_model(dataset)
+        names = tuple(model.values())
+        for name in (*held.fixed, *held.free):
+            if name not in names:
+                raise BadInput(f"{name}: no value of the model {model.name}; it has {', '.join(names)}")
+        if both := set(held.fixed) & set(held.free):
+            raise BadInput(f"{min(both)} is both fixed and free; name it once")
+        if held.free and (saved is None or held.refit_only):
+            raise BadInput(f"free {min(held.free)}: it is fitted already; leave it out")
+        model = model.replaced(held.fixed)
+    baseline = fit_baseline(dataset, model, library, fixed=tuple(held.fixed))
+    if saved is not None and model is not None:
+        known = {name: size for name, size in saved.uncertainties.items() if name not in held.fixed}
+        saved = dataclasses.replace(saved, model=model, uncertainties=known)
+    return compared(baseline, None if held.refit_only else saved, tuple(held.free))
 
 
-def compared(baseline: Baseline) -> TraceComparison:
-    """The comparison of a model that is fitted already."""
+def compared(
+    baseline: Baseline, saved: SavedModel | None = None, free: tuple[str, ...] = ()
+) -> TraceComparison:
+    """The comparison of a model that is fitted already, held at the values of `saved` but for those `free`.
+
+    Raises BadInput where it cannot be solved at these.
+    """
     problem, found = baseline.problem, baseline.current
-    readings = problem.predict(found.parameters, found.vector)
     names = ("torque", *baseline.dataset.sensor_names)
-    places = _places(baseline, readings, names)
-    worst = sorted((p for p in places if p.sigmas > NOISE_LIMIT), key=lambda p: -p.sigmas)
-    shown: list[Place] = []
-    for place in worst:
-        if sum(p.channel == place.channel for p in shown) < WORST_OF_A_CHANNEL:
-            shown.append(_in_words(place, places, names))
-        if len(shown) == WORST:
-            break
-    vector = found.vector
-    free: dict[str, FittedNumber] = {
-        "friction_nmm_per_100mm": {"value": float(f"{np.exp(vector.log_friction) * 100:.6g}")},
-        "torsional_rigidity_nmm2": {
-            "value": float(f"{np.exp(vector.log_rigidity) * 1e6:.6g}"),
-            "pull_sigma": round(found.pull_rigidity, 2),
-        },
-        "friction_scatter": {"value": float(f"{found.scatter:.3g}")},
+    refit = Gaussian(found.vector.shared, found.covariance)
+    known, column = None, None
+    if saved is not None:
+        at = vector_of(found.parameters, saved.model)
+        known = known_of(found.parameters, saved, Gaussian(at, np.zeros((at.size, at.size))))
+        column = _held(baseline, saved, free, known, names)
+    values = compared_values(found.parameters, refit, known, problem.fixed, found.pull_rigidity)
+    learnt = saved is not None and problem.name in {entry.dataset for entry in saved.history}
+    return TraceComparison(baseline, column, misfit(problem, found, names), values, free, learnt)
+
+
+def values_document(found: TraceComparison, *, structure_holds: bool) -> ValuesDocument:
+    """Whether the model's values hold, as it stands in the JSON of a diagnosis."""
+    return {
+        "held_error": None if found.held is None else finite(found.held.error),
+        "refit_error": finite(found.refit.error),
+        "contradiction_p": found.values.p,
+        "contradict": found.values.contradict,
+        "parameters": [value.as_json() for value in found.values.each],
+        "sentences": found.verdict_on_values(structure_holds=structure_holds),
     }
-    for parameter, at in zip(found.parameters, vector.scaled_values, strict=True):
-        free[f"{parameter.effect}.{parameter.name}"] = {
-            "value": float(f"{parameter.value(float(at)):.6g}"),
-            "unit": parameter.info.unit,
-        }
-    return TraceComparison(
-        baseline=baseline,
-        every_place=tuple(places),
-        worst=tuple(shown),
-        channels=_channels(baseline, readings, names, places),
-        free_parameters=free,
-        reduced_chi2=found.chi2 / max(1, problem.size - 2 - len(found.parameters)),
-        held_out_error=baseline.validation.error,
-    )
 
 
-def scale_of(channel: int) -> tuple[float, str]:
-    """Factor from SI to what people read, and its unit."""
-    return (nmm(1.0), "N·mm") if channel == 0 else (deg(1.0), "°")
-
-
-def motion_words(name: str) -> str:
-    """A motion's name as people read it."""
-    return name.replace("_", " ")
-
-
-def _places(baseline: Baseline, readings: list[Array], names: tuple[str, ...]) -> list[Place]:
-    problem = baseline.problem
-    noise = problem.noise
-    groups: dict[tuple[int, str, str, str], list[tuple[float, float, float, float, str]]] = {}
-    for binned, reading in zip(problem.trials, readings, strict=True):
-        for m, motion in enumerate(binned.motions):
-            move = binned.last_move_rad[binned.motion == m]
-            way = {0.0: "", 1.0: "up", -1.0: "down"}[float(direction_of(move[:1]).sum())]
-            for state in ("moving", "settled"):
-                inside = (binned.motion == m) & (binned.moving == (state == "moving"))
-                if not inside.any():
-                    continue
-                for c in range(len(names)):
-                    use = inside & np.isfinite(binned.mean[c])
-                    if not use.any():
-                        continue
-                    weight = binned.count[c][use]
-                    measured = float(np.average(binned.mean[c][use], weights=weight))
-                    modelled = float(np.average(reading[c][use], weights=weight))
-                    left = binned.mean[c][use] - reading[c][use]
-                    rms = float(np.sqrt(np.average(left**2, weights=weight)))
-                    if state == "settled":
-                        rms = abs(measured - modelled)
-                    variance = (
-                        noise.white[c] ** 2 / (weight.sum() if state == "settled" else weight.mean())
-                        + noise.correlated[c] ** 2
-                        / max(1.0, binned.duration_s[use].sum() / (2 * noise.correlation_s[c]))
-                        + noise.offset[c] ** 2
-                        + noise.motion[c] ** 2
-                        + (noise.jitter_s * np.abs(binned.base_rate_rad_s[use]).max()) ** 2 * (c > 0)
-                    )
-                    groups.setdefault((c, motion, state, way), []).append(
-                        (measured, modelled, rms, float(np.sqrt(variance)), binned.file)
-                    )
-    places = []
-    for (c, motion, state, way), seen in groups.items():
-        factor, unit = scale_of(c)
-        worst = max(seen, key=lambda s: s[2])
-        rms = float(np.sqrt(np.mean([s[2] ** 2 for s in seen])))
-        expected = float(np.sqrt(np.mean([s[3] ** 2 for s in seen])))
-        places.append(
-            Place(
-                names[c],
-                motion,
-                state,
-                way,
-                factor * worst[1],
-                factor * worst[0],
-                factor * rms,
-                factor * expected,
-                unit,
-                worst[4],
-            )
+def _held(
+    baseline: Baseline, saved: SavedModel, free: Collection[str], known: Gaussian, names: tuple[str, ...]
+) -> Misfit:
+    """What the model leaves with its own values, each trial's own friction fitted about the common one."""
+    problem, found = baseline.problem, baseline.current
+    values = values_by_name(found.parameters, saved.model)
+    holding = problem.fixing({name: value for name, value in values.items() if name not in free})
+    vector = dataclasses.replace(found.vector, trial_friction=np.zeros(len(problem.trials)))
+    held = fit(holding, found.effects, vector)
+    if held is None:
+        raise BadInput(
+            f"{saved.model.name} cannot be solved on {problem.name} with its values as they stand; look at"
+            " them, or fit them: --refit"
         )
-    return places
+    fixed = [n in holding.fixed for n in shared_names(found.parameters)]
+    scatter = found.scatter / np.sqrt(len(np.unique(problem.recorded)))
+    return misfit(holding, held, names, _not_fitted(known, np.array(fixed), float(scatter)))
 
 
-def _in_words(place: Place, places: list[Place], names: tuple[str, ...]) -> Place:
-    digits = 3 if place.unit == "N·mm" else 1
-    when = (
-        f"settled after {motion_words(place.motion)}"
-        if place.state == "settled"
-        else f"during {motion_words(place.motion)}"
-    )
-    way = {"up": " (base turned up)", "down": " (base turned down)"}.get(place.direction, "")
-    text = (
-        f"{place.channel} {when}{way}: model {place.model:.{digits}f} {place.unit},"
-        f" measured {place.measured:.{digits}f} {place.unit}"
-    )
-    more = []
-    if place.channel != "torque":
-        same = [
-            p.error
-            for n in names[1:]
-            for p in places
-            if (p.channel, p.motion, p.state, p.direction) == (n, place.motion, place.state, place.direction)
-        ]
-        if len(same) >= FEWEST_DEPTHS:
-            first, last = same[0], same[-1]
-            if last > GROWTH * first:
-                more.append("grows with depth")
-            elif first > GROWTH * last:
-                more.append("falls with depth")
-            else:
-                more.append("alike at every depth")
-    twin = [
-        p
-        for p in places
-        if (p.channel, p.motion, p.direction) == (place.channel, place.motion, place.direction)
-        and p.state != place.state
-    ]
-    if twin and place.state == "settled":
-        more.append("there while moving too" if twin[0].sigmas > NOISE_LIMIT else "only once settled")
-    elif twin:
-        more.append("stays when settled" if twin[0].sigmas > NOISE_LIMIT else "gone once settled")
-    other = [
-        p
-        for p in places
-        if (p.channel, p.state) == (place.channel, place.state) and p.direction not in ("", place.direction)
-    ]
-    if other and place.direction and max(p.error for p in other) < OTHER_WAY * place.error:
-        more.append("in this direction alone")
-    words = text + ("; " + "; ".join(more) if more else "")
-    return dataclasses.replace(place, words=words)
+def _not_fitted(known: Gaussian, fixed: Array, scatter: float) -> Array:
+    """Deviations (p + 1, m) of what is held: the model's uncertainty, and that of the trials' mean friction.
 
-
-def _channels(
-    baseline: Baseline, readings: list[Array], names: tuple[str, ...], places: list[Place]
-) -> dict[str, ChannelError]:
-    problem = baseline.problem
-    found: dict[str, ChannelError] = {}
-    for c, name in enumerate(names):
-        factor, unit = scale_of(c)
-        squares, count, noise = 0.0, 0.0, problem.noise
-        for binned, reading in zip(problem.trials, readings, strict=True):
-            use = np.isfinite(binned.mean[c])
-            squares += float(((binned.mean[c][use] - reading[c][use]) ** 2 * binned.count[c][use]).sum())
-            count += float(binned.count[c][use].sum())
-        white = np.hypot(noise.white[c], noise.correlated[c])
-        phases: dict[str, dict[str, dict[str, float]]] = {}
-        for p in places:
-            if p.channel == name:
-                key = p.motion if not p.direction else f"{p.motion} {p.direction}"
-                phases.setdefault(key, {})[p.state] = {
-                    "error": round(p.error, 5),
-                    "noise": round(p.noise, 5),
-                    "sigmas": round(p.sigmas, 2),
-                }
-        whitened = np.concatenate(
-            [r[w.channel == c] for r, w in zip(baseline.current.residuals, problem.whiteners, strict=True)]
-        )
-        found[name] = {
-            "rmse": float(f"{factor * np.sqrt(squares / max(count, 1.0)):.4g}"),
-            "noise": float(f"{factor * white:.4g}"),
-            "unit": unit,
-            "whitened": _finite(float(np.sqrt(np.mean(whitened**2)))) if whitened.size else None,
-            "by_phase": phases,
-        }
-    return found
+    That mean is a draw about the common one.
+    """
+    covariance = known.covariance * np.outer(fixed, fixed)
+    variances, directions = np.linalg.eigh(covariance)
+    own = directions * np.sqrt(np.maximum(variances, 0.0))
+    mean = np.zeros((fixed.size + 1, 1))
+    mean[-1] = scatter * fixed[0]
+    return np.hstack([np.vstack([own, np.zeros((1, fixed.size))]), mean])

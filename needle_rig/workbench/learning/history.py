@@ -55,7 +55,10 @@ def ladder(saved: SavedModel) -> list[Step]:
                     over_all.floor,
                     {
                         n: ChannelErrors(
-                            training_after=e.training_before, held_out_after=e.held_out_before, floor=e.floor
+                            training_after=e.training_before,
+                            held_out_after=e.held_out_before,
+                            training_floor=e.training_floor,
+                            floor=e.floor,
                         )
                         for n, e in channels.items()
                     },

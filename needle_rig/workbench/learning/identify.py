@@ -23,14 +23,11 @@ from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import (
-    BASE_PARAMETERS,
     FRICTION,
-    NMM2_PER_NM2,
     TORSIONAL_RIGIDITY,
     NeedleModel,
 )
 from needle_rig.records import JsonObject
-from needle_rig.units import per_100mm, per_length_n
 from needle_rig.workbench.estimation.baseline import (
     FRICTIONS_N,
     Baseline,
@@ -38,10 +35,19 @@ from needle_rig.workbench.estimation.baseline import (
     in_whole_trials,
     null_model,
 )
-from needle_rig.workbench.estimation.information import Gaussian, Information
-from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.estimation.file_units import (
+    deviations_in_file_units,
+    in_file_units,
+    known_of,
+    shared_units,
+    within_bounds,
+)
+from needle_rig.workbench.estimation.gaussian import Gaussian
+from needle_rig.workbench.estimation.information import Information
+from needle_rig.workbench.estimation.parameters import FreeParameter, shared_names
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.values import CONTRADICTS
 
 SCATTER = "friction_scatter"
 DAMPING = "viscous_slip"
@@ -49,8 +55,6 @@ CONFIDENCE = 0.95
 NARROWED = 0.5
 """Standard deviation after over before a recording from which on it gives nothing: it holds less than three
 times the information that was there without it."""
-CONTRADICTS = 1e-3
-"""p value below which a recording contradicts a model file: one in a thousand that agree is refused."""
 
 
 class Contradiction(NeedleRigError):
@@ -118,7 +122,7 @@ class Identification:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters in the order of the vectors, as files call them."""
-        return FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in self.parameters)
+        return shared_names(self.parameters)
 
     def sentences(self) -> list[str]:
         """Every estimate, what the model leaves, and notes."""
@@ -144,12 +148,12 @@ class Identification:
     def saved(self, before: SavedModel | None, name: str, today: str | None = None) -> SavedModel:
         """The model file with these values. Those not identified stay as they were known before."""
         problem, fitted = self.baseline.problem, self.baseline.current
-        at = _within(self.parameters, self.posterior.mean)
+        at = within_bounds(self.parameters, self.posterior.mean)
         vector = dataclasses.replace(
             fitted.vector, log_friction=at[0], log_rigidity=at[1], scaled_values=at[2:]
         )
         model = problem.model(self.parameters, vector)
-        sizes = _in_file_units(self.parameters, at, self.posterior.deviations)
+        sizes = deviations_in_file_units(self.parameters, at, self.posterior.deviations)
         known = {n: s for n, s in zip(self.names, sizes.tolist(), strict=True) if 0.0 < s < np.inf}
         deviations = self.posterior.deviations
         of = self.posterior.covariance / np.outer(deviations, deviations)
@@ -205,7 +209,7 @@ def _identified(
     information = Information.of(baseline.problem, baseline.current)
     stated = _stated(baseline)
     alone = information.posterior(stated)
-    prior = stated if saved is None else _known(baseline, saved, stated)
+    prior = stated if saved is None else known_of(baseline.current.parameters, saved, stated)
     if saved is not None and (p := information.conflict(prior)) < CONTRADICTS:
         raise Contradiction(_contradiction(baseline, saved, prior, alone, p))
     posterior = information.posterior(prior)
@@ -229,42 +233,15 @@ def _stated(baseline: Baseline) -> Gaussian:
     return Gaussian(centre, np.diag(widths**2))
 
 
-def _known(baseline: Baseline, saved: SavedModel, stated: Gaussian) -> Gaussian:
-    """What a model file knows; a parameter without an uncertainty there is as it is stated."""
-    parameters = baseline.current.parameters
-    names = [FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in parameters)]
-    values, mean, widths = saved.model.values(), stated.mean.copy(), stated.deviations
-    for i, name in enumerate(names):
-        size = saved.uncertainties.get(name)
-        if not size or not np.isfinite(size):
-            continue
-        if name in BASE_PARAMETERS:
-            scale = per_length_n(1.0) if i == 0 else 1.0 / NMM2_PER_NM2
-            mean[i], widths[i] = np.log(values[name] * scale), size / values[name]
-        else:
-            parameter, value = parameters[i - 2], values[name]
-            ends = [
-                parameter.scaled_value(float(np.clip(v, parameter.info.lower, parameter.info.upper)))
-                for v in (value - size, value + size)
-            ]
-            reach = np.clip([value - size, value + size], parameter.info.lower, parameter.info.upper)
-            mean[i] = parameter.scaled_value(value)
-            widths[i] = abs(ends[1] - ends[0]) / float(np.ptp(reach)) * size
-    correlation = np.eye(len(names))
-    for (one, other), value in saved.correlations.items():
-        if one in names and other in names:
-            i, k = names.index(one), names.index(other)
-            correlation[i, k] = correlation[k, i] = value
-    return Gaussian(mean, correlation * np.outer(widths, widths))
-
-
 def _contradiction(baseline: Baseline, saved: SavedModel, prior: Gaussian, alone: Gaussian, p: float) -> str:
     """What differs most, as a sentence."""
     parameters = baseline.current.parameters
-    names = [FRICTION, TORSIONAL_RIGIDITY, *(f"{q.effect}.{q.name}" for q in parameters)]
+    names = shared_names(parameters)
     away = (alone.mean - prior.mean) / np.hypot(alone.deviations, prior.deviations)
     worst = int(np.argmax(np.abs(away)))
-    here, there = (_values(parameters, _within(parameters, g.mean))[worst] for g in (alone, prior))
+    here, there = (
+        in_file_units(parameters, within_bounds(parameters, g.mean))[worst] for g in (alone, prior)
+    )
     return (
         f"{baseline.problem.name}: contradicts {saved.model.name} (p = {p:.1g}, limit {CONTRADICTS:g}):"
         f" {names[worst]} is {here:.4g} here and {there:.4g} there, {abs(away[worst]):.1f} standard"
@@ -281,15 +258,14 @@ def _estimates(
     # a trial's friction differs by a scatter that is itself estimated
     reach = np.full(posterior.mean.size, float(ndtri(0.5 + CONFIDENCE / 2)))
     reach[0] = float(stdtrit(dof, 0.5 + CONFIDENCE / 2))
-    at = _within(parameters, posterior.mean)
-    values = _values(parameters, at)
-    sizes = _in_file_units(parameters, at, posterior.deviations)
+    at = within_bounds(parameters, posterior.mean)
+    values = in_file_units(parameters, at)
+    sizes = deviations_in_file_units(parameters, at, posterior.deviations)
     ends = [
-        _values(parameters, _within(parameters, _truncated(parameters, posterior, s * reach)))
+        in_file_units(parameters, within_bounds(parameters, _truncated(parameters, posterior, s * reach)))
         for s in (-1, 1)
     ]
-    names = [FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in parameters)]
-    units = ["N·mm per 100 mm", "N·mm²", *(p.info.unit for p in parameters)]
+    names, units = shared_names(parameters), shared_units(parameters)
     found = []
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
         if i == 0 and not layout.tissue_sections_m:
@@ -344,13 +320,6 @@ def _experiment(name: str, baseline: Baseline) -> str:
     return "turn to and fro with several targets, rates and dwells"
 
 
-def _within(parameters: Sequence[FreeParameter], x: Array) -> Array:
-    """x (p,) with scaled values in their bounds."""
-    inside = x.copy()
-    inside[2:] = [np.clip(v, *p.bounds) for p, v in zip(parameters, x[2:], strict=True)]
-    return inside
-
-
 def _truncated(parameters: Sequence[FreeParameter], posterior: Gaussian, reach: Array) -> Array:
     """Ends (p,) at `reach` standard deviations; with the mean beyond a bound, a quantile of what is inside.
 
@@ -365,20 +334,3 @@ def _truncated(parameters: Sequence[FreeParameter], posterior: Gaussian, reach: 
                 tail = float(ndtr(-side * bound) * ndtr(-abs(reach[i])))
                 ends[i] = posterior.mean[i] + side * posterior.deviations[i] * -float(ndtri(tail))
     return np.asarray(ends)
-
-
-def _values(parameters: Sequence[FreeParameter], x: Array) -> Array:
-    """The vector x (p,) in the units of files."""
-    effects = [p.value(float(v)) for p, v in zip(parameters, x[2:], strict=True)]
-    return np.asarray(np.r_[per_100mm(np.exp(x[0])), np.exp(x[1]) * NMM2_PER_NM2, effects])
-
-
-def _in_file_units(parameters: Sequence[FreeParameter], x: Array, deviations: Array) -> Array:
-    """Standard deviations (p,) in the units of files; of a parameter at its bound, from the side inside."""
-    steps = []
-    for parameter, at, size in zip(parameters, x[2:], deviations[2:], strict=True):
-        ends = np.clip([at - size, at + size], *parameter.bounds)
-        span = abs(parameter.value(float(ends[1])) - parameter.value(float(ends[0])))
-        steps.append(span / max(float(np.ptp(ends)), 1e-12) * size)
-    values = _values(parameters, x)
-    return np.asarray(np.r_[values[:2] * deviations[:2], steps])

@@ -15,11 +15,13 @@ import numpy.typing as npt
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
+from needle_rig.errors import BadInput
+from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
 from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
-from needle_rig.workbench.learning.compare import TraceComparison, compare
+from needle_rig.workbench.learning.compare import Held, TraceComparison, compare
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.published.compare import compare_settled
@@ -47,7 +49,7 @@ class Comparison(Protocol):
 
     @property
     def channels(self) -> dict[str, ChannelError]:
-        """By channel: rmse, noise, unit, whitened (the error in units of the noise), by_phase."""
+        """By channel: rmse, noise, in_noise_units (one over the other), unit, whitened, by_phase."""
 
     def headline(self) -> tuple[str, str]:
         """The data's name, and what is said of it."""
@@ -57,6 +59,9 @@ class Comparison(Protocol):
 
     def sentences(self) -> list[str]:
         """Sentences below the table of `rows`."""
+
+    def value_sentences(self) -> list[str]:
+        """Of these, those on the values of model and refit."""
 
     def places(self) -> list[PlaceError]:
         """All that was compared: channel, motion, state, direction, model, measured, error, noise, unit."""
@@ -78,8 +83,11 @@ class Observations(Protocol):
     def sha256(self) -> str:
         """SHA-256 of everything that was measured and commanded, without the name."""
 
-    def compare(self, library: Library, model: NeedleModel | None) -> Comparison:
-        """Fit the model (default: the null model) and look where it fails. Raises BadInput, SolverError."""
+    def compare(self, library: Library, model: SavedModel | None, values: Held | None = None) -> Comparison:
+        """Hold the model (default: the null model, fitted) and look where it fails; refit it beside that.
+
+        Raises BadInput, SolverError.
+        """
 
     def diagnose(
         self,
@@ -138,9 +146,14 @@ class Traces:
         ]
         return _sha256([stated, told, phases], read)
 
-    def compare(self, library: Library, model: NeedleModel | None) -> TraceComparison:
-        """Fit the model (default: the null model) and look where it fails. Raises BadInput, SolverError."""
-        return compare(self.data, library, model)
+    def compare(
+        self, library: Library, model: SavedModel | None, values: Held | None = None
+    ) -> TraceComparison:
+        """Hold the model (default: the null model, fitted) and look where it fails; refit it beside that.
+
+        Raises BadInput, SolverError.
+        """
+        return compare(self.data, library, model, values)
 
     def diagnose(
         self,
@@ -197,9 +210,17 @@ class SettledValues:
         sequences = [{k: v for k, v in asdict(s).items() if k != "place"} for s in data.sequences]
         return _sha256([stated, sequences, [asdict(v) for v in data.values]], [])
 
-    def compare(self, library: Library, model: NeedleModel | None) -> Comparison:
-        """Fit the model (default: the null model) and show every value beside it. Raises BadInput."""
-        return compare_settled(self.data, library, model)
+    def compare(self, library: Library, model: SavedModel | None, values: Held | None = None) -> Comparison:
+        """Hold the model (default: the null model, fitted), show every value beside it, and refit it.
+
+        Raises BadInput, also for values to be fixed or freed one by one.
+        """
+        if values is not None and (values.fixed or values.free):
+            raise BadInput(
+                f"{self.data.name} has settled values only, too few to fix or free values of the model one by"
+                " one; leave --fixed and --free out"
+            )
+        return compare_settled(self.data, library, model, refit_only=bool(values and values.refit_only))
 
     def diagnose(
         self,

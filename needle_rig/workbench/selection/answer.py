@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from needle_rig.records import JsonObject
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.documents import DiagnoseDocument, FittedNumber, NextExperiment
+from needle_rig.workbench.selection.documents import DiagnoseDocument, NextExperiment
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
@@ -200,15 +200,6 @@ class Answer:
 def left_out_error(error: float | None) -> str:
     """An error of cross-validation, or a dash where there was only one command."""
     return "—" if error is None or not math.isfinite(error) else f"{error:.2f}"
-
-
-def fitted_sentences(free_parameters: Mapping[str, FittedNumber]) -> list[str]:
-    """What was fitted, a sentence each."""
-    said = []
-    for name, of in free_parameters.items():
-        pull = f" ({of['pull_sigma']:+.1f}σ from what is stated)" if "pull_sigma" in of else ""
-        said.append(f"fitted: {name} = {of['value']:g} {of.get('unit', '')}{pull}")
-    return said
 
 
 def _plain(value: float | None) -> float | str | None:

@@ -9,10 +9,12 @@ from needle_rig.records import JsonObject
 
 
 class FittedNumber(TypedDict):
-    """One number of a fit, in the unit that its name ends in where it gives none."""
+    """One number of a fit."""
 
     value: float
-    unit: NotRequired[str]
+    unit: str
+    uncertainty: float | str | None
+    """One standard deviation; None for a value that was fixed, text for infinity."""
     pull_sigma: NotRequired[float]
     """Distance from what the dataset states, in its standard deviations."""
 
@@ -22,9 +24,12 @@ class ChannelError(TypedDict):
 
     rmse: float
     noise: float | None
+    """What noise alone makes of `rmse`."""
+    in_noise_units: float | None
+    """`rmse` over `noise`."""
     unit: str
     whitened: float | None
-    """The error in units of the noise."""
+    """Root mean square of the whitened residuals: 1 for noise alone."""
     by_phase: Mapping[str, object]
 
 
@@ -45,11 +50,48 @@ class PlaceError(TypedDict):
     words: str
 
 
+class MisfitDocument(TypedDict):
+    """What a model leaves, with its values as they stand or with those of a refit."""
+
+    error: float | None
+    """Over noise: root mean square over the channels."""
+    reduced_chi2: float | None
+    channels: dict[str, ChannelError]
+    worst: list[PlaceError]
+
+
+class ComparedNumber(TypedDict):
+    """One value of a model beside that of a refit, in the unit of files; infinity is written as text."""
+
+    name: str
+    unit: str
+    model: float | str | None
+    """None for the null model, which has no values of its own."""
+    model_uncertainty: float | str | None
+    """One standard deviation; None where the model states none."""
+    refit: float | str | None
+    refit_uncertainty: float | str | None
+    """One standard deviation; None for a value that was fixed."""
+    sigmas: float | str | None
+    """The refit less the model, in standard deviations of the difference."""
+    fixed: bool
+
+
 class CompareDocument(TypedDict):
-    """What `needle-rig compare` answers."""
+    """What `needle-rig compare` answers.
+
+    `channels`, `worst` and `reduced_chi2` are those of `held` where a model has values of its own, else of
+    `refit`; `held_out_error` and `free_parameters` are of the refit.
+    """
 
     dataset: str
     model: str
+    held: MisfitDocument | None
+    refit: MisfitDocument
+    parameters: list[ComparedNumber]
+    """Each value of the model beside that of the refit."""
+    contradiction_p: float | None
+    """p value of the distance between the two."""
     free_parameters: dict[str, FittedNumber]
     held_out_error: float | None
     noise_floor: float
@@ -82,8 +124,23 @@ class LeftOver(TypedDict):
     where: list[str]
 
 
+class ValuesDocument(TypedDict):
+    """Whether the values of the model that is diagnosed hold, whatever its structure lacks."""
+
+    held_error: float | None
+    refit_error: float | None
+    """Over noise: with the values as they stand, and with those of a refit."""
+    contradiction_p: float | None
+    contradict: bool
+    parameters: list[ComparedNumber]
+    sentences: list[str]
+
+
 class DiagnoseDocument(TypedDict):
     """What `needle-rig diagnose` answers."""
+
+    model_values: NotRequired[ValuesDocument]
+    """Of a model with values of its own, held against traces."""
 
     dataset: str
     model: str

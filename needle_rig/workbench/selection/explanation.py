@@ -129,7 +129,7 @@ def errors_by_channel(
         _rms(problem, baseline.validation.residuals),
         _rms(problem, validation.residuals),
     )
-    floor = _floors(problem, found)
+    training_floor, floor = _floors(problem, found, 0.0), _floors(problem, found, found.scatter)
     errors = {}
     for c, name in enumerate(channel_names(baseline.dataset)):
         factor = nmm(1.0) if c == 0 else deg(1.0)
@@ -140,6 +140,7 @@ def errors_by_channel(
             training_after=factor * after[c],
             held_out_before=_known(factor * held_before[c]),
             held_out_after=_known(factor * held_after[c]),
+            training_floor=factor * training_floor[c],
             floor=factor * floor[c],
         )
     errors[IN_NOISE_UNITS] = ChannelErrors(
@@ -147,6 +148,7 @@ def errors_by_channel(
         training_after=float(np.sqrt(found.chi2 / problem.size)),
         held_out_before=_known(baseline.validation.error),
         held_out_after=_known(validation.error),
+        training_floor=1.0,
         floor=1.0,
     )
     return errors
@@ -181,8 +183,8 @@ def _rms_of_known(values: Array) -> Array:
     return np.asarray(np.sqrt(squares.sum(axis=1) / np.where(count, count, np.nan)), dtype=np.float64)
 
 
-def _floors(problem: Problem, found: Fit) -> Array:
-    """What noise and the scatter of the trials alone leave in bin means of trials not seen, by channel."""
+def _floors(problem: Problem, found: Fit, scatter: float) -> Array:
+    """What noise and a scatter of the trials' friction alone leave in bin means, by channel."""
     count = problem.trials[0].mean.shape[0]
     total, number = np.zeros(count), np.zeros(count)
     for t, (binned, whiten) in enumerate(zip(problem.trials, problem.whiteners, strict=True)):
@@ -191,6 +193,6 @@ def _floors(problem: Problem, found: Fit) -> Array:
             if not use.size:
                 continue
             random_effect = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
-            total[c] += float(np.trace(matrix)) + found.scatter**2 * float(random_effect @ random_effect)
+            total[c] += float(np.trace(matrix)) + scatter**2 * float(random_effect @ random_effect)
             number[c] += use.size
     return np.sqrt(total / np.maximum(number, 1))

@@ -33,8 +33,8 @@ def ageing(seed: int = 1) -> tuple[Problem, Fit]:
 def gaussian(found: Fit, covariance: Array) -> Held:
     """What `fit` gives where the posterior is normal about `found`: that, or the best with the form held."""
 
-    def held(_: Problem, __: Sequence[str], start: ParameterVector, **settings: object) -> Fit:
-        if "held" not in settings:
+    def held(problem: Problem, _: Sequence[str], start: ParameterVector, **__: object) -> Fit:
+        if not problem.fixed:
             return found
         off = start.scaled_values[1] - found.vector.scaled_values[1]
         move = covariance[:, 3] / covariance[3, 3] * off
@@ -95,7 +95,9 @@ def test_an_effect_without_a_form_keeps_its_fit() -> None:
 def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
     problem, found = ageing()
     start = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values + np.array([0.0, 0.1]))
-    held = fit(problem, ["stiction_ageing"], start, held=(1,))
+    name = found.parameters[1].full_name
+    held = fit(problem.fixing({name: start.scaled_values[1]}), ["stiction_ageing"], start)
+    assert held.scaled_errors[1] < 1e-3 < 1e-2 < found.scaled_errors[1]
     assert held.vector.scaled_values[1] == start.scaled_values[1]
     assert held.vector.scaled_values[0] > found.vector.scaled_values[0] + 0.05
     assert found.objective - 1.0 < held.objective

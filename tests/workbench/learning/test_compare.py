@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from needle_rig.cli.compare import command
@@ -16,12 +17,13 @@ ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
 
 def test_the_worst_places_are_the_reversals_of_an_elastic_tissue(tmp_path: Path) -> None:
     found = compare(dataset(ELASTIC), few())
-    assert found.worst
-    assert found.worst[0].sigmas > 30
-    assert any("settled after back" in p.words and "model" in p.words for p in found.worst)
-    assert found.reduced_chi2 > 50
+    assert found.held is None
+    assert found.refit.worst[0].sigmas > 30
+    assert any("settled after back" in p.words and "model" in p.words for p in found.refit.worst)
+    assert found.refit.reduced_chi2 > 50
+    assert "(its two constants are fitted)" in found.headline()[1]
     assert found.held_out_error > 10
-    sigmas = [p.sigmas for p in found.worst]
+    sigmas = [p.sigmas for p in found.refit.worst]
     assert sigmas == sorted(sigmas, reverse=True)
     drawn = pictures(found)
     for path in write_pngs(drawn, tmp_path / "figures"):
@@ -34,11 +36,13 @@ def test_the_worst_places_are_the_reversals_of_an_elastic_tissue(tmp_path: Path)
 
 def test_a_good_model_has_no_bad_place() -> None:
     found = compare(dataset(seed=3), few())
-    assert not [p for p in found.worst if p.sigmas > 5]
-    assert 0.7 < found.reduced_chi2 < 1.2
+    assert not [p for p in found.refit.worst if p.sigmas > 5]
+    assert 0.7 < found.refit.reduced_chi2 < 1.2
     for name, values in found.channels.items():
         assert known(values["noise"]) > 0, name
         assert 0.8 < known(values["whitened"]) < 1.2
+        assert 0.7 < known(values["in_noise_units"]) < 1.2
+        assert values["rmse"] / known(values["noise"]) == pytest.approx(values["in_noise_units"], rel=2e-3)
 
 
 def test_the_command_prints_the_stated_json(tmp_path: Path) -> None:

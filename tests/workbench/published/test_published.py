@@ -220,6 +220,24 @@ def test_compare_puts_the_values_beside_the_null_model(tmp_path: Path) -> None:
     assert "no traces to draw" in str(refused.exception)
 
 
+def test_a_set_is_held_against_published_values_as_it_stands() -> None:
+    result = CliRunner().invoke(compare, ["reed2008", "--model", "rig_rigid", "--json"])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["held"]["error"] > found["refit"]["error"] > 2.0
+    assert found["channels"] == found["held"]["channels"]
+    friction, rigidity = found["parameters"]
+    assert friction["model"] == pytest.approx(load_parameters("rig_rigid").values()[friction["name"]])
+    assert friction["refit_uncertainty"] > 0.0
+    assert rigidity["model"] == pytest.approx(62.56, rel=0.01)
+    said = CliRunner().invoke(compare, ["reed2008", "--model", "rig_rigid"]).stdout
+    assert "as it stands" in said
+    assert "refitted" in said
+    refused = CliRunner().invoke(compare, ["reed2008", "--model", "rig_rigid", "--free", friction["name"]])
+    assert isinstance(refused.exception, BadInput)
+    assert "leave --fixed and --free out" in str(refused.exception)
+
+
 def test_commands_that_need_traces_say_so(tmp_path: Path) -> None:
     words = ["reed2008", "--between", "tissue_elasticity", "torque_gain", "--out", str(tmp_path / "p.yaml")]
     result = CliRunner().invoke(experiment, words)

@@ -1,0 +1,117 @@
+"""What a model's values leave on the data: by channel and place, in degrees, N·mm and noise units.
+
+Error and noise are of one kind, so that they can be divided: root mean squares over the bins, weighed by
+their samples, of data minus model and of what noise alone makes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from needle_rig.numerics import Array
+from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.learning.places import Place, all_places, scale_of, worst_places
+from needle_rig.workbench.observations.noise import covariance
+from needle_rig.workbench.selection.documents import ChannelError, MisfitDocument
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What one fit leaves, whether all of its values were fitted, some, or none."""
+
+    fit: Fit = field(repr=False)
+    places: tuple[Place, ...]
+    """Every channel × motion × state × direction."""
+    worst: tuple[Place, ...]
+    channels: dict[str, ChannelError]
+    error: float
+    """Over noise: root mean square over the channels; NaN without a reading."""
+    reduced_chi2: float
+
+    @property
+    def trial_errors(self) -> Array:
+        """Root mean square of each trial's whitened residuals (T,)."""
+        return np.array([np.sqrt(np.mean(r**2)) if r.size else 0.0 for r in self.fit.residuals])
+
+    def as_json(self) -> MisfitDocument:
+        """As it stands in the JSON answer."""
+        return {
+            "error": finite(self.error),
+            "reduced_chi2": finite(self.reduced_chi2),
+            "channels": self.channels,
+            "worst": [p.as_json() for p in self.worst],
+        }
+
+
+def misfit(problem: Problem, found: Fit, names: tuple[str, ...], known: Array | None = None) -> Misfit:
+    """What `found` leaves of the problem's data.
+
+    `known` (p, m): independent deviations of the shared parameters, of one standard deviation each, that
+    were not fitted; what they change counts as noise.
+    """
+    residuals = problem.raw(found.residuals)
+    known = np.zeros((3 + len(found.parameters), 0)) if known is None else known
+    spreads = problem.raw([j @ known for j in found.jacobians])
+    places = all_places(problem, residuals, spreads, names)
+    channels = _channels(problem, found, residuals, spreads, names, places)
+    ratios = [of["in_noise_units"] for of in channels.values() if of["in_noise_units"] is not None]
+    moved = 2 + len(found.parameters) - len(problem.fixed_places(found.parameters))
+    return Misfit(
+        found,
+        tuple(places),
+        worst_places(places, names),
+        channels,
+        float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan"),
+        found.chi2 / max(1, problem.size - moved),
+    )
+
+
+def finite(value: float) -> float | None:
+    """Six digits; None for what JSON has no number for."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+def _channels(
+    problem: Problem,
+    found: Fit,
+    residuals: Sequence[Array],
+    spreads: Sequence[Array],
+    names: tuple[str, ...],
+    places: Sequence[Place],
+) -> dict[str, ChannelError]:
+    told: dict[str, ChannelError] = {}
+    for c, name in enumerate(names):
+        factor, unit = scale_of(c)
+        squares = expected = count = 0.0
+        for binned, left, spread in zip(problem.trials, residuals, spreads, strict=True):
+            use, matrix = covariance(problem.noise, binned, c)
+            weight = binned.count[c, use]
+            squares += float((left[c, use] ** 2 * weight).sum())
+            expected += float(((np.diag(matrix) + (spread[c, use] ** 2).sum(axis=1)) * weight).sum())
+            count += float(weight.sum())
+        rmse, noise = (factor * np.sqrt(s / max(count, 1.0)) for s in (squares, expected))
+        phases: dict[str, dict[str, dict[str, float]]] = {}
+        for p in places:
+            if p.channel == name:
+                key = p.motion if not p.direction else f"{p.motion} {p.direction}"
+                phases.setdefault(key, {})[p.state] = {
+                    "error": round(p.error, 5),
+                    "noise": round(p.noise, 5),
+                    "sigmas": round(p.sigmas, 2),
+                }
+        whitened = np.concatenate(
+            [r[w.channel == c] for r, w in zip(found.residuals, problem.whiteners, strict=True)]
+        )
+        told[name] = {
+            "rmse": float(f"{rmse:.4g}"),
+            "noise": float(f"{noise:.4g}"),
+            "in_noise_units": float(f"{rmse / noise:.4g}") if noise > 0.0 else None,
+            "unit": unit,
+            "whitened": finite(float(np.sqrt(np.mean(whitened**2)))) if whitened.size else None,
+            "by_phase": phases,
+        }
+    return told
