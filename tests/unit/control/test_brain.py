@@ -326,7 +326,8 @@ def test_a_stop_or_a_fault_ends_a_clear_that_is_on_its_way(end: str) -> None:
         rig.brain.stop("a person")
     else:
         rig.having(hall_age_s=1.0)
-    rig.tick()
+        for _ in range(12):
+            rig.tick()
     rig.having(hall_age_s=0.001)
     for _ in range(20):
         rig.tick()
