@@ -97,7 +97,8 @@ class Command:
     """What the drive is told each tick. `enable` False stops.
 
     `clear` leaves SILENT, and FAULT when all of its reasons are `TEMPORARY`; with `acknowledge`, which a
-    person alone gives, also a FAULT that latches.
+    person alone gives, also a FAULT that latches, unless a cause came after what the drive said `sight_s`
+    ago.
     `reference_rad` says at which angle the base stands; the drive takes it as such unless it is running.
     `release` sends nothing at all: a drive that hears nothing falls silent, its supply opens, and a hand may
     turn it.
@@ -109,6 +110,7 @@ class Command:
     acknowledge: bool = False
     reference_rad: float | None = None
     release: bool = False
+    sight_s: float = 0.0
 
 
 STOP = Command()

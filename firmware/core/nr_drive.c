@@ -46,6 +46,7 @@ const struct nr_drive_config nr_drive_defaults = {
 };
 
 enum {
+    SIGHT_UNIT_US = 5000,
     UNITS_PER_TURN = 3600000, /* 1e-4 deg */
     MDEG_PER_TURN = 360000,
     FARTHEST_MDEG = 8000000, /* what DRIVE_STATUS can carry */
@@ -126,6 +127,7 @@ void nr_drive_receive(struct nr_drive_node *node, uint32_t now_us, uint32_t id, 
             .enable = frame.enable != 0,
             .clear = frame.clear != 0,
             .acknowledge = frame.acknowledge != 0,
+            .sight_us = (uint32_t)frame.sight * SIGHT_UNIT_US,
             .counter = frame.counter,
             .heartbeat = frame.heartbeat,
         };

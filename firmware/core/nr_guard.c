@@ -29,7 +29,7 @@ static bool in_sequence(const struct nr_guard *guard, const struct nr_command *c
 static bool same(const struct nr_command *a, const struct nr_command *b)
 {
     return a->velocity == b->velocity && a->enable == b->enable && a->clear == b->clear && a->acknowledge == b->acknowledge &&
-           a->counter == b->counter && a->heartbeat == b->heartbeat;
+           a->sight_us == b->sight_us && a->counter == b->counter && a->heartbeat == b->heartbeat;
 }
 
 static void take_sequence(struct nr_guard *guard, uint32_t now_us, const struct nr_command *command)
@@ -69,6 +69,7 @@ bool nr_guard_command(struct nr_guard *guard, uint32_t now_us, const struct nr_c
     } else if (!guard->last_clear) {
         guard->clear_asked = true;
         guard->acknowledged = command->acknowledge;
+        guard->sight_us = now_us - command->sight_us;
     }
     guard->last_clear = command->clear;
     guard->command = *command;
@@ -235,7 +236,7 @@ static void latch(struct nr_guard *guard, uint32_t now_us, uint16_t present)
     if (latching & ~(unsigned)NR_FAULT_ANGLE) {
         guard->cause_us = now_us;
     }
-    if (latched(guard) && now_us - guard->cause_us < guard->config.latch_us) {
+    if (latched(guard) && now_us - guard->cause_us < now_us - guard->sight_us + guard->config.latch_us) {
         guard->clear_asked = false;
     }
 }

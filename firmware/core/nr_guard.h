@@ -13,9 +13,10 @@
  * A clear is a valid command with clear set, enable not set and zero velocity, that follows one without clear. It stands
  * until it is granted or the bit goes, and is granted once: a stuck bit clears nothing twice. Temporary faults (command
  * age, torque age, damaged frames) go with the first clear; the others are latching: they want a clear that a person
- * acknowledged, the shaft still for `latch_us`, and no cause of one within `latch_us` before that clear. A status is heard
- * within that time, so nobody clears what he has not seen. A latching cause that comes while the node stands in FAULT is
- * added to its faults; an emergency stop leads to FAULT from every state.
+ * acknowledged, and the shaft still for `latch_us`. The clear says how long ago the person's newest status came. No cause
+ * may have come after that, nor within `latch_us` before: the time of a status and a clear on their way. So nobody clears
+ * what he has not seen, however late or often his clear comes. A latching cause that comes while the node stands in FAULT
+ * is added to its faults; an emergency stop leads to FAULT from every state.
  *
  * Commands are those of one master: counter and heartbeat go on from the newest that was accepted. Others are not obeyed
  * and counted; a byte-for-byte repeat is not counted. Once nothing was accepted for `resync_us`, what comes is taken for
@@ -55,7 +56,7 @@ struct nr_guard_config {
     uint32_t heartbeat_us;      /* commands come, their heartbeat stands still for longer: stop */
     uint32_t torque_age_us;     /* no valid torque for longer while running: stop */
     uint32_t latch_us;          /* stillness wanted before a latching fault may be cleared or a reference taken, and
-                                 * time from the newest latching cause to the clear */
+                                 * time from the newest latching cause to the sight that a clear tells */
     uint32_t window_us;         /* over which damaged frames are counted */
     uint32_t contact_us;        /* from closing the supply to the first motion */
     uint32_t resync_us;         /* no command accepted for longer: the next sets counter and heartbeat anew */
@@ -75,6 +76,7 @@ struct nr_command {
     bool enable;
     bool clear;
     bool acknowledge;           /* a person gave this clear */
+    uint32_t sight_us;          /* and acknowledges what the drive said so long ago */
     uint8_t counter;
     uint16_t heartbeat;
 };
@@ -102,6 +104,7 @@ struct nr_guard {
     bool last_clear;
     bool clear_asked;
     bool acknowledged;          /* the clear that is asked for */
+    uint32_t sight_us;          /* when it was said what is acknowledged */
     uint32_t cause_us;          /* when a latching cause was there last */
     uint32_t command_us;
     uint32_t heartbeat_us;

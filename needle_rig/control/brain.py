@@ -12,7 +12,7 @@ from needle_rig.control.clearing import ClearHandshake, awake
 from needle_rig.control.compensation import ACTIVE, Event, Sequence, Think, after, think_at_once
 from needle_rig.control.faults import REFERENCE_SETTLES, Fault, FaultName
 from needle_rig.control.in_si import limits_of, supervision_of
-from needle_rig.control.limits import drive_fault, find_faults, gate, tick_fault
+from needle_rig.control.limits import drive_faults, find_faults, gate, tick_fault
 from needle_rig.control.listening import Listening
 from needle_rig.control.manual import SEARCH_RAD_S, SETTLE_S, WINDOW_S, Turn
 from needle_rig.control.pid import PositionLoop
@@ -162,6 +162,7 @@ class Brain:
         if self._phase in ACTIVE:
             self._end("aborted", f"aborted: {reason}")
         self._phase = after(self._phase, Event.ABORT)
+        self._clearing.cancel()
         self._supervision.reference.searching = False
         self._command, self._limited = STOP, False
         return STOP
@@ -177,7 +178,9 @@ class Brain:
         self._standing.clear()
         self._released = False
         self._supervision.clear(self._measurement)
-        self._clearing.acknowledge(self._measurement.drive_faults if self._measurement else DriveFault.NONE)
+        seen = self._measurement
+        faults, age_s = (seen.drive_faults, seen.drive_age_s) if seen else (DriveFault.NONE, math.inf)
+        self._clearing.acknowledge(faults, age_s)
 
     def step(self, measurement: Measurement, dt_s: float) -> tuple[Command, Sample]:
         """One tick, `dt_s` after the last: what the drive is told, and the row for the record."""
@@ -346,24 +349,23 @@ class Brain:
             unseen_s=measurement.drive_age_s,
             in_time=measurement is seen,
         )
-        own = drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+        own = drive_faults(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
         active = self._phase in ACTIVE
-        # one that passes is no fault at rest: the next order wakes the drive
-        if own is not None and (own.latching or active) and not self._clearing.covers(measurement):
-            found.append(own)
+        if own and not self._clearing.covers(measurement):
+            # one that passes is no fault at rest: the next order wakes the drive
+            found += [fault for fault in own if fault.latching or active]
         elif active and not self._clearing.asked and not awake(measurement):
             text = "the drive fell silent by itself; check its supply"
             found.append(Fault(FaultName.DRIVE_RESTARTED, "drive", text, latching=False))
         return heard, found
 
     def _fail(self, *found: Fault) -> None:
-        """Take what was found in this tick; a fault ends what goes on, and what latches ends a clear."""
+        """Take what was found in this tick; a fault ends what goes on, a clear on its way too."""
         self._standing.take(found)
         first = self._standing.first
         if first is None or not found:
             return
-        if any(fault.latching for fault in found):
-            self._clearing.cancel()
+        self._clearing.cancel()
         self._supervision.reference.searching = False
         if self._phase in ACTIVE:
             self._end("fault", first.text, first.name.value)

@@ -22,6 +22,7 @@ class ClearHandshake:
         self._left_s = 0.0
         self._ticks = 0
         self._acknowledged: DriveFault | None = None
+        self._sight_s = 0.0
 
     @property
     def asked(self) -> bool:
@@ -34,9 +35,9 @@ class ClearHandshake:
             self._acknowledged = None
         self._left_s = CLEAR_S
 
-    def acknowledge(self, faults: DriveFault) -> None:
-        """A person has seen `faults` of the drive: clear these in the next ticks."""
-        self._acknowledged, self._left_s = faults, CLEAR_S
+    def acknowledge(self, faults: DriveFault, age_s: float) -> None:
+        """A person has seen `faults`, which the drive said `age_s` ago: clear these in the next ticks."""
+        self._acknowledged, self._sight_s, self._left_s = faults, age_s, CLEAR_S
 
     def cancel(self) -> None:
         """Something came that nobody has seen yet."""
@@ -54,6 +55,7 @@ class ClearHandshake:
     def step(self, measurement: Measurement, dt_s: float) -> None:
         """One tick: what the drive says ends the asking, or time does."""
         self._ticks += 1
+        self._sight_s += dt_s
         done = awake(measurement) and not measurement.drive_faults
         self._left_s = 0.0 if done else max(self._left_s - dt_s, 0.0)
 
@@ -67,4 +69,6 @@ class ClearHandshake:
             return None
         now = self._ticks % CLEAR_EVERY == 0
         seen = self._acknowledged is not None and measurement.drive_age_s <= COMMAND_AGE_S
-        return Command(clear=now, acknowledge=now and seen)
+        if now and seen:
+            return Command(clear=True, acknowledge=True, sight_s=self._sight_s)
+        return Command(clear=now)

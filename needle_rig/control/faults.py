@@ -8,6 +8,8 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
+from needle_rig.records import DriveFault
+
 
 class FaultName(enum.StrEnum):
     """One name a fault, as logs, the API and docs/safety.md have it."""
@@ -51,9 +53,13 @@ REFERENCE_SETTLES = frozenset(
 
 @dataclass(frozen=True)
 class Fault:
-    """Why the drive may not move; `link` is torque, hall, drive or control."""
+    """Why the drive may not move; `link` is torque, hall, drive or control.
+
+    `bit` tells the drive's own faults of one name apart, and is NONE for all others.
+    """
 
     name: FaultName
     link: str
     text: str
     latching: bool
+    bit: DriveFault = DriveFault.NONE

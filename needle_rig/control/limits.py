@@ -44,7 +44,7 @@ _NAMES = {
     DriveFault.ANGLE: FaultName.ANGLE_LIMIT,
     DriveFault.TORQUE_TRIP: FaultName.TORQUE_LIMIT,
 }
-"""What the drive node and this host both know keeps one name; for a fault of several bits the bits say it."""
+"""What the drive node and this host both know keeps one name."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def find_faults(measurement: Measurement, limits: Limits) -> tuple[frozenset[str
     """The links whose values may be used, and everything in these values that forbids motion.
 
     A dead link hides what it alone tells, and nothing that others tell. The drive's own faults are not among
-    them: see `drive_fault`.
+    them: see `drive_faults`.
     """
     found: list[Fault] = []
     no_numbers: list[Fault] = []
@@ -165,20 +165,23 @@ _NO_NUMBER = {
 }
 
 
-def drive_fault(state: DriveState, faults: DriveFault, complaint: str = "") -> Fault | None:
-    """The drive's own fault bits and what else it says as a sentence; latching unless all of them end by
-    themselves."""
+def drive_faults(state: DriveState, faults: DriveFault, complaint: str = "") -> list[Fault]:
+    """The drive's own faults, one for each bit, with what else it says; the temporary ones do not latch."""
     if not faults and state is not DriveState.FAULT:
-        return None
-    reasons = [sentence for bit, sentence in DRIVE_SENTENCES.items() if bit in faults]
-    latching = not reasons or bool(faults & ~TEMPORARY)
-    reasons += [complaint] if complaint else []
-    text = "the drive stopped by itself: " + ("; ".join(reasons) or "it gives no reason")
+        return []
+    found = [_own(bit, sentence, complaint) for bit, sentence in DRIVE_SENTENCES.items() if bit in faults]
+    return found or [_own(DriveFault.NONE, "" if complaint else "it gives no reason", complaint)]
+
+
+def _own(bit: DriveFault, sentence: str, complaint: str) -> Fault:
+    latching = bit not in TEMPORARY or not bit
+    text = "the drive stopped by itself: " + "; ".join(filter(None, (sentence, complaint)))
     return Fault(
-        _NAMES.get(faults, FaultName.DRIVE),
+        _NAMES.get(bit, FaultName.DRIVE),
         "drive",
         text + (", then: needle-rig clear" if latching else ""),
         latching,
+        DriveFault.NONE if bit in _NAMES else bit,
     )
 
 
@@ -203,8 +206,8 @@ def gate(
     acceleration limit over `dt_s`.
     """
     _, found = find_faults(measurement, limits)
-    own = drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
-    fault = next(iter(found), own)
+    found += drive_faults(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+    fault = next(iter(found), None)
     if fault is None and not math.isfinite(velocity_rad_s):
         fault = Fault(
             FaultName.CONTROL,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from needle_rig.control.faults import Fault, FaultName
+from needle_rig.records import DriveFault
 
 
 class StandingFaults:
     """Keeps every latching fault that was found, whatever else stands beside it."""
 
     def __init__(self) -> None:
-        self._latched: dict[FaultName, Fault] = {}
+        self._latched: dict[tuple[FaultName, DriveFault], Fault] = {}
         self._passing: Fault | None = None
 
     def __bool__(self) -> bool:
@@ -41,7 +42,7 @@ class StandingFaults:
         """What was found in this tick: latching faults are kept, a passing one lasts until the next tick."""
         for fault in found:
             if fault.latching:
-                self._latched.setdefault(fault.name, fault)
+                self._latched.setdefault((fault.name, fault.bit), fault)
         self._passing = next((fault for fault in found if not fault.latching), None)
 
     def only(self, names: Collection[FaultName]) -> bool:

@@ -22,7 +22,7 @@ class GuardSettings:
     torque_age_us: int = 50_000
     still_us: int = 100_000
     """Rest before a latching fault may be cleared or a reference taken, and time from its newest cause to the
-    clear."""
+    sight that a clear tells."""
     still_mdeg: int = 10
     contact_us: int = 20_000
     resync_us: int = 20_000
@@ -69,7 +69,7 @@ class DriveGuard:
         self._heartbeat_us = 0
         self._foreign_us = 0
         self._clear_asked = self._acknowledged = False
-        self._cause_us = 0
+        self._sight_us = self._cause_us = 0
         self._torque_nm = 0.0
         self._torque_us: int | None = None
         self._damaged = 0
@@ -101,6 +101,7 @@ class DriveGuard:
             self._clear_asked = False
         elif not self._command.clear:
             self._clear_asked, self._acknowledged = True, command.acknowledge
+            self._sight_us = now_us - round(command.sight_s * 1e6)
         self._command, self.command_us = command, now_us
         self._newest = (command, self._counter, self._heartbeat)
         return True
@@ -218,7 +219,7 @@ class DriveGuard:
         self.faults |= latching
         if latching & ~DriveFault.ANGLE:
             self._cause_us = now_us
-        if self._latched and now_us - self._cause_us < self._settings.still_us:
+        if self._latched and self._sight_us - self._cause_us < self._settings.still_us:
             self._clear_asked = False
 
     def _change_state(self, now_us: int, causes: DriveFault) -> None:

@@ -32,6 +32,9 @@ _NAMES = {
     DRIVE_REFERENCE_ID: "DRIVE_REFERENCE",
 }
 _LONGEST_UPTIME_S = 65535
+SIGHT_S = 0.005
+"""Step of DRIVE_COMMAND.sight, in which it is rounded up."""
+_OLDEST_SIGHT = 255
 
 # crccheck works bit by bit (7 µs a frame); a table made with it costs a tenth.
 _CRC8_TABLE = bytes(Crc8SaeJ1850(0).process([value]).value() for value in range(256))
@@ -179,12 +182,15 @@ class CanCodec:
         """The data of a DRIVE_COMMAND frame; a velocity that is not finite becomes a stop."""
         finite = math.isfinite(command.velocity_rad_s)
         limit = self._velocity_limit_deg_s
+        # an older sight cannot be told: then nothing is acknowledged
+        tellable = command.acknowledge and command.sight_s <= _OLDEST_SIGHT * SIGHT_S
         return self._seal(
             DRIVE_COMMAND_ID,
             velocity=min(max(deg(command.velocity_rad_s), -limit), limit) if finite else 0.0,
             enable=int(command.enable and finite),
             clear=int(command.clear),
-            acknowledge=int(command.acknowledge),
+            acknowledge=int(tellable),
+            sight=math.ceil(command.sight_s / SIGHT_S - 1e-9) * SIGHT_S if tellable else 0.0,
             counter=counter % COUNTER_MODULUS,
             heartbeat=heartbeat % HEARTBEAT_MODULUS,
         )
@@ -218,7 +224,7 @@ class CanCodec:
         if frame_id == DRIVE_REFERENCE_ID:
             return DriveReference(rad(values["angle"]), values["counter"], values["heartbeat"])
         flags = (bool(values[name]) for name in ("enable", "clear", "acknowledge"))
-        command = Command(rad(values["velocity"]), *flags)
+        command = Command(rad(values["velocity"]), *flags, sight_s=values["sight"])
         return DriveCommand(command, values["counter"], values["heartbeat"])
 
     def _angle_deg(self, angle_rad: float) -> float:

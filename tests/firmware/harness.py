@@ -30,6 +30,7 @@ class Guard:
     enable: bool = False
     clear: bool = False
     acknowledge: bool = True
+    sight_us: int = 0
     permitted: int = 0
 
     def __post_init__(self) -> None:
@@ -60,6 +61,7 @@ class Guard:
                 "enable": self.enable,
                 "clear": self.clear,
                 "acknowledge": self.acknowledge,
+                "sight_us": self.sight_us,
                 "counter": counter,
                 "heartbeat": self.heartbeat,
             },

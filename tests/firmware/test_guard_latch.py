@@ -149,3 +149,22 @@ def test_a_latch_is_cleared_also_when_the_counter_of_the_node_has_wrapped(nodes:
     guard.clear_now()
     guard.clear_now()
     assert guard.state is DriveState.READY
+
+
+@pytest.mark.parametrize(("seen_ms_ago", "granted"), [(195, True), (211, False)])
+def test_a_clear_that_is_repeated_clears_no_cause_that_came_after_its_sight(
+    nodes: HostNodes, seen_ms_ago: int, granted: bool
+) -> None:
+    """The emergency stop comes again, as a contact that bounces, while a clear goes out again and again."""
+    guard = in_a_temporary_fault(nodes)
+    guard.emergency_stop = True
+    guard.tick(300)
+    guard.emergency_stop = False
+    guard.tick(300)
+    for sight_ms in range(seen_ms_ago, seen_ms_ago + 1000, 20):
+        guard.sight_us = sight_ms * 1000
+        guard.clear = True
+        guard.tick(10)
+        guard.clear = False
+        guard.tick(10)
+    assert (guard.state is DriveState.READY) == granted

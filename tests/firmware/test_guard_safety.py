@@ -109,7 +109,7 @@ def test_a_frame_that_the_bus_repeats_is_nobody_else(nodes: HostNodes) -> None:
     assert guard.c.foreign_us == 0
 
 
-@pytest.mark.parametrize("change", ["velocity", "enable", "clear", "acknowledge", "heartbeat"])
+@pytest.mark.parametrize("change", ["velocity", "enable", "clear", "acknowledge", "sight_us", "heartbeat"])
 def test_a_repeat_that_says_something_else_is_counted(nodes: HostNodes, change: str) -> None:
     guard = Guard(nodes, host_thinks=False, clear=True).running()
     changed = {
@@ -117,6 +117,7 @@ def test_a_repeat_that_says_something_else_is_counted(nodes: HostNodes, change: 
         "enable": False,
         "clear": False,
         "acknowledge": False,
+        "sight_us": 5000,
         "heartbeat": guard.heartbeat + 1,
     }
     guard.clear = True

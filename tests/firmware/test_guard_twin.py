@@ -19,6 +19,7 @@ DEEDS = st.one_of(
     st.tuples(st.just("command"), COMMANDS),
     st.tuples(st.just("command"), st.just((0, False, True, False))),
     st.tuples(st.just("command"), st.just((0, False, True, True))),
+    st.tuples(st.just("sight_us"), st.sampled_from([0, 5_000, 60_000, 1_275_000])),
     st.tuples(st.just("command"), st.just((200_000, True, False, False))),
     st.tuples(st.just("host"), st.sampled_from([True, True, False])),
     st.tuples(st.just("thinks"), st.sampled_from([True, True, False])),
@@ -45,6 +46,7 @@ class Twins:
         self.now_us = 0
         self.counter = self.heartbeat = 0
         self.command = (0, False, False, False)
+        self.sight_us = 0
         self.host = self.thinks = True
         self.torque: int | None = 0
         self.angle_mdeg = self.asked = self.drift_mdeg = 0
@@ -87,11 +89,12 @@ class Twins:
                 "enable": enable,
                 "clear": clear,
                 "acknowledge": acknowledge,
+                "sight_us": self.sight_us,
                 "counter": counter % 16,
                 "heartbeat": heartbeat % 65536,
             },
         )
-        wish = Command(rad(velocity * 1e-4), enable, clear, acknowledge)
+        wish = Command(rad(velocity * 1e-4), enable, clear, acknowledge, sight_s=self.sight_us * 1e-6)
         taken = bool(self.lib.nr_guard_command(self.c, self.now_us, said))
         assert self.python.receive(self.now_us, wish, counter % 16, heartbeat % 65536) == taken
 

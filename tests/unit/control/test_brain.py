@@ -19,7 +19,7 @@ from needle_rig.control.reports import Outcome, Request
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
-from needle_rig.records import RELEASE, STOP, Command, DriveFault, DriveState, Measurement, Phase, Sample
+from needle_rig.records import RELEASE, STOP, DriveFault, DriveState, Measurement, Phase, Sample
 from needle_rig.units import rad
 
 AGE_LIMIT_S = 0.05
@@ -302,12 +302,37 @@ def test_the_drive_s_own_fault_is_cleared_by_commands_after_one_without_clear() 
     for _ in range(12):
         rig.tick()
         commands.append(rig.command)
-    assert Command(clear=True, acknowledge=True) in commands
+    given = [(tick, command) for tick, command in enumerate(commands, 1) if command.clear]
+    assert len(given) == 3
+    assert all(command.acknowledge for _, command in given)
+    sight_s = [rig.measurement.drive_age_s + tick * TICK_S for tick, _ in given]
+    assert [command.sight_s for _, command in given] == pytest.approx(sight_s), "it grows older"
     assert not any(a.clear and b.clear for a, b in itertools.pairwise(commands))
     assert not any(command.enable for command in commands)
     rig.having(drive_state=DriveState.READY, drive_faults=DriveFault.NONE)
     rig.tick()
     assert rig.brain.state.phase is Phase.IDLE
+
+
+@pytest.mark.parametrize("end", ["stop", "dead link"])
+def test_a_stop_or_a_fault_ends_a_clear_that_is_on_its_way(end: str) -> None:
+    rig = Rig()
+    rig.having(drive_state=DriveState.SILENT)
+    rig.tick()
+    rig.brain.clear()
+    rig.tick()
+    assert rig.brain.busy
+    if end == "stop":
+        rig.brain.stop("a person")
+    else:
+        rig.having(hall_age_s=1.0)
+        for _ in range(12):
+            rig.tick()
+    rig.having(hall_age_s=0.001)
+    for _ in range(20):
+        rig.tick()
+        assert not rig.command.clear
+    assert not rig.brain.busy
 
 
 def test_a_drive_that_cannot_be_cleared_is_told_again_after_a_second() -> None:

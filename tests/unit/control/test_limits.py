@@ -14,7 +14,7 @@ from needle_rig.control.limits import (
     DRIVE_SENTENCES,
     Gated,
     Limits,
-    drive_fault,
+    drive_faults,
     find_faults,
     gate,
     heard_age_s,
@@ -50,8 +50,13 @@ def having(**changes: Any) -> Measurement:
 
 
 def first_fault(measurement: Measurement, limits: Limits) -> Fault | None:
-    own = drive_fault(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
-    return next(iter(find_faults(measurement, limits)[1]), own)
+    own = drive_faults(measurement.drive_state, measurement.drive_faults, measurement.drive_complaint)
+    return next(iter([*find_faults(measurement, limits)[1], *own]), None)
+
+
+def only(state: DriveState, bit: DriveFault) -> Fault:
+    (fault,) = drive_faults(state, bit)
+    return fault
 
 
 def test_a_healthy_rig_has_no_fault() -> None:
@@ -179,7 +184,7 @@ def test_how_old_a_command_may_be_is_said_in_milliseconds() -> None:
 def test_every_fault_bit_of_the_drive_has_its_sentence(bit: DriveFault) -> None:
     if bit is DriveFault.NONE:
         return
-    fault = known(drive_fault(DriveState.FAULT, bit))
+    fault = only(DriveState.FAULT, bit)
     temporary = bit in (DriveFault.COMMAND_AGE, DriveFault.FRAME, DriveFault.TORQUE_AGE)
     assert fault.text == f"the drive stopped by itself: {DRIVE_SENTENCES[bit]}" + (
         "" if temporary else ", then: needle-rig clear"
@@ -188,26 +193,38 @@ def test_every_fault_bit_of_the_drive_has_its_sentence(bit: DriveFault) -> None:
     assert fault.latching is not temporary
 
 
-def test_a_temporary_and_a_latching_bit_together_latch_and_are_both_told() -> None:
-    fault = known(drive_fault(DriveState.FAULT, DriveFault.COMMAND_AGE | DriveFault.ENCODER))
-    assert fault.latching
-    assert DRIVE_SENTENCES[DriveFault.COMMAND_AGE] + "; " + DRIVE_SENTENCES[DriveFault.ENCODER] in fault.text
+def test_every_bit_is_a_fault_of_its_own() -> None:
+    bits = DriveFault.COMMAND_AGE | DriveFault.ENCODER | DriveFault.STALL
+    found = drive_faults(DriveState.FAULT, bits, "so it says")
+    assert [(f.name, f.bit, f.latching) for f in found] == [
+        (FaultName.DRIVE, DriveFault.COMMAND_AGE, False),
+        (FaultName.DRIVE, DriveFault.ENCODER, True),
+        (FaultName.NOT_TURNING, DriveFault.NONE, True),
+    ]
+    assert [f.text for f in found] == [
+        f"the drive stopped by itself: {DRIVE_SENTENCES[bit]}; so it says{end}"
+        for bit, end in (
+            (DriveFault.COMMAND_AGE, ""),
+            (DriveFault.ENCODER, ", then: needle-rig clear"),
+            (DriveFault.STALL, ", then: needle-rig clear"),
+        )
+    ]
 
 
 def test_a_drive_in_fault_without_a_reason_latches() -> None:
-    fault = known(drive_fault(DriveState.FAULT, DriveFault.NONE))
+    fault = only(DriveState.FAULT, DriveFault.NONE)
     assert fault.latching
     assert "gives no reason" in fault.text
 
 
 @pytest.mark.parametrize("state", [DriveState.SILENT, DriveState.READY, DriveState.RUNNING])
 def test_a_drive_without_faults_is_none(state: DriveState) -> None:
-    assert drive_fault(state, DriveFault.NONE) is None
+    assert drive_faults(state, DriveFault.NONE) == []
 
 
 def test_the_gate_asks_the_drive() -> None:
     gated = gate(0.1, having(drive_faults=DriveFault.ENCODER), 0.0, 0.005, LIMITS)
-    assert (gated.command, gated.fault) == (STOP, drive_fault(DriveState.RUNNING, DriveFault.ENCODER))
+    assert (gated.command, gated.fault) == (STOP, only(DriveState.RUNNING, DriveFault.ENCODER))
 
 
 def test_a_dead_link_hides_what_it_alone_tells_and_no_more() -> None:
@@ -346,11 +363,10 @@ def test_every_fault_has_its_name() -> None:
         (DriveFault.ANGLE, FaultName.ANGLE_LIMIT),
         (DriveFault.TORQUE_TRIP, FaultName.TORQUE_LIMIT),
         (DriveFault.HEARTBEAT, FaultName.DRIVE),
-        (DriveFault.STALL | DriveFault.RUNAWAY, FaultName.DRIVE),
     ],
 )
 def test_what_drive_and_host_both_know_has_one_name(bit: DriveFault, name: FaultName) -> None:
-    fault = known(drive_fault(DriveState.FAULT, bit))
+    fault = only(DriveState.FAULT, bit)
     assert (fault.name, fault.latching) == (name, True)
 
 
