@@ -9,10 +9,10 @@ import pytest
 
 from needle_rig.control.clearing import CLEAR_EVERY, CLEAR_S, ClearHandshake, awake
 from needle_rig.records import COMMAND_AGE_S, Command, DriveFault, DriveState, Measurement
+from tests.values import now
 
 TICK_S = 0.005
 STOPPED = DriveFault.EMERGENCY_STOP
-from tests.values import now
 
 
 def seen(state: DriveState = DriveState.FAULT, faults: DriveFault = STOPPED, age_s: float = 0.001) -> Any:
