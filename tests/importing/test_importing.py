@@ -34,7 +34,6 @@ from needle_rig.importing.mapping import TrialsPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
 
-pytest.importorskip("polars")
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "tests/data/practice/elastic"
