@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from needle_rig.importing.extra import needed
 
 from needle_rig.cli.main import run as command
 from needle_rig.config.places import write_yaml
@@ -29,11 +30,9 @@ from needle_rig.importing import (
     signals,
     write_mapping,
 )
-from needle_rig.importing.extra import needed
 from needle_rig.importing.mapping import TrialsPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
-
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "tests/data/practice/elastic"
