@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from needle_rig.config.places import read_yaml
 from needle_rig.dataset.description import layout_of, read_description
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
@@ -27,10 +26,7 @@ def layout_named(name: str) -> Layout:
         return layout_of(description.rig, places)
     if not os.path.lexists(path):
         raise BadInput(f"--layout {name}: is neither experiment nor model, nor a rig file or dataset folder")
-    data, places = read_yaml(path)
-    if data.get("format") == "needle-rig/1":
-        from needle_rig.config.loader import load_rig_config
-        from needle_rig.control.in_si import layout_of as layout_of_rig
+    from needle_rig.config.loader import load_rig_config
+    from needle_rig.control.in_si import layout_of as layout_of_rig
 
-        return layout_of_rig(load_rig_config(path))
-    raise places.error(("format",), "is no rig file (needle-rig/1); name one, or a dataset folder")
+    return layout_of_rig(load_rig_config(path))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import (
     data_argument,
     effects_option,
@@ -34,11 +35,11 @@ if TYPE_CHECKING:
 @click.option(
     "--free", multiple=True, metavar="NAME", help="Fit this value also where the model's others stand."
 )
-@click.option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
-@click.option(
+@picture_option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
+@picture_option(
     "--png", "png_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder."
 )
-@click.option(
+@picture_option(
     "--figure",
     "figures",
     multiple=True,

@@ -267,19 +267,20 @@ def _ended(told: Started, document: Document) -> Told | None:
 
 def _load_figure() -> None:
     # a failure shows when the figure is drawn
-    with contextlib.suppress(ImportError):
+    with contextlib.suppress(ImportError, NeedleRigError):
         import needle_rig.figures.run  # noqa: F401
 
 
 def _draw(run: str) -> str | None:
     """Draw the picture of a run beside it, or here where its folder is the daemon's alone."""
-    from needle_rig.figures.run import draw_run
     from needle_rig.recording import RunFile
 
     path = Path(run).with_suffix(".png")
     if not os.access(path.parent, os.W_OK):
         path = Path(path.name)
     try:
+        from needle_rig.figures.run import draw_run
+
         return str(draw_run(RunFile(run), path))
     except NeedleRigError as error:
         click.echo(f"no picture: {error}", err=True)

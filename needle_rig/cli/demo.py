@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 import click
 
+from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import effects_option, jobs_option, json_option, library, say
 
 
@@ -26,7 +27,7 @@ from needle_rig.cli._workbench import effects_option, jobs_option, json_option, 
 @click.option("--runs", type=click.IntRange(1, 100), default=8, show_default=True, help="Fresh needles.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--model-out", type=click.Path(path_type=Path), help="Model file to write what was learnt to.")
-@click.option("--png", "picture", type=click.Path(path_type=Path), help="Folder for the picture.")
+@picture_option("--png", "picture", type=click.Path(path_type=Path), help="Folder for the picture.")
 @jobs_option
 @json_option
 def command(

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import effects_option, json_option, number
 
 
 @click.command("history")
 @click.argument("model", type=click.Path(path_type=Path))
 @effects_option
-@click.option("--png", "png_path", type=click.Path(path_type=Path), help="Write the ladder as a picture.")
+@picture_option("--png", "png_path", type=click.Path(path_type=Path), help="Write the ladder as a picture.")
 @json_option
 def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as_json: bool) -> None:
     """Show how the error fell, a row a step: training, commands left out, noise floor.

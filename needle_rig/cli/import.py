@@ -68,7 +68,7 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
     try:
         dataset = dataset_of(mapping, folder, recordings=recordings)
         with kept(dataset, mapping, folder, out) as left_out:
-            _draw(mapping, folder, recordings, out / PICTURE)
+            drawn = _draw(mapping, folder, recordings, out / PICTURE)
     except BadInput as error:
         if named:
             raise
@@ -78,8 +78,8 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
     for note in (*dataset.notes, *left_out):
         click.echo(note, err=True)
     click.echo(
-        f"{out}: {len(dataset.trials)} trials, {len(dataset.replicates)} commands, {samples} samples; "
-        f"see {out / PICTURE}"
+        f"{out}: {len(dataset.trials)} trials, {len(dataset.replicates)} commands, {samples} samples"
+        + (f"; see {out / PICTURE}" if drawn else "")
     )
 
 
@@ -144,9 +144,17 @@ def _keep(mapping: Mapping, folder: Path, recordings: Recordings, out: Path) -> 
     return place
 
 
-def _draw(mapping: Mapping, folder: Path, recordings: Recordings, path: Path) -> None:
-    from needle_rig.figures.importing import Drawn, draw_import
+def _draw(mapping: Mapping, folder: Path, recordings: Recordings, path: Path) -> bool:
+    """Draw what was understood; says so where that cannot be drawn here."""
+    from needle_rig.errors import BadInput
+
+    try:
+        from needle_rig.figures.importing import Drawn, draw_import
+    except BadInput as error:
+        click.echo(f"no picture: {error}", err=True)
+        return False
     from needle_rig.importing.preview import preview
 
     shown, loop = preview(mapping, folder, recordings)
     draw_import([Drawn(f"{s.role} ← {s.source}", s.unit, s.time_s, s.values) for s in shown], loop, path)
+    return True

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._pictures import picture_option
+
 
 @click.command("layout")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
-@click.option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw it to this file.")
+@picture_option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw it to this file.")
 def command(file: Path, png: Path | None) -> None:
     """Say, and draw, what was understood of a layout: a YAML file with the keys of `rig`, a rig file or a
     dataset.

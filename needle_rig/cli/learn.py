@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import (
     data_argument,
     effects_option,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 @click.command("learn")
 @data_argument
 @click.option("--out", type=click.Path(path_type=Path), help="Effect file to draft (.py).")
-@click.option("--png", "png_path", type=click.Path(path_type=Path), help="Write the curves as a picture.")
+@picture_option("--png", "png_path", type=click.Path(path_type=Path), help="Write the curves as a picture.")
 @click.option("--pysr", is_flag=True, help="Ask PySR for a formula of each curve as well.")
 @model_option
 @effects_option

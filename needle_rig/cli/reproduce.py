@@ -7,11 +7,13 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._pictures import picture_option
+
 
 @click.command("reproduce")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
-@click.option("--html", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page.")
-@click.option(
+@picture_option("--html", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page.")
+@picture_option(
     "--png", "folder", type=click.Path(path_type=Path, file_okay=False), help="Draw figures 3, 4, 6, 7."
 )
 def command(as_json: bool, page: Path | None, folder: Path | None) -> None:

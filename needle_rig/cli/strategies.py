@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import effects_option, jobs_option, json_option, say, worker
 from needle_rig.errors import BadInput
 
@@ -53,7 +54,7 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
 @click.option(
     "--scatter-percent", type=float, default=5.0, show_default=True, help="Of friction, run to run."
 )
-@click.option("--png", "pictures", type=click.Path(path_type=Path), help="Folder for the picture.")
+@picture_option("--png", "pictures", type=click.Path(path_type=Path), help="Folder for the picture.")
 @jobs_option
 @json_option
 def command(

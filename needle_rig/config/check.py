@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, TypeVar, get_args
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from needle_rig.config.file_kinds import check_format
 from needle_rig.config.hints import meant_key, meant_value, number, number_from_text, symbol
 from needle_rig.config.places import DataPath, Places, dotted, kind_of
 from needle_rig.errors import BadInput
@@ -24,8 +26,12 @@ Model = TypeVar("Model", bound=BaseModel)
 def validate(model: type[Model], data: JsonObject, places: Places) -> Model:
     """`data` as a `model`, nothing converted silently (text is no number, `yes` is not true).
 
-    Raises BadInput with one line for every error, in the order of the file.
+    Raises BadInput with one line for every error, in the order of the file; one line alone for a file of
+    another format.
     """
+    stated = model.model_fields.get("format")
+    if stated is not None and "format" in data:
+        check_format(data, places, *get_args(stated.annotation))
     try:
         return model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as failed:
@@ -153,22 +159,34 @@ def _range(kind: str, key: str, value: float, context: Mapping[str, float]) -> s
 
 def _model_at(model: type[BaseModel], path: DataPath, data: Any) -> type[BaseModel] | None:
     """The model of the section at `path` of `data`, looking through tuples, dicts and unions."""
-    found: type[BaseModel] | None = model
+    found: Any = model
     for part in path:
-        data = data[part]
-        if found is None:
-            return None
-        if isinstance(part, int):
-            continue
-        field = found.model_fields.get(part)
-        found = _chosen(_models_in(field.annotation), data) if field else None
-    return found
+        section, data = data, data[part]
+        found = _inside(found, part, section)
+    return _chosen(_models_in(found), data)
+
+
+def _inside(annotation: Any, part: str | int, section: Any) -> Any:
+    """The annotation of what stands at `part` of a section of the type `annotation`; None if nobody knows."""
+    several = [a for a in _options(annotation) if get_origin(a) in (dict, tuple, list)]
+    if several:
+        return get_args(several[0])[1 if get_origin(several[0]) is dict else 0]
+    chosen = _chosen(_models_in(annotation), section)
+    field = chosen.model_fields.get(str(part)) if chosen else None
+    return field.annotation if field else None
+
+
+def _options(annotation: Any) -> list[Any]:
+    """The members of a union, without what is only noted of them."""
+    if get_origin(annotation) is Annotated:
+        return _options(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [option for a in get_args(annotation) for option in _options(a)]
+    return [annotation]
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for a in get_args(annotation) for model in _models_in(a)]
+    return [a for a in _options(annotation) if isinstance(a, type) and issubclass(a, BaseModel)]
 
 
 def _chosen(models: list[type[BaseModel]], data: Any) -> type[BaseModel] | None:

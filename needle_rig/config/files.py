@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from pathlib import Path
 
@@ -34,3 +35,28 @@ def find_config_file(name: str) -> Path:
             return folder / name
     searched = " and ".join(show_path(f) for f in folders) or "no folder (there is no ./config)"
     raise BadInput(f"{name}: no such file in {searched}; name one with its path")
+
+
+def parameter_sets() -> dict[str, Path]:
+    """Every parameter set by name, the working folder's before the shipped ones."""
+    found: dict[str, Path] = {}
+    for folder in config_directories():
+        for path in sorted((folder / "parameters").glob("*.yaml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def parameters_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """The file of a set's name, or the path itself. Raises BadInput, listing the sets, when there is none."""
+    given = os.fspath(name_or_path)
+    if given.endswith((".yaml", ".yml")) or os.sep in given:
+        return Path(given)
+    sets = parameter_sets()
+    if given not in sets:
+        near = difflib.get_close_matches(given, sets, n=1, cutoff=0.8)
+        meant = f"did you mean {near[0]}? there are" if near else "there are"
+        raise BadInput(
+            f"there is no parameter set {given}; {meant} {', '.join(sorted(sets)) or 'none'},"
+            " or name a model file (ending in .yaml)"
+        )
+    return sets[given]

@@ -59,6 +59,18 @@ def symbol(key: str) -> str:
     return shown if shown.startswith("°") else f" {shown}"
 
 
+def key_endings(unit: str) -> tuple[str, ...]:
+    """What the name of a value in `unit` may end in: "nmm_per_rad" for "N·mm/rad", "deg_s" for "°/s".
+
+    Empty for a plain ratio, "1". Brackets and the dots of products are left out.
+    """
+    above, *below = unit.replace("°", "deg").replace("²", "2").replace("³", "3").split("/")
+    written = "_per_".join(["" if above == "1" else above, *below]).replace(" per ", "_per_")
+    ending = re.sub(r"[^a-z0-9_]", "", written.lower().replace("µ", "u"))
+    ending = ending.removeprefix("1_").lstrip("_")
+    return tuple(dict.fromkeys([ending, re.sub("_per_s(?![a-z])", "_s", ending)])) if ending else ()
+
+
 def number(value: float) -> str:
     """A number as a person writes it: no float dust, no needless exponent."""
     return f"{value:.6g}"

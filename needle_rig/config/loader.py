@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories, find_config_file
+from needle_rig.config.files import config_directories, find_config_file, parameters_path
 from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
 from needle_rig.config.schema import NodeDevice, RigConfig, TextHall
 from needle_rig.errors import BadInput
 from needle_rig.records import JsonObject
+
+DECIMAL_PLACE = math.sqrt(10.0)
+"""Two numbers that are further apart than this factor are nearer to a slip of a decimal place than to each
+other; what is less far apart, `needle-rig check` warns of."""
 
 __all__ = [
     "Places",
@@ -37,13 +42,25 @@ def load_rig_config(
     a command do; None leaves the file's value. Raises BadInput.
     """
     data, places = read_yaml(find_config_file("rig.yaml") if path is None else path)
-    return _build(data, places, overrides or {})
+    config, places = _build(data, places, overrides or {})
+    if config.simulation is not None:
+        # of this computer, as the ports: the rig inside a run stays readable without the file
+        try:
+            found = parameters_path(config.simulation.parameters)
+        except BadInput as error:
+            raise places.error(("simulation", "parameters"), str(error)) from None
+        if not os.path.lexists(found):
+            raise places.error(
+                ("simulation", "parameters"),
+                f"there is no file {found} below {os.getcwd()}; name a parameter set, or give the whole path",
+            )
+    return config
 
 
 def parse_rig_config(text: str, name: str = "config") -> RigConfig:
     """The rig in `text`, such as the config inside a run; `name` stands for the file in errors."""
     data, places = parse_yaml(text, name)
-    return _build(data, places, {})
+    return _build(data, places, {})[0]
 
 
 def rig_config_text(config: RigConfig) -> str:
@@ -51,7 +68,8 @@ def rig_config_text(config: RigConfig) -> str:
     return write_yaml(config.model_dump(mode="json", exclude_none=True))
 
 
-def _build(data: JsonObject, places: Places, overrides: Mapping[str, object]) -> RigConfig:
+def _build(data: JsonObject, places: Places, overrides: Mapping[str, object]) -> tuple[RigConfig, Places]:
+    """The rig with `overrides` in it, and where its values stand then."""
     given: dict[DataPath, object] = {
         tuple(key.split(".")): value for key, value in overrides.items() if value is not None
     }
@@ -69,11 +87,12 @@ def _build(data: JsonObject, places: Places, overrides: Mapping[str, object]) ->
     problems = [f"{places.of(path)}: {sentence}" for path, sentence in _contradictions(config)]
     if problems:
         raise BadInput("\n".join(problems))
-    return config
+    return config, places
 
 
 def _contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
     """What each value alone cannot show: (path, sentence) for every pair that cannot go together."""
+    yield from _needle_contradictions(config)
     yield from _layout_contradictions(config)
     yield from _link_contradictions(config)
     drive, sequence = config.drive, config.sequence
@@ -88,6 +107,22 @@ def _contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
             ("sequence", "torque_window_s"),
             f"sequence.torque_window_s: {sequence.torque_window_s:g} s is longer than sequence.settle_s: "
             f"{sequence.settle_s:g} s; the torque is averaged over the end of the settling",
+        )
+
+
+def _needle_contradictions(config: RigConfig) -> Iterator[tuple[DataPath, str]]:
+    needle = config.needle
+    stated_nmm2 = needle.torsional_rigidity_nmm2
+    if stated_nmm2 is None:
+        return
+    by_size_nmm2 = needle.shear_modulus_gpa * 1e3 * math.pi * needle.diameter_mm**4 / 32.0
+    ratio = stated_nmm2 / by_size_nmm2
+    if not 1.0 / DECIMAL_PLACE < ratio < DECIMAL_PLACE:
+        yield (
+            ("needle", "torsional_rigidity_nmm2"),
+            f"needle.torsional_rigidity_nmm2: {stated_nmm2:g} N·mm² is {ratio:.2g} times the"
+            f" {by_size_nmm2:.3g} N·mm² of {needle.diameter_mm:g} mm and {needle.shear_modulus_gpa:g} GPa;"
+            " correct one of the three, or give a tube the modulus of a solid wire as stiff",
         )
 
 

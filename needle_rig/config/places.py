@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from needle_rig.config import yaml_mistakes
 from needle_rig.config.regular_file import read_regular
 from needle_rig.errors import BadInput
 from needle_rig.records import JsonObject
@@ -25,8 +26,6 @@ DataPath = tuple[str | int, ...]
 NODE_LIMIT = 200_000
 LIMIT_BYTES = 16_000_000
 """Several times what `NODE_LIMIT` values take; bounds text and comments, read at 1 MB a second."""
-SEEN_LETTERS = 60
-"""Of a line that is no YAML, repeated in the error."""
 
 
 @dataclass(frozen=True)
@@ -223,6 +222,7 @@ class _Reader:
 
     def mapping(self, node: yaml.MappingNode, path: DataPath) -> JsonObject:
         data: JsonObject = {}
+        before: yaml.Node | None = None
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self.refuse(key_node, "a key must be a plain word")
@@ -230,6 +230,10 @@ class _Reader:
             here = (*path, key)
             if key == "<<":
                 raise self.refuse(key_node, "merge keys (<<) are not read here; write the keys out")
+            if before is not None and _touch(before, key_node) and not value_node.value:
+                meant = yaml_mistakes.decimal_comma(str(before.value), key)
+                if meant:
+                    raise self.refuse(before, meant)
             if key in data:
                 line, column = self.keys[here]
                 raise self.refuse(
@@ -237,6 +241,7 @@ class _Reader:
                 )
             self.keys[here] = _place(key_node)
             data[key] = self.value(value_node, here)
+            before = value_node
         return data
 
     def scalar(self, node: yaml.ScalarNode, path: DataPath) -> Any:
@@ -273,6 +278,12 @@ def _place(node: yaml.Node) -> tuple[int, int]:
     return node.start_mark.line + 1, node.start_mark.column + 1
 
 
+def _touch(before: yaml.Node, after: yaml.Node) -> bool:
+    """Whether one character, a comma in braces, stands between two plain scalars."""
+    plain = isinstance(before, yaml.ScalarNode) and before.style is None
+    return plain and int(after.start_mark.index) == int(before.end_mark.index) + 1
+
+
 def _neighbours(path: Path) -> str:
     try:
         names = sorted(p.name for p in path.parent.iterdir() if p.suffix in (".yaml", ".yml"))
@@ -285,21 +296,6 @@ def _syntax_sentence(error: yaml.MarkedYAMLError, text: str, name: str) -> str:
     mark = error.problem_mark or error.context_mark
     if mark is None:
         return f"{name}: is not YAML: {error.problem}"
-    place = f"{name}:{mark.line + 1}:{mark.column + 1}"
-    problem = (error.problem or "").replace("could not find expected ':'", "a ':' is missing")
-    lines = text.splitlines()
-    line = lines[mark.line] if mark.line < len(lines) else ""
-    if "\t" in line[: mark.column + 1] or "'\\t'" in problem:
-        return f"{place}: a tab stands where YAML wants spaces; indent with spaces"
-    if "undefined alias" in problem:
-        return f"{place}: {problem}; text that starts with * needs quotes"
-    if isinstance(error, yaml.composer.ComposerError) and "another document" in problem:
-        return f"{place}: a second document begins; keep one document a file"
-    near = line[max(0, mark.column - SEEN_LETTERS) :].strip()[: 2 * SEEN_LETTERS]
-    seen = f" in {near!r}" if near else " at the end of the file"
-    since = (
-        f" (opened at line {error.context_mark.line + 1})"
-        if error.context_mark is not None and error.context_mark.line != mark.line
-        else ""
-    )
-    return f"{place}: is not YAML: {problem}{seen}{since}; check quotes, brackets, colons and indentation"
+    opened = error.context_mark.line if error.context_mark is not None else None
+    said = yaml_mistakes.sentence(error.problem or "", text, (mark.line, mark.column), opened)
+    return f"{name}:{mark.line + 1}:{mark.column + 1}: {said}"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from needle_rig.config.check import validate
-from needle_rig.config.places import Places, read_yaml
+from needle_rig.config.hints import meant_key
+from needle_rig.config.places import DataPath, Places, read_yaml
 from needle_rig.dataset.records import UNKNOWN_SIGMA, Needle, Start, TrialCommand
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
@@ -21,6 +23,8 @@ UNTOLD_NM2 = 62.56e-6
 """Stands for a rigidity that neither a file nor torque and angles tell: that of the shipped needle."""
 
 
+KINDS = ("compensate", "staircase", "unknown")
+"""Of trials: the two that protocols have, and what nobody told; a run's is its strategy."""
 MOST_TURNS = 1000
 """Turning points before a trial: friction remembers a few, each of which takes the model six steps."""
 
@@ -95,7 +99,7 @@ class TrialPart(_Part):
 class Description(_Part):
     """A whole dataset.yaml."""
 
-    format: str
+    format: Literal["needle-rig-dataset/1"]
     name: str
     simulated: bool = False
     rig: RigPart
@@ -105,8 +109,6 @@ class Description(_Part):
 def read_description(folder: Path) -> tuple[Description, Places]:
     """dataset.yaml of `folder`, and where its parts stand. Raises BadInput."""
     data, places = read_yaml(folder / "dataset.yaml", inside=folder)
-    if data.get("format") != FORMAT:
-        raise places.error(("format",), f"{data.get('format')!r} is not {FORMAT}; convert the dataset to it")
     description = validate(Description, data, places)
     if not description.trials:
         raise places.error(("trials",), "no trial is listed; add at least one with its `file`")
@@ -224,16 +226,31 @@ def needle_of(part: NeedlePart) -> Needle:
 
 
 def unknown_keys(description: Description, places: Places) -> list[str]:
-    """A sentence for every key that this program does not know, outside of the trials."""
-    notes: list[str] = []
-    parts: list[tuple[tuple[str | int, ...], Any]] = [
-        ((), description),
-        (("rig",), description.rig),
-        (("rig", "needle"), description.rig.needle),
-    ]
-    for path, part in parts:
-        notes.extend(
-            f"{places.of((*path, key), key=True)}: {key}: not used, this key is not known here"
-            for key in part.model_extra or {}
-        )
+    """A sentence for every key, and every kind of trial, that this program does not know."""
+    rig = description.rig
+    notes = _unknown(description, (), places)
+    notes += _unknown(rig, ("rig",), places)
+    notes += _unknown(rig.needle, ("rig", "needle"), places)
+    for k, segment in enumerate(rig.segments):
+        notes += _unknown(segment, ("rig", "segments", k), places)
+    for k, sensor in enumerate(rig.hall_sensors):
+        notes += _unknown(sensor, ("rig", "hall_sensors", k), places)
+    for k, trial in enumerate(description.trials):
+        notes += _unknown(trial, ("trials", k), places, "only tells its command from others")
+        near = difflib.get_close_matches(trial.kind, KINDS, n=1)
+        if near and near[0] != trial.kind:
+            notes.append(
+                f"{places.of(('trials', k, 'kind'))}: kind {trial.kind} makes another command than"
+                f" {', '.join(KINDS)}; did you mean {near[0]}?"
+            )
     return notes
+
+
+def _unknown(part: _Part, path: DataPath, places: Places, used: str = "not used") -> list[str]:
+    """A sentence for every key of a part that is not known, with the one that was meant."""
+    found = []
+    for key, value in (part.model_extra or {}).items():
+        meant = meant_key(key, value, type(part).model_fields, part.model_fields_set)
+        hint = f"; {meant[1]}" if meant else ""
+        found.append(f"{places.of((*path, key), key=True)}: {key}: {used}, this key is not known here{hint}")
+    return found

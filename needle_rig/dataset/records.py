@@ -96,6 +96,8 @@ class DatasetTrial:
     """Name of the motion at each sample, (samples,)."""
     command: TrialCommand
     file: str
+    torque_column: str = "base_torque_nmm"
+    """What the file calls the torque, with its unit."""
     notes: tuple[str, ...] = ()
     """What was found wrong with the file and how it was handled, a sentence each."""
     start: Start = "relaxed"

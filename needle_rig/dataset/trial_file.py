@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 from pathlib import Path
@@ -49,9 +50,12 @@ def read_trial(
     _name_unused(table, found, sensors, shown, notes)
     values = np.column_stack([time_s, base, torque, *hall, *tip])
     absent = {name for name in ("base_torque", *sensors) if name not in found}
-    return checked_trial(
+    trial = checked_trial(
         values, table.text, table.line, sensors, shown, command, start_s, notes, absent, start
     )
+    if "base_torque" not in found:
+        return trial
+    return dataclasses.replace(trial, torque_column=table.columns[found["base_torque"][0]])
 
 
 def _columns(table: Table, shown: str) -> dict[str, tuple[int, str, str]]:

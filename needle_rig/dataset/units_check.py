@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from needle_rig.config.hints import UNITS, split_unit
 from needle_rig.dataset.channels import suspected_factor, white_noise
 from needle_rig.dataset.description import UNTOLD_NM2
 from needle_rig.dataset.records import UNKNOWN_SIGMA, DatasetTrial, Needle
@@ -18,6 +19,8 @@ from needle_rig.physics.torque_scale import torque_scale
 
 LEAST_TWIST_DEG = 3.0
 """Below it the twist is the sensors' noise."""
+FARTHER = 1.5
+"""Decimal places between two units from which the twist, a factor of two uncertain, tells them apart."""
 WOUND_DEG = 3.0
 """A shaft whose sensors start this far from where the other trials start was not relaxed."""
 
@@ -207,14 +210,14 @@ def _check_torque(trial: DatasetTrial, layout: Layout, needle: Needle) -> None:
     span = float(np.ptp(twist[known]))
     expected = span * needle.torsional_rigidity_nm2 / layout.sensor_positions_m[nearest]
     seen = float(np.ptp(trial.torque_nm[known]))
-    for factor, unit, column in (
-        (1e3, "N·m", "base_torque_nm"),
-        (1e-3, "µN·m", "base_torque_unm"),
-        (1e-6, "nN·m", "base_torque_nmm"),
-    ):
-        if suspected_factor(seen, expected, factor, 8.0):
+    stem, own, dimension = split_unit(trial.torque_column)
+    units = UNITS[dimension]
+    for other, (size, unit) in units.items():
+        factor = size / units[own][0]
+        if abs(math.log10(factor)) > FARTHER and suspected_factor(seen, expected, factor, 8.0):
+            one = 1e-3 * units[own][0]  # of the column's unit, in N·m
             raise BadInput(
-                f"{trial.file}:1: base_torque_nmm spans {seen * 1e3:.3g} where the twist up to the first "
-                f"sensor asks for about {expected * 1e3:.2g} N·mm: it looks like {unit}; convert it, or call "
-                f"the column {column}"
+                f"{trial.file}:1: {trial.torque_column} spans {seen / one:.3g} {units[own][1]} where the"
+                f" twist up to the first sensor asks for about {expected / one:.2g}: it looks like {unit};"
+                f" convert it, or call the column {stem}_{other}"
             )

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.errors import NeedleRigError
+from needle_rig.extras import missing
 from needle_rig.firmware.sources import BOARD, NODES, core_sources, firmware_folder, image_sources
 
 WARNINGS = ("-Wall", "-Wextra", "-Wshadow", "-Wconversion", "-Werror")
@@ -83,9 +84,7 @@ def _host_library(folder: Path, out: Path, flags: Sequence[str]) -> Image:
 
 def _compile(folder: Path, arguments: Sequence[str | Path]) -> None:
     if importlib.util.find_spec("ziglang") is None:
-        raise BadInput(
-            "firmware build: the compiler is missing; pip install 'needle-rig[dev]' brings it (ziglang)"
-        )
+        raise missing("building the firmware (the compiler)", "ziglang", "bench")
     fixed = ["-std=c11", "-g0", f"-ffile-prefix-map={folder}=firmware"]
     command = [
         sys.executable,

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from needle_rig.errors import BadInput
+from needle_rig.extras import missing
 from needle_rig.firmware.build import build
 from needle_rig.firmware.sources import firmware_folder
 
@@ -20,14 +20,12 @@ _NEEDED = {"ziglang": "the compiler", "cffi": "the bridge to C", "elftools": "th
 def built_firmware(*, images: bool = False) -> Path:
     """The folder with the host library, and with `images` the Cortex-M images; built when it is not there.
 
-    Raises BadInput when the dev extra is not installed, NeedleRigError when a source does not compile.
+    Raises BadInput when the bench extra is not installed, NeedleRigError when a source does not compile.
     """
     needed = {**_NEEDED, "unicorn": "the emulator"} if images else _NEEDED
     for module, what in needed.items():
         if importlib.util.find_spec(module) is None:
-            raise BadInput(
-                f"the firmware cannot run here: {what} is missing ({module}); pip install 'needle-rig[dev]'"
-            )
+            raise missing(f"running the firmware here ({what})", module, "bench")
     kept = _cache() / f"{_fingerprint()}-{'images' if images else 'host'}"
     if kept.is_dir():
         return kept

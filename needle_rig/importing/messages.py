@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.importing.extra import needed
+from needle_rig.extras import needed
 from needle_rig.importing.recording import MAX_COLUMNS, Column
 
 STAMP = "recorded at"
@@ -33,14 +33,13 @@ Rows = dict[str, tuple[list[float], list[dict[str, float]], str]]
 
 def read_mcap(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
     """Dialect in words, columns and no rates; JSON and ROS 2 messages. Raises BadInput."""
-    from mcap.reader import make_reader
-
+    reader = needed("mcap.reader", "an MCAP file", "mcap")
     rows: Rows = {}
     stores: dict[int, Any] = {}
     unread: set[str] = set()
     try:
         with path.open("rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages():
+            for schema, channel, message in reader.make_reader(file).iter_messages():
                 if channel.message_encoding == "json":
                     content = json.loads(message.data)
                 elif channel.message_encoding == "cdr" and schema is not None:
@@ -66,7 +65,7 @@ def read_mcap(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
 
 
 def _store(schema: Any) -> Any:
-    typesys = needed("rosbags.typesys", "a bag with ROS messages")
+    typesys = needed("rosbags.typesys", "a bag with ROS messages", "import")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     text = schema.data.decode("utf-8", "replace")
     parse = typesys.get_types_from_idl if schema.encoding == "ros2idl" else typesys.get_types_from_msg
@@ -76,8 +75,8 @@ def _store(schema: Any) -> Any:
 
 def read_bag(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
     """Dialect in words, columns and no rates of a bag: a folder or a .db3 of ROS 2, a .bag of ROS 1."""
-    highlevel = needed("rosbags.highlevel", "a ROS bag")
-    typesys = needed("rosbags.typesys", "a ROS bag")
+    highlevel = needed("rosbags.highlevel", "a ROS bag", "import")
+    typesys = needed("rosbags.typesys", "a ROS bag", "import")
     rows: Rows = {}
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:

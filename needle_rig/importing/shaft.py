@@ -7,10 +7,14 @@ import os
 from pathlib import Path
 
 from needle_rig.config.check import validate
+from needle_rig.config.file_kinds import check_format
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.places import read_yaml, show_path
 from needle_rig.dataset.description import NeedlePart, RigPart, SensorPart, layout_of
 from needle_rig.errors import BadInput
+
+RIG_FORMATS = ("needle-rig/1", "needle-rig-dataset/1", "needle-rig-settled/1", "needle-rig-import/1")
+"""A rig file, and those that tell the shaft below `rig`."""
 
 
 def read_rig(path: Path) -> RigPart:
@@ -19,8 +23,10 @@ def read_rig(path: Path) -> RigPart:
     if not os.path.lexists(file):
         raise BadInput(f"{show_path(file)}: there is no such layout; name a YAML file or a dataset")
     data, places = read_yaml(file)
-    if data.get("format") == "needle-rig/1":
-        return _of_rig_file(file)
+    if "format" in data:
+        check_format(data, places, *RIG_FORMATS)
+        if data["format"] == RIG_FORMATS[0]:
+            return _of_rig_file(file)
     if "rig" in data:
         inside, inner = data["rig"], ("rig",)
         if not isinstance(inside, dict):

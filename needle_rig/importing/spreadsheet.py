@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.importing.extra import needed
+from needle_rig.extras import needed
 from needle_rig.importing.header import read_header
 from needle_rig.importing.recording import Column
 
@@ -18,7 +18,7 @@ _EPOCH = datetime.datetime(1970, 1, 1)
 
 def read_spreadsheet(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
     """Dialect in words, columns and rates by sheet. Raises BadInput."""
-    calamine = needed("python_calamine", "a spreadsheet")
+    calamine = needed("python_calamine", "a spreadsheet", "import")
     try:
         book = calamine.CalamineWorkbook.from_path(str(path))
         sheets = {name: book.get_sheet_by_name(name).to_python() for name in book.sheet_names}

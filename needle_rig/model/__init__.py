@@ -4,6 +4,7 @@ A parameter set is published: numbers with their source, what they reproduce and
 file is learnt: the set it started from, effects with fitted values and uncertainties, and its history.
 """
 
+from needle_rig.config.files import parameter_sets, parameters_path
 from needle_rig.model.build import effect_directories
 from needle_rig.model.files import SavedModel, load_model, save_model
 from needle_rig.model.schema import ChannelErrors, HistoryEntry, ParameterSet
@@ -13,8 +14,6 @@ from needle_rig.model.sets import (
     load_parameter_set,
     load_parameters,
     load_saved,
-    parameter_sets,
-    parameters_path,
 )
 
 __all__ = [

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from needle_rig.config.check import validate
-from needle_rig.config.places import Places, read_yaml, write_yaml
+from needle_rig.config.hints import key_endings
+from needle_rig.config.places import DataPath, Places, read_yaml, write_yaml
 from needle_rig.model.build import built_effect, built_model, effect_directories
 from needle_rig.model.schema import MODEL_FORMAT, FittedValue, HistoryEntry, ModelFile
 from needle_rig.physics.effect import Effect
@@ -143,6 +144,8 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
             raise places.error(("base", name), f"unknown; there are {', '.join(BASE_PARAMETERS)}")
     library = find_effects(effect_directories(effects)) if found.effects else {}
     made: list[Effect] = []
+    for name, stated in found.base.items():
+        _check_unit(stated.unit, BASE_PARAMETERS[name].unit, places, ("base", name))
     uncertainties = {n: v.uncertainty for n, v in found.base.items() if v.uncertainty is not None}
     for name, fields in found.effects.items():
         values = {key: entry.value for key, entry in fields.items()}
@@ -152,6 +155,7 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
             )
         )
         for key, entry in fields.items():
+            _check_unit(entry.unit, library[name].parameters()[key].unit, places, ("effects", name, key))
             if isinstance(entry, FittedValue):
                 if entry.uncertainty is not None:
                     uncertainties[f"{name}.{key}"] = entry.uncertainty
@@ -186,3 +190,12 @@ def saved_model(data: JsonObject, places: Places, effects: Iterable[str | Path])
                 )
     correlations = {entry.of: entry.value for entry in found.correlations}
     return SavedModel(model, found.starts_from, uncertainties, found.history, correlations)
+
+
+def _check_unit(given: str, known: str, places: Places, path: DataPath) -> None:
+    """Raises BadInput for a unit beside a value that is not the one in the value's name."""
+    if given and key_endings(given) != key_endings(known):
+        raise places.error(
+            (*path, "unit"),
+            f"{given} is not the unit of {path[-1]}: that is {known}; convert the value, or write {known}",
+        )

@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag
 from needle_rig.config.schema import Section
 
 MODEL_FORMAT = "needle-rig-model/1"
+PARAMETERS_FORMAT = "needle-rig-parameters/1"
 
 Number = Annotated[float, Field(allow_inf_nan=True)]
 EffectValues = dict[str, dict[str, Number | tuple[Number, ...]]]

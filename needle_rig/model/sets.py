@@ -8,12 +8,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories
+from needle_rig.config.file_kinds import check_format
+from needle_rig.config.files import parameters_path
 from needle_rig.config.places import read_yaml
 from needle_rig.errors import BadInput
 from needle_rig.model.build import built_effect, built_model, effect_directories
 from needle_rig.model.files import SavedModel, saved_model
-from needle_rig.model.schema import MODEL_FORMAT, ParameterSet
+from needle_rig.model.schema import MODEL_FORMAT, PARAMETERS_FORMAT, ParameterSet
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NMM2_PER_NM2, NeedleModel
 from needle_rig.physics.rod import Layout
@@ -29,29 +30,6 @@ MODEL_LAYOUT = Layout(
     needle_length_m=0.275, tissue_sections_m=((0.175, 0.275),), sensor_positions_m=(0.175, 0.275)
 )
 """Reed, BioRob 2008, simulation: 175 mm free, 100 mm in tissue; seen at the entry and at the tip."""
-
-
-def parameter_sets() -> dict[str, Path]:
-    """Every parameter set by name, the working folder's before the shipped ones."""
-    found: dict[str, Path] = {}
-    for folder in config_directories():
-        for path in sorted((folder / "parameters").glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
-
-
-def parameters_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """The file of a set's name, or the path itself. Raises BadInput, listing the sets, when there is none."""
-    given = os.fspath(name_or_path)
-    if given.endswith((".yaml", ".yml")) or os.sep in given:
-        return Path(given)
-    sets = parameter_sets()
-    if given not in sets:
-        raise BadInput(
-            f"there is no parameter set {given}; there are {', '.join(sorted(sets)) or 'none'},"
-            " or name a model file (ending in .yaml)"
-        )
-    return sets[given]
 
 
 def load_saved(name_or_path: str | os.PathLike[str], *, effects: Iterable[str | Path] = ()) -> SavedModel:
@@ -86,6 +64,7 @@ def load_parameters(
     """
     path = parameters_path(name_or_path)
     data, places = read_yaml(path)
+    check_format(data, places, PARAMETERS_FORMAT, MODEL_FORMAT)
     if data.get("format") == MODEL_FORMAT:
         model = saved_model(data, places, effects).model
         return dataclasses.replace(model, layout=layout or model.layout, element_length_m=element_length_m)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 
+from needle_rig.config.yaml_mistakes import decimal_comma
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 
@@ -57,9 +58,12 @@ def _fields(effect: type[Effect], field: str, numbers: list[float], text: str) -
     if infos[first].per != "one":
         return {first: tuple(numbers)}
     if field or len(numbers) > len(infos):
+        given = text.partition("=")[2]
+        meant = decimal_comma(*given.split(",", 1))
+        hint = f"; {meant}" if meant else ""
         raise BadInput(
             f"--effect {text}: {len(numbers)} values for {1 if field else len(infos)}"
-            f" field(s) ({first if field else ', '.join(infos)})"
+            f" field(s) ({first if field else ', '.join(infos)}){hint}"
         )
     return dict(zip(infos, numbers, strict=False))
 

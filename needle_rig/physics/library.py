@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+from needle_rig.config.hints import key_endings, split_unit
 from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
 from needle_rig.errors import BadInput
 from needle_rig.physics import effects as built_in
@@ -95,6 +96,7 @@ def _check(effect: type[Effect], path: Path) -> None:
                 f"{place}.{field.name} has no bounds and unit; make it by parameter(off=…, unit=…)"
             )
         _check_info(info, f"{place}.{field.name}")
+        _check_name(field.name, info.unit, place)
     if all(field.metadata["info"].shapes for field in fields):
         raise BadInput(f"{place} has no parameter with an off value; one must not be `shapes`")
     hooks = [hook for hook in HOOKS if effect.has(hook)]
@@ -109,6 +111,19 @@ def _check(effect: type[Effect], path: Path) -> None:
     for word in ("Law:", "Source:", "Shows best:"):
         if word not in text:
             raise BadInput(f'{path}:1: the text at the top of the file has no "{word}"; say it there')
+
+
+def _check_name(name: str, unit: str, place: str) -> None:
+    """Raises BadInput when the name of a parameter says another unit than the parameter has."""
+    endings = key_endings(unit)
+    stem, said, _ = split_unit(name.lower())
+    if endings:
+        fits = any(name == ending or name.endswith(f"_{ending}") for ending in endings)
+        wanted = f"{stem}_{endings[0]}"
+    else:
+        fits, wanted = not said, stem
+    if not fits:
+        raise BadInput(f"{place}.{name}: its unit is {unit}, which its name does not say; call it {wanted}")
 
 
 def _check_info(info: ParameterInfo, place: str) -> None:

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
+from needle_rig.physics.kernel._cache import kept
 from needle_rig.physics.rod import Layout
 
 
@@ -124,7 +124,7 @@ def _disks(rod: KarnoppRod) -> tuple[Array, Array]:
     return np.concatenate(places), np.concatenate(tissue)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kept(nogil=True, fastmath=True)
 def _explicit(left, right, static, kinetic, damping, inertia, band, times, base, step):  # type: ignore[no-untyped-def]
     """Angles of the disks (samples, disks) and the base torque (samples,)."""
     n = left.size

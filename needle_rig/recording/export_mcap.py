@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.writer import Writer
 
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
+from needle_rig.extras import needed
 from needle_rig.recording.reader import RunFile
 from needle_rig.recording.tables import at_edge
 from needle_rig.records import JsonObject
@@ -22,11 +22,11 @@ from needle_rig.version import VERSION
 
 
 def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
-    """Write `run` to a new MCAP file at `path`; raises BadInput when it exists.
+    """Write `run` to a new MCAP file at `path`; raises BadInput when it exists, or without the extra `mcap`.
 
     Message times are UTC: the run's first row stands at `started_utc`. Angles are degrees, torques N·mm.
     """
-    target = Path(path)
+    target, mcap = Path(path), needed("mcap.writer", "an MCAP file", "mcap")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         file = target.open("xb")
@@ -36,7 +36,7 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
         raise BadInput(f"{show_path(target)}: cannot be made: {error.strerror}") from None
     begin_s, begin_ns = run.span_s[0], _started_ns(run)
     with file:
-        writer = Writer(file)
+        writer = mcap.Writer(file)
         writer.start(profile="", library=f"needle-rig {VERSION}")
         writer.add_metadata("run", {name: _text(value) for name, value in run.attributes.items()})
         messages: list[tuple[int, int, int, bytes]] = []
@@ -59,11 +59,11 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
             messages.append((when_ns, channel, number, json.dumps(message).encode()))
         for when_ns, channel, number, raw in sorted(messages, key=lambda entry: entry[:3]):
             writer.add_message(channel, log_time=when_ns, data=raw, publish_time=when_ns, sequence=number)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return target
 
 
-def _channel(writer: Writer, name: str, properties: Mapping[str, object]) -> int:
+def _channel(writer: Any, name: str, properties: Mapping[str, object]) -> int:
     schema = {"type": "object", "title": name, "properties": properties}
     schema_id = writer.register_schema(f"needle_rig.{name}", "jsonschema", json.dumps(schema).encode())
     return int(writer.register_channel(topic=f"/{name}", message_encoding="json", schema_id=schema_id))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput
+from needle_rig.extras import install_arguments, install_command
 from needle_rig.service.installation import Installation
 from needle_rig.service.steps import AwaitProcesses, MakeLink, Remove, Rename, Run, Step, WriteFile
 from needle_rig.service.systemd import UNIT
@@ -132,14 +133,13 @@ def installed_program() -> Path:
     """The `needle-rig` of this Python. Raises BadInput where a service could not run it."""
     program = Path(sys.prefix) / "bin" / "needle-rig"
     if not program.is_file():
-        raise BadInput(
-            f"{program}: is not there; install needle-rig first: {sys.executable} -m pip install ."
-        )
+        raise BadInput(f"{program}: is not there; install needle-rig first: {install_command()}")
     for hidden in ("home", "root", "tmp"):
         if program.is_relative_to(Path("/", hidden)):
             raise BadInput(
                 f"{program}: a service does not see /{hidden}; install needle-rig in /opt/needle-rig:"
-                " sudo python3 -m venv /opt/needle-rig && sudo /opt/needle-rig/bin/pip install ."
+                " sudo python3 -m venv /opt/needle-rig &&"
+                f" sudo /opt/needle-rig/bin/pip install {install_arguments()}"
             )
     return program
 

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.extras import missing
 
 Task = tuple[Any, ...]
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
@@ -104,7 +105,7 @@ class Cluster(Work):
         try:
             from distributed import Client
         except ImportError as error:
-            raise BadInput("--cluster needs the optional extra: pip install 'needle-rig[cluster]'") from error
+            raise missing("--cluster", "distributed", "cluster") from error
         connect: Any = Client
         try:
             self._client: Any = connect(address, timeout="10s")

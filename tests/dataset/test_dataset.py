@@ -174,6 +174,16 @@ def test_wrong_units(folder: Path, column: int, factor: float, words: str) -> No
     assert words in message
 
 
+def test_a_column_whose_name_says_another_unit_than_its_values_have(folder: Path) -> None:
+    table = rows(folder)
+    table[0][2] = "base_torque_nm"
+    save(folder, table)
+    message = refused(folder)
+    assert "01.csv:1: base_torque_nm spans 0.2" in message
+    assert "N·m where the twist" in message
+    assert "it looks like N·mm; convert it, or call the column base_torque_nmm" in message
+
+
 @pytest.mark.parametrize(
     ("column", "name", "factor"),
     [
@@ -200,7 +210,16 @@ def test_units_in_the_name_are_converted(folder: Path, column: int, name: str, f
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("format: needle-rig-dataset/1", "format: other/2", "is not needle-rig-dataset/1"),
+        (
+            "format: needle-rig-dataset/1",
+            "format: needle-rig-model/1",
+            "this is a model file",
+        ),
+        (
+            "format: needle-rig-dataset/1",
+            "format: other/2",
+            "'other/2' is not known; a dataset",
+        ),
         ("diameter_mm: 0.39", "diameter_mm: -0.39", "-0.39"),
         ("- - 175.0\n    - 200.0", "- - 200.0\n    - 175.0", "not after its start"),
         ("- - 240.0", "- - 190.0", "before 200 mm"),
@@ -501,6 +520,33 @@ def test_unknown_keys_are_said(folder: Path) -> None:
     text = (folder / "dataset.yaml").read_text()
     (folder / "dataset.yaml").write_text(text.replace("name: none", "name: none\noperator: me", 1))
     assert "operator: not used" in notes_of(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "target_deg: 45",
+            "target_rad: 1.5",
+            "target_rad: only tells its command from others",
+        ),
+        ("target_deg: 45", "target_rad: 1.5", "did you mean target_deg: 85.9437?"),
+        ("position_mm: 220.0", "position_mm: 220.0\n    serial: 7", "serial: not used"),
+        ("kind: staircase", "kind: stairs", "kind stairs makes another command than compensate, staircase"),
+        ("kind: staircase", "kind: stairs", "did you mean staircase?"),
+    ],
+)
+def test_what_a_trial_says_and_nobody_reads_is_said(folder: Path, old: str, new: str, says: str) -> None:
+    text = (folder / "dataset.yaml").read_text()
+    assert old in text
+    (folder / "dataset.yaml").write_text(text.replace(old, new, 1))
+    assert says in notes_of(folder)
+
+
+def test_the_kind_of_another_strategy_is_no_mistake(folder: Path) -> None:
+    text = (folder / "dataset.yaml").read_text()
+    (folder / "dataset.yaml").write_text(text.replace("kind: staircase", "kind: halves", 1))
+    assert "halves" not in notes_of(folder)
 
 
 def test_stated_uncertainty(folder: Path) -> None:

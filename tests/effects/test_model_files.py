@@ -177,6 +177,37 @@ def test_a_mistake_in_a_model_file_is_named_with_its_line(
         assert int(line[1]) == text[: text.index(at)].count("\n") + 1
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("unit: N·mm²", "unit: N·m²", "N·m² is not the unit of torsional_rigidity_nmm2: that is N·mm²"),
+        (
+            "unit: N·mm/rad",
+            "unit: N·m/rad",
+            "chuck_compliance.stiffness_nmm_per_rad.unit: N·m/rad is",
+        ),
+    ],
+)
+def test_a_unit_beside_a_value_is_no_decoration(
+    saved: SavedModel, tmp_path: Path, old: str, new: str, says: str
+) -> None:
+    path = tmp_path / "m.yaml"
+    save_model(path, saved)
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(BadInput, match=r"m\.yaml:\d+:\d+: ") as refused:
+        load_model(path)
+    assert says in str(refused.value)
+
+
+def test_a_unit_may_be_spelt_otherwise(saved: SavedModel, tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+    save_model(path, saved)
+    path.write_text(path.read_text(encoding="utf-8").replace("unit: N·mm²", "unit: Nmm^2"), encoding="utf-8")
+    assert load_model(path).uncertainties == saved.uncertainties
+
+
 def test_a_bad_value_in_a_parameter_set(tmp_path: Path) -> None:
     text = parameter_sets()["rig_elastic"].read_text(encoding="utf-8")
     path = tmp_path / "soft.yaml"
@@ -191,6 +222,7 @@ def test_a_bad_value_in_a_parameter_set(tmp_path: Path) -> None:
     ("key", "says"),
     [
         ("unsure", "unsure: unknown key"),
+        ("uncertanty", r"uncertanty: unknown key; did you mean uncertainty\?"),
         ("null", "null: unknown key"),
         ("value", "is given twice"),
     ],

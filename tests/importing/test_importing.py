@@ -18,6 +18,7 @@ from needle_rig.config.places import write_yaml
 from needle_rig.dataset import read_dataset, write_dataset
 from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
+from needle_rig.extras import needed
 from needle_rig.importing import (
     Mapping,
     Recordings,
@@ -29,12 +30,9 @@ from needle_rig.importing import (
     signals,
     write_mapping,
 )
-from needle_rig.importing.extra import needed
 from needle_rig.importing.mapping import TrialsPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
-
-pytest.importorskip("polars")
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "tests/data/practice/elastic"

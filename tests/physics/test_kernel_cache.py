@@ -17,14 +17,13 @@ from needle_rig.physics.kernel.run import _run
 KERNEL = Path(kernel.__file__).parent
 INNER = "from two_files._compile import compiled\n\n\n@compiled\ndef added(x):\n    return x + {}\n"
 OUTER = """
-from numba import njit
-from two_files._cache import keep_by_package
+from two_files._cache import keep_by_package, kept
 from two_files.inner import added
 
 keep_by_package()
 
 
-@njit("float64(float64)", cache=True)
+@kept("float64(float64)")
 def run(x):
     return added(x)
 """
@@ -62,6 +61,38 @@ def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(a
     assert ask("1.0") == (2.0, 1)
     assert ask("100.0") == (101.0, 0)
     assert ask("100.0") == (101.0, 1)
+
+
+NO_FOLDER = """
+import sys
+from numba.core import caching
+
+
+def refused(self):
+    raise PermissionError(13, "Permission denied")
+
+
+caching._CacheLocator.ensure_cache_path = refused  # root may write anywhere
+from two_files.outer import run
+print(run(1.0))
+"""
+
+
+def test_where_no_folder_can_be_written_it_compiles_and_says_so_once(ask: Ask, tmp_path: Path) -> None:
+    """As of a read-only installation for a user without a home; and what this process starts says nothing."""
+    ask("1.0")
+    again = "import os, subprocess; " + f"subprocess.run([sys.executable, '-c', {NO_FOLDER!r}], check=True)"
+    done = subprocess.run(
+        [sys.executable, "-c", NO_FOLDER + again],
+        cwd=tmp_path,
+        env={key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, sorted(done.stdout.split())) == (0, ["2.0", "2.0"]), done.stderr
+    assert done.stderr.count("the compiled solver cannot be kept") == 1
+    assert "set NUMBA_CACHE_DIR to a folder that you can write" in done.stderr
 
 
 def test_every_function_in_the_machine_code_stands_in_a_file_of_the_package() -> None:

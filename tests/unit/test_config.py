@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from needle_rig.config.file_kinds import KINDS
 from needle_rig.config.loader import (
     find_config_file,
     load_rig_config,
@@ -18,10 +20,29 @@ from needle_rig.config.loader import (
     rig_config_text,
     write_yaml,
 )
+from needle_rig.dataset import read_dataset
+from needle_rig.dataset.settled import read_settled
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.importing.mapping import read_mapping
+from needle_rig.model import load_model, load_parameters
+from needle_rig.simulation.protocol import load_protocol
+from needle_rig.workbench.learning.diagnosis_file import load_diagnosis
 
 SHIPPED = Path(__file__).parents[2] / "config" / "rig.yaml"
 TEXT = SHIPPED.read_text(encoding="utf-8")
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "needle-rig": load_rig_config,
+    "needle-rig-dataset": lambda file: read_dataset(file.parent),
+    "needle-rig-settled": lambda file: read_settled(file.parent),
+    "needle-rig-import": read_mapping,
+    "needle-rig-parameters": load_parameters,
+    "needle-rig-model": load_model,
+    "needle-rig-protocol": load_protocol,
+    "needle-rig-diagnosis": load_diagnosis,
+}
+FILE_NAMES = {"needle-rig-dataset": "dataset.yaml", "needle-rig-settled": "settled.yaml"}
 
 
 def place(text: str, fragment: str) -> str:
@@ -34,6 +55,52 @@ def complaint(text: str) -> str:
     with pytest.raises(BadInput) as caught:
         parse_rig_config(text, "rig.yaml")
     return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        ("rig_elastik", "there is no parameter set rig_elastik; did you mean rig_elastic?"),
+        ("lost.yaml", "there is no file lost.yaml below"),
+    ],
+)
+def test_a_needle_that_is_not_there_is_told_when_the_file_is_read(
+    written: str, says: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "rig.yaml"
+    text = TEXT.replace("parameters: rig_elastic ", f"parameters: {written} ")
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput, match=r"rig\.yaml:\d+:15: simulation\.parameters: ") as refused:
+        load_rig_config(file)
+    assert says in str(refused.value)
+    assert parse_rig_config(text).simulation, "the rig inside a run is read without the file"
+
+
+def test_what_check_warns_of_is_read() -> None:
+    assert parse_rig_config(TEXT.replace("mm2: 62.56 ", "mm2: 31.0 ")).needle.torsional_rigidity_nmm2 == 31.0
+
+
+def test_entries_apart_are_no_decimal_comma() -> None:
+    data, _ = parse_yaml("a: {value: 62, 55, b: 1}\nc: [37,1, 5]\n", "f.yaml")
+    assert data == {"a": {"value": 62, "55": None, "b": 1}, "c": [37, 1, 5]}
+
+
+def test_every_kind_of_file_refuses_the_next_version(tmp_path: Path) -> None:
+    """Each reader, given a file of its own kind that only says another version, says so alone."""
+    found = set()
+    for kind, read in READERS.items():
+        folder = tmp_path / kind
+        folder.mkdir()
+        name = FILE_NAMES.get(kind, "some.yaml")
+        (folder / name).write_text(f"format: {kind}/99\nunheard_of: 1\n", encoding="utf-8")
+        with pytest.raises(BadInput) as refused:
+            read(folder / name)
+        sentence = str(refused.value)
+        assert f"{name}:1:9: format: version '99' of " in sentence
+        assert f"reads {kind}/1;" in sentence
+        assert "\n" not in sentence
+        found.add(kind)
+    assert set(KINDS) - found == {"needle-rig-watch", "needle-rig-calibration"}, "which no person hands over"
 
 
 def test_the_shipped_rig_is_valid_and_survives_being_written_out() -> None:
@@ -78,7 +145,15 @@ def test_the_shipped_rig_is_valid_and_survives_being_written_out() -> None:
         ("speed_deg_s: 45", "speed_deg_s: 61", "61", "is above drive.velocity_limit_deg_s: 60"),
         ("torque_window_s: 0.5", "torque_window_s: 5", "5\n  motion", "longer than sequence.settle_s: 3 s"),
         ("  seed: 1", "\tseed: 1", "\tseed", "a tab stands where YAML wants spaces"),
-        ("name: simulated rig", "name: a: b", ": b", "mapping values are not allowed here in 'name: a: b'"),
+        ("name: simulated rig", "name: a: b  # c", ": b", 'needs quotes; write name: "a: b"'),
+        ("  density_g_cm3", "   density_g_cm3", ": 6.45", "by 3 spaces, more than the line above, which has"),
+        ("  density_g_cm3", " density_g_cm3", "density", "by 1 space, as no line above it; align it"),
+        ("position_mm: 396}", "position_mm: 396,0}", "396,0", "separates entries here; write 396.0"),
+        ("mm2: 62.56 ", "mm2: 6.256 ", "6.256", "6.256 N·mm² is 0.1 times the 61.8 N·mm² of 0.39 mm"),
+        ("mm2: 62.56 ", "mm2: 625.6 ", "625.6", "625.6 N·mm² is 10 times the 61.8 N·mm² of 0.39 mm"),
+        ("format: needle-rig/1", "format: needle-rig/2", "needle-rig/2", "needle-rig reads needle-rig/1"),
+        ("format: needle-rig/1", "format: needle-rig-dataset/1", "needle-rig-d", "its folder as DATA"),
+        ("format: needle-rig/1", "format: 1", "1\nname", "1 is not known; a rig file (needle-rig/1) is read"),
         ("name: simulated rig", "name: *x", "*x", "text that starts with * needs quotes"),
         ("name: simulated rig", "name: !!python/name:os.system x", "!!python", "is not read here"),
         ("name: simulated rig", "<<: {a: 1}", "<<", "merge keys (<<) are not read here"),

@@ -6,13 +6,18 @@ numba's own index stamps a function with the file it stands in, and not with the
 from __future__ import annotations
 
 import hashlib
+import os
+import sys
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from numba import njit
 from numba.core import config as numba_config
 from numba.core.caching import (
     CacheImpl,
+    CompileResultCacheImpl,
     InTreeCacheLocator,
     UserProvidedCacheLocator,
     UserWideCacheLocator,
@@ -20,6 +25,8 @@ from numba.core.caching import (
 )
 
 FOLDER = Path(__file__).parent
+TOLD = "NEEDLE_RIG_TOLD_OF_NO_CACHE"
+"""Variable of the environment that is set when a person was told."""
 
 
 def _stamp() -> str:
@@ -57,6 +64,32 @@ class PackageFolder(_WholePackage, InTreeCacheLocator):
 
 class UserFolder(_WholePackage, UserWideCacheLocator):
     """The user's folder for caches."""
+
+
+def kept(*signature: Any, **options: Any) -> Callable[[Any], Any]:
+    """`njit` of a function whose machine code is kept, or made anew by each process that cannot keep it."""
+
+    def decorated(function: Any) -> Any:
+        decorator: Any = njit
+        return decorator(*signature, cache=_can_be_kept(function), **options)(function)
+
+    return decorated
+
+
+def _can_be_kept(function: Any) -> bool:
+    """Whether a locator has a folder for `function` that can be written; says so once where none has."""
+    try:
+        CompileResultCacheImpl(function)
+    except RuntimeError:
+        if TOLD not in os.environ:
+            os.environ[TOLD] = "1"  # the processes that this one starts are of the same use
+            sys.stderr.write(
+                "the compiled solver cannot be kept: no folder can be written for it, neither"
+                " NUMBA_CACHE_DIR nor the package's nor the user's. Each process compiles it anew, a quarter of a"
+                " minute; set NUMBA_CACHE_DIR to a folder that you can write.\n"
+            )
+        return False
+    return True
 
 
 def keep_by_package() -> None:

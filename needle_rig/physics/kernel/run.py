@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from needle_rig.physics.kernel._cache import keep_by_package
+from needle_rig.physics.kernel._cache import keep_by_package, kept
 from needle_rig.physics.kernel._compile import FLOATS, OPTIONS
 from needle_rig.physics.kernel.extrapolated import follow_extrapolated
 from needle_rig.physics.kernel.laws import borrowed
@@ -69,12 +69,11 @@ def run(
     return ended
 
 
-@njit(
+@kept(
     types.int64(
         _ROW, _ROWS, _ROW, *(_FLAG,) * 8, _INDICES, _INDICES, _ROWS, _ROW, _ROW, _ROW, _INDICES, _BLOCK,
         _ROWS, _ROW, _ROWS, _ROW, _ROWS, _INDICES,
     ),
-    cache=True,
     fastmath=FLOATS,
     **OPTIONS,
 )  # fmt: skip

@@ -39,6 +39,10 @@ UNSEEN = 1e-3
 """Relative curvature, of parameters scaled to unit curvature each, below which a direction has no
 information."""
 
+ROUNDING = 1e-12
+"""Share of a curvature that is left of it by rounding alone when the trials' parts are taken from their sum:
+some 1e4 times the last bit."""
+
 
 @dataclass(frozen=True)
 class TrialTerms:
@@ -291,7 +295,7 @@ class LinearisedFit:
         """
         whole = sum(self.information) + np.diag(self.precision[self.shared])
         left = whole - sum(self.information[t] for t in group)
-        size = np.sqrt(np.diag(left))
+        size = np.sqrt(_curvatures(left, whole))
         alike = left / np.outer(size, size)
         free = _free(_means(self.constrained_means, size))
         seen = np.linalg.pinv(free.T @ alike @ free, rcond=UNSEEN, hermitian=True)
@@ -352,6 +356,14 @@ def prediction_covariance(covariance: Array, random_effect_variance: float, colu
     """
     shared, last = columns[:, :-1], columns[:, -1]
     return np.asarray(shared @ covariance @ shared.T + random_effect_variance * np.outer(last, last))
+
+
+def _curvatures(left: Array, whole: Array) -> Array:
+    """Diagonal (n,) of `left`, a part of `whole`, to divide by: that of `whole` where rounding is all of it,
+    1 where nothing sees the parameter."""
+    remaining, all_of_it = np.diag(left), np.diag(whole)
+    scale = np.where(all_of_it > 0.0, all_of_it, 1.0)
+    return np.where(remaining > ROUNDING * scale, remaining, scale)
 
 
 def _means(constrained_means: Sequence[Array], size: Array) -> Array:

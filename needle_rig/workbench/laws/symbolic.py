@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.errors import BadInput
+from needle_rig.extras import install_command
 from needle_rig.workbench.laws.curve import BAND_SIGMAS
 from needle_rig.workbench.laws.learnt import LearntLaw
 
@@ -42,9 +43,7 @@ def regressor() -> Callable[..., Any]:
     try:
         from pysr import PySRRegressor
     except ImportError as error:
-        raise BadInput(
-            f"PySR cannot be used ({error}): install it with pip install 'needle-rig[pysr]'"
-        ) from error
+        raise BadInput(f"PySR cannot be used ({error}); {install_command('pysr')}") from error
     except Exception as error:
         # at its first import it looks for Julia, and fetches it where there is none
         raise BadInput(

@@ -120,5 +120,5 @@ def test_pysr_that_is_not_there_is_said_before_anything_is_computed(monkeypatch:
     monkeypatch.setitem(sys.modules, "pysr", None)
     assert command(["learn", "no-data", "--pysr"]) == 2
     said = capsys.readouterr().err
-    assert "pip install 'needle-rig[pysr]'" in said
+    assert "pip install -c requirements.lock -e '.[pysr]'" in said
     assert len(said.splitlines()) == 1

@@ -214,3 +214,27 @@ def test_blocks_of_one_recorded_trial_move_alike() -> None:
     difference = alike.columns[:, P] - alike.columns[:, P + 1]
     left = [float(np.linalg.norm(linear.projection(difference))) for linear in (apart, alike)]
     assert left[1] > 1.5 * left[0]
+
+
+def test_leaving_out_the_trials_that_alone_tell_of_a_parameter() -> None:
+    """What is left of its curvature is rounding, of either sign: it does not move, and nothing is NaN."""
+    linear = toy()
+    for t in (1, 2):
+        linear.trials[t].columns[:, 2] = 0.0
+    unprior = dataclasses.replace(linear, precision=np.r_[PRECISION[:2], 0.0, PRECISION[3:]])
+    _, spread = unprior.without([0])
+    assert np.isfinite(spread).all()
+    assert np.abs(spread[2]).max() < 1e-9
+    others = np.delete(np.arange(P + Q), 2)
+    assert (np.diag(spread)[others] > 0.0).all()
+
+
+def test_a_parameter_that_no_trial_tells_of_has_no_variance() -> None:
+    """As friction has where the tip is clamped and no torque is recorded."""
+    linear = toy()
+    for trial in linear.trials:
+        trial.columns[:, 0] = 0.0
+    for group in ([0], [1], [2]):
+        _, spread = linear.without(group)
+        assert np.isfinite(spread).all()
+        assert np.abs(spread[0]).max() == 0.0

@@ -1,0 +1,199 @@
+"""Rows of delimited text to columns: numbers, and words as they are written."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from needle_rig.errors import BadInput
+from needle_rig.numerics import Array
+
+RECODED_BYTES = 1_000_000_000
+"""Text in UTF-16 is rewritten in memory before it is read."""
+CHUNK_BYTES = 1 << 24
+"""Rows that are looked at together; as lines they take twice that."""
+
+POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
+NULLS = (
+    *("", "NaN", "nan", "NAN", "-NaN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--"),
+    *("1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF", "inf", "-inf", "Inf", "-Inf", "INF", "-INF"),
+)
+_COMMA_IS_POINT = bytes.maketrans(b",.", b".,")
+_CODECS = {"Windows-1252": "cp1252", "utf-16": "utf-8"}
+
+Words = npt.NDArray[np.bytes_]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How the rows of a file are read."""
+
+    delimiter: str
+    """A space stands for any number of spaces and tabs."""
+    comma: bool
+    """Numbers have a decimal comma."""
+    first_line: int
+    """Of the table, from 0."""
+    width: int
+    words: tuple[bool, ...]
+    """Columns that hold words or dates."""
+    names: tuple[str, ...]
+    """Of the columns, for errors."""
+    encoding: str
+    shown: str
+    """Stands for the file in errors."""
+
+    @property
+    def codec(self) -> str:
+        """How words are encoded in the rows that are read."""
+        return _CODECS.get(self.encoding, self.encoding)
+
+
+def read_rows(path: Path, shape: Shape) -> tuple[Array, dict[int, list[Words]]]:
+    """Numbers (rows, columns without words), NaN where there is none; words by column, in parts.
+
+    Rows without a value are left out, and one that is cut off at the end. Raises BadInput with file and line.
+    """
+    parts: list[Array] = []
+    words: dict[int, list[Words]] = {k: [] for k, has in enumerate(shape.words) if has}
+    with _opened(path, shape) as file:
+        for _ in range(shape.first_line):
+            file.readline()
+        line = shape.first_line + 1
+        while rows := file.readlines(CHUNK_BYTES):
+            begin, line = line, line + len(rows)
+            numbers, texts = _plain(rows, shape) or _cell_by_cell(rows, begin, shape)
+            empty = np.isnan(numbers).all(axis=1)
+            for column in texts.values():
+                empty &= column == b""
+            parts.append(numbers[~empty])
+            for k, column in texts.items():
+                words[k].append(column[~empty])
+    values = np.concatenate(parts) if parts else np.empty((0, 0))
+    if not len(values):
+        raise BadInput(f"{shape.shown}: the table has no values")
+    return np.where(np.isinf(values), math.nan, values) if np.isinf(values).any() else values, words
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The fields of a line, without the spaces around them."""
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _opened(path: Path, shape: Shape) -> BinaryIO:
+    if shape.encoding != "utf-16":
+        return path.open("rb")
+    if path.stat().st_size > RECODED_BYTES:
+        raise BadInput(
+            f"{shape.shown}: has {path.stat().st_size / 1e6:.0f} MB, more than the"
+            f" {RECODED_BYTES / 1e6:.0f} MB that can be rewritten in memory; save it as UTF-8"
+        )
+    return io.BytesIO(path.read_bytes().decode("utf-16", "replace").encode())
+
+
+def _plain(rows: list[bytes], shape: Shape) -> tuple[Array, dict[int, Words]] | None:
+    """The rows where every one has all fields and every number is one, or nothing; None otherwise."""
+    split = shape.delimiter.encode() if shape.delimiter != " " else None
+    if split is None:
+        counts = {len(row.split()) for row in rows}
+    else:
+        counts = {row.count(split) + 1 for row in rows}
+        if any(b'"' in row for row in rows):  # which may hold a delimiter
+            counts |= {len(cells_of(row.decode("latin1"), shape.delimiter)) for row in rows}
+            rows = [row.replace(b'"', b"") for row in rows]
+    if counts != {shape.width}:
+        return None
+    texts = {}
+    for k, has in enumerate(shape.words):
+        if has:
+            last = k + 1 if split else -1
+            texts[k] = np.array([row.split(split, last)[k].strip() for row in rows])
+    if shape.comma:
+        rows = [row.translate(_COMMA_IS_POINT) for row in rows]
+    numbers = _loaded(rows, split, shape)
+    if numbers is None and split is not None:
+        numbers = _loaded([_filled(row, split) for row in rows], split, shape)
+    return None if numbers is None else (numbers, texts)
+
+
+def _loaded(rows: list[bytes], split: bytes | None, shape: Shape) -> Array | None:
+    """The numbers of rows; None where a field is no number as NumPy reads them."""
+    numeric = [k for k, has in enumerate(shape.words) if not has]
+    try:
+        return np.loadtxt(
+            rows,
+            delimiter=split.decode() if split else None,
+            usecols=numeric if any(shape.words) else None,
+            comments=None,
+            ndmin=2,
+            encoding="latin1",
+        )
+    except ValueError:
+        return None
+
+
+def _filled(row: bytes, split: bytes) -> bytes:
+    """The row with a word where a field is empty."""
+    return split.join([field if field.strip() else b"nan" for field in row.split(split)])
+
+
+def _cell_by_cell(rows: Sequence[bytes], begin: int, shape: Shape) -> tuple[Array, dict[int, Words]]:
+    """The rows, the first at the line `begin`, some of which are unlike the others. Raises BadInput."""
+    numeric = [k for k, has in enumerate(shape.words) if not has]
+    numbers: list[list[float]] = []
+    texts: dict[int, list[bytes]] = {k: [] for k, has in enumerate(shape.words) if has}
+    for line, row in _whole_rows(rows, begin, shape):
+        numbers.append([_number(row[k], line, k, shape) for k in numeric])
+        for k, column in texts.items():
+            column.append(row[k].strip(' "').encode(shape.codec, "replace"))
+    values = np.array(numbers, dtype=np.float64).reshape(len(numbers), len(numeric))
+    return values, {k: np.array(column, dtype=np.bytes_) for k, column in texts.items()}
+
+
+def _whole_rows(rows: Sequence[bytes], begin: int, shape: Shape) -> Iterator[tuple[int, list[str]]]:
+    """Line and cells of every row that is not blank, but for a last one that is cut off. Raises BadInput.
+
+    A row that lost a field in its middle would put every value after it into a wrong column.
+    """
+    for line, raw in enumerate(rows, begin):
+        if not raw.strip():
+            continue
+        row = cells_of(raw.decode(shape.codec, "replace").rstrip("\r\n"), shape.delimiter)
+        if len(row) < shape.width and not raw.endswith(b"\n"):
+            return
+        if len(row) != shape.width:
+            todo = (
+                "complete or remove the row"
+                if len(row) < shape.width
+                else "complete the row, or cut the file where another table begins"
+            )
+            raise BadInput(
+                f"{shape.shown}:{line}: {len(row)} fields where the table has {shape.width}; {todo}"
+            )
+        yield line, row
+
+
+def _number(cell: str, line: int, column: int, shape: Shape) -> float:
+    text = cell.strip('"').strip()
+    if (COMMA if shape.comma else POINT).fullmatch(text):
+        return float(text.replace(",", "."))
+    if text in NULLS:
+        return math.nan
+    raise BadInput(
+        f"{shape.shown}:{line}: {shape.names[column]}: {cell[:40]!r} is no number; correct it, or "
+        "leave the field empty when the sample is missing"
+    )
