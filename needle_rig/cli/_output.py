@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,7 +12,17 @@ if TYPE_CHECKING:
 
     from needle_rig.service.documents import Settled, Told
 
+PIPED_COLUMNS = 100_000
+"""No line is longer: notes are sentences, and tables have a row a result."""
 EXIT_CODES = {"aligned": 0, "not_aligned": 0, "fault": 3, "aborted": 4}
+
+
+def console(*, markup: bool = False) -> Console:
+    """Prints results; as wide as they are where no terminal shows them, so that a pipe gets whole lines."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else PIPED_COLUMNS
+    return Console(highlight=False, markup=markup, width=width)
 
 
 def settled_table(settled: list[Settled]) -> Table:

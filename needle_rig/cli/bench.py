@@ -48,8 +48,8 @@ def command(
 ) -> None:
     """Run the plant behind the nodes' real firmware, on ports that a daemon opens like a rig's.
 
-    The firmware is built when it was not built before (needs the dev extra). Another terminal drives it with
-    the rig file that is printed at the start. Faults are typed in, as in `torque freeze`.
+    The firmware is built when it was not built before (needs the extra `bench`). Another terminal drives it
+    with the rig file that is printed at the start. Faults are typed in, as in `torque freeze`.
     """
     from needle_rig.config.loader import load_rig_config, rig_config_text
     from needle_rig.errors import BadInput

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._output import console
 from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import (
     data_argument,
@@ -120,20 +121,19 @@ def _value(text: str) -> tuple[str, float]:
 
 
 def _show(found: Comparison) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     # names and notes come from files: brackets in them are no markup
-    console = Console(highlight=False, markup=False)
+    out = console()
     name, said = found.headline()
-    console.print(Text.assemble((name, "bold"), f" {said}"))
+    out.print(Text.assemble((name, "bold"), f" {said}"))
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     headings, rows = found.rows()
     for heading in headings:
         table.add_column(heading)
     for row in rows:
         table.add_row(*row)
-    console.print(table)
+    out.print(table)
     for sentence in found.sentences():
-        console.print(sentence)
+        out.print(sentence)

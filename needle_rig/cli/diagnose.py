@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._output import console
 from needle_rig.cli._workbench import (
     cluster_option,
     data_argument,
@@ -133,24 +134,23 @@ def _next_step(
 
 
 def _show(found: Answer, values: Sequence[str]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from needle_rig.workbench.selection.answer import left_out_error
 
     # names and notes come from files: brackets in them are no markup
-    console = Console(highlight=False, soft_wrap=False, markup=False)
+    out = console()
     against = f" against the model {found.model}: "
     if values:
         first, *others = values
-        console.print(Text.assemble((found.dataset, "bold"), against + first))
+        out.print(Text.assemble((found.dataset, "bold"), against + first))
         for sentence in others:
-            console.print(f"  {sentence}")
-        console.print(Text.assemble(("structure", "bold"), f": {found.sentence()}"))
+            out.print(f"  {sentence}")
+        out.print(Text.assemble(("structure", "bold"), f": {found.sentence()}"))
     else:
-        console.print(Text.assemble((found.dataset, "bold"), against + found.sentence()))
-    console.print(found.errors_sentence())
+        out.print(Text.assemble((found.dataset, "bold"), against + found.sentence()))
+    out.print(found.errors_sentence())
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("effect", "held out", "removed"):
         table.add_column(heading, no_wrap=True)
@@ -160,19 +160,19 @@ def _show(found: Answer, values: Sequence[str]) -> None:
         table.add_row(
             row.effect, left_out_error(row.held_out_error), f"{100 * row.error_removed:.0f} %", words
         )
-    console.print(table)
+    out.print(table)
     for row in found.ranking[: len(found.effects)]:
         for v in row.values:
             unit = "" if v.unit == "1" else f" {v.unit}"
-            console.print(f"{row.effect}.{v.name} = {v.value:.4g} (95 %: {v.low:.4g} … {v.high:.4g}){unit}")
+            out.print(f"{row.effect}.{v.name} = {v.value:.4g} (95 %: {v.low:.4g} … {v.high:.4g}){unit}")
     for kind in ("present", "negligible", "cannot_tell", "absent"):
         names = [d for d in found.decisions.values() if d.decision == kind]
         if names:
             said = ", ".join(d.effect if kind == "present" else d.sentence() for d in names)
-            console.print(Text.assemble((kind.replace("_", " "), "bold"), f": {said}"))
+            out.print(Text.assemble((kind.replace("_", " "), "bold"), f": {said}"))
     for sentence in found.left_in_words():
-        console.print(f"left over: {sentence}")
+        out.print(f"left over: {sentence}")
     if found.next_experiment:
-        console.print(f"next: {found.next_experiment['sentence']}")
+        out.print(f"next: {found.next_experiment['sentence']}")
     for note in found.notes:
-        console.print(f"note: {note}")
+        out.print(f"note: {note}")

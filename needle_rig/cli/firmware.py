@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def command() -> None:
-    """The nodes' firmware (needs the dev extra)."""
+    """The nodes' firmware (needs the extra `bench`)."""
 
 
 @command.command()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._output import console
 from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import effects_option, json_option, number
 
@@ -38,7 +39,6 @@ def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as
     if not steps:
         click.echo(f"{model}: no step yet; add an effect with needle-rig adopt")
         return
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -53,4 +53,4 @@ def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as
             number(step.held_out),
             number(step.floor),
         )
-    Console(highlight=False).print(table)
+    console().print(table)

@@ -93,5 +93,5 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def main() -> None:
-    """Entry point of the installed command."""
+    """Run the command line of this process and end it."""
     sys.exit(run())

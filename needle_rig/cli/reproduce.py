@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._output import console
 from needle_rig.cli._pictures import picture_option
 
 
@@ -40,7 +41,6 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
     if as_json:
         click.echo(json.dumps(as_document(rows), ensure_ascii=False, indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 1, 0, 0))
@@ -54,11 +54,9 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
         numbers = [f"{round(v, 4) + 0.0:.4g}" for v in (row.paper, row.ours, row.difference)]
         mark = "[green]✓[/]" if row.within else "[red]✗[/]"
         table.add_row(mark, row.name, *numbers, row.unit, row.parameters)
-    console = Console(highlight=False, soft_wrap=False)
-    console.print(table)
+    out = console(markup=True)
+    out.print(table)
     off = [row for row in rows if not row.within]
-    console.print(
-        f"\n{len(rows) - len(off)} of {len(rows)} rows within the paper's standard error. The others:"
-    )
+    out.print(f"\n{len(rows) - len(off)} of {len(rows)} rows within the paper's standard error. The others:")
     for row in off:
-        console.print(f"- {row.name} ({row.parameters}): {row.reason}.", soft_wrap=True)
+        out.print(f"- {row.name} ({row.parameters}): {row.reason}.", soft_wrap=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._output import console
 from needle_rig.cli._runs import config_option, directory_option, runs_directory
 from needle_rig.cli._workbench import effects_option, json_option, library, number
 
@@ -86,7 +87,6 @@ def command(
 
 
 def _show(runs: list[WatchedRun]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     names = list(dict.fromkeys(name for run in runs for name in run.parameters))
@@ -103,4 +103,4 @@ def _show(runs: list[WatchedRun]) -> None:
         told = [run.parameters.get(name) for name in names]
         cells = ["—" if one is None else f"{one.value:.4g}" for one in told]
         table.add_row(run.run, *cells, number(run.misfit))
-    Console(highlight=False, markup=False).print(table)
+    console().print(table)

@@ -238,6 +238,10 @@ async def _until_gone(socket: WebSocket) -> None:
         pass
 
 
+_DESCRIBED = {"Link": '</openapi.json>; rel="service-desc"'}
+"""Where a program finds what may be asked (RFC 8631); a person at a command line asks --help."""
+
+
 class TooLong(BadInput):
     """A body beyond the limit."""
 
@@ -259,10 +263,11 @@ async def _body(request: Request) -> bytes:
 async def _refuse(_: Request, error: Exception) -> Response:
     assert isinstance(error, BadInput | Aborted)
     status = {TooLong: 413, TooMany: 429, Aborted: 409}.get(type(error), 422)
-    return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status)
+    return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status, _DESCRIBED)
 
 
 async def _refuse_path(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    text = f"{request.method} {request.url.path}: {error.detail.lower()}; see /openapi.json"
-    return JSONResponse({"error": text, "exit_code": BadInput.exit_code}, error.status_code, error.headers)
+    text = f"{request.method} {request.url.path}: {error.detail.lower()}"
+    headers = {**(error.headers or {}), **_DESCRIBED}
+    return JSONResponse({"error": text, "exit_code": BadInput.exit_code}, error.status_code, headers)

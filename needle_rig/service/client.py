@@ -28,6 +28,8 @@ _DAEMON = (sys.executable, "-m", "needle_rig", "daemon")
 _PREFIX = "needle-rig-daemon-"
 _TIMEOUT_S = 15.0
 _START_TIMEOUT_S = 600.0
+SAID_BYTES = 10_000
+"""Of what a daemon says while it starts, passed on to the person who started it."""
 _PATIENCE_S = 5.0
 _END_TIMEOUT_S = 15.0
 _AGAIN_S = 10.0
@@ -230,6 +232,7 @@ def _wait_until_ready(
         told: JsonObject = json.loads(line)
         if "error" in told:
             raise failure(told)
+        sys.stderr.write(os.pread(complaints.fileno(), SAID_BYTES, 0).decode("utf-8", "replace"))
         return
     if not ready:
         raise RigFault(

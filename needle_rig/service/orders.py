@@ -115,7 +115,7 @@ def read_order(name: str, content: bytes | Mapping[str, Any]) -> Model:
             return model.model_validate_json(content or b"{}")
         return model.model_validate(content)
     except ValidationError as error:
-        raise BadInput(f"{_complaint(error)}; see /openapi.json for what may be asked") from None
+        raise BadInput(_complaint(error)) from None
 
 
 def _complaint(error: ValidationError) -> str:

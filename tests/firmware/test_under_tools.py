@@ -96,7 +96,7 @@ def test_counts_that_jump_are_no_undefined_behaviour(tmp_path: Path) -> None:
 def test_no_undefined_behaviour_and_no_bad_address(tmp_path: Path) -> None:
     runtime = asan()
     if runtime is None:
-        # The compiler of the dev extra watches for undefined behaviour alone.
+        # The compiler of the extra `bench` watches for undefined behaviour alone.
         flags = ("-fsanitize=undefined", "-fsanitize-trap=undefined")
         build(tmp_path, only_host=True, host_flags=flags)
         run_tests(tmp_path, *NODE_TESTS)

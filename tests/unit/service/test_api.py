@@ -347,6 +347,15 @@ async def test_too_much_and_nowhere_are_sentences(tmp_path: Path) -> None:
         assert service.asked == []
 
 
+async def test_a_refusal_links_to_the_description(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service:
+        for path in ("/nowhere", "/jog"):
+            client = await service.connect()
+            client.send("POST", path, b'{"to_deg": "far"}')
+            head = await client.reader.readuntil(b"\r\n\r\n")
+            assert b'</openapi.json>; rel="service-desc"' in head
+
+
 async def test_the_openapi_document_has_every_path(tmp_path: Path) -> None:
     async with serving(tmp_path) as service:
         status, told = await service.post("/openapi.json", method="GET")
