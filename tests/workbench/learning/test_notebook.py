@@ -75,6 +75,7 @@ def tables_are_structured_arrays_in_the_units_of_files(names: dict[str, Any]) ->
     motions = names["planned"].table()
     assert motions["base_deg"][-1] == pytest.approx(45.0, abs=0.1)
     assert names["answer"].table()["effect"][0] == "tissue_elasticity"
+    assert names["answer"].model_values == ()
 
 
 def a_model_is_saved_and_read_again(names: dict[str, Any], tmp_path: Path) -> None:
