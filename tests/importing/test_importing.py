@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from needle_rig.importing.extra import needed
 
 from needle_rig.cli.main import run as command
 from needle_rig.config.places import write_yaml
@@ -399,11 +398,6 @@ def test_a_mapping_that_asks_for_what_is_not_there_is_refused(
     asked = Mapping.model_validate({**mapping.model_dump(), **changes})
     with pytest.raises(BadInput, match=said):
         dataset_of(asked, Path())
-
-
-def test_a_library_that_is_not_installed_is_a_sentence() -> None:
-    with pytest.raises(BadInput, match=r"pip install 'needle-rig\[import\]'"):
-        needed("no_such_reader", "a file")
 
 
 def test_a_real_machine_is_imported_by_the_mapping_in_the_repository(tmp_path: Path) -> None:
