@@ -18,7 +18,6 @@ from needle_rig.config.places import write_yaml
 from needle_rig.dataset import read_dataset, write_dataset
 from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
-from needle_rig.extras import needed
 from needle_rig.importing import (
     Mapping,
     Recordings,
@@ -399,11 +398,6 @@ def test_a_mapping_that_asks_for_what_is_not_there_is_refused(
     asked = Mapping.model_validate({**mapping.model_dump(), **changes})
     with pytest.raises(BadInput, match=said):
         dataset_of(asked, Path())
-
-
-def test_a_library_that_is_not_installed_is_a_sentence() -> None:
-    with pytest.raises(BadInput, match=r"pip install .*\[import\]"):
-        needed("no_such_reader", "a file", "import")
 
 
 def test_a_real_machine_is_imported_by_the_mapping_in_the_repository(tmp_path: Path) -> None:
