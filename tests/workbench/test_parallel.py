@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from needle_rig.errors import NeedleRigError
-from needle_rig.workbench.parallel import Processes, Work
+from needle_rig.workbench.parallel import Processes, Work, on_terminal
 
 INTERRUPTED = """
 import time
