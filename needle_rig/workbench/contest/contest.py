@@ -14,6 +14,7 @@ from needle_rig.workbench.contest.strategies_table import (
     Bout,
     Foretold,
     Table,
+    check_asked,
     compare_strategies,
     foretold,
 )
@@ -77,6 +78,7 @@ def contest(
     With `diagnose` that model's effects are found, otherwise they are those of the plant. `tell` hears what
     is foretold before the plant is touched. Raises BadInput, SolverError.
     """
+    check_asked(asked.strategies, asked.targets_deg)
     if saved is None and "planned" in asked.strategies:
         say("making eight runs with reed2008 and fitting a model to them")
         dataset = simulate_dataset(plant, load_protocol("standard"), seed=1, noise=asked.noise)
