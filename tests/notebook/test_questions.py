@@ -56,7 +56,7 @@ def test_an_experiment_is_a_protocol_that_can_be_simulated(tmp_path: Path) -> No
     found.save(tmp_path / "decide.yaml")
     assert load_protocol(tmp_path / "decide.yaml").trials == found.protocol.trials
     assert len(nr.simulate(protocol=found.protocol, rate_hz=20.0)) == 3
-    with pytest.raises(nr.BadInput, match="^between tip_friction tip_friction: name two different"):
+    with pytest.raises(nr.BadInput, match=r"^between tip_friction tip_friction: name two different"):
         nr.experiment(data, ("tip_friction", "tip_friction"))
 
 
