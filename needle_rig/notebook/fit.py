@@ -11,7 +11,7 @@ import numpy as np
 
 from needle_rig.model import SavedModel, save_model
 from needle_rig.notebook.model import Model
-from needle_rig.notebook.params import Param, Params
+from needle_rig.notebook.params import Param, Params, correl_of
 from needle_rig.notebook.tables import Table, or_nan, table_of
 from needle_rig.notebook.traced import Traced
 from needle_rig.workbench.learning.compare import TraceComparison, compared
@@ -40,7 +40,7 @@ class Fit(Traced):
                     of.refit_uncertainty,
                     ends.get(of.name),
                     of.unit,
-                    {(set(pair) - {of.name}).pop(): r for pair, r in correl.items() if of.name in pair},
+                    correl_of(of.name, correl),
                 )
                 for of in self.found.values.each
             },
@@ -132,7 +132,7 @@ class Identification(Traced):
                     of.uncertainty,
                     of.interval,
                     of.unit,
-                    {(set(pair) - {of.name}).pop(): r for pair, r in correl.items() if of.name in pair},
+                    correl_of(of.name, correl),
                 )
                 for of in self.found.estimates
                 if of.value is not None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needle_rig.model import SavedModel, save_model
-from needle_rig.notebook.params import Param, Params
+from needle_rig.notebook.params import Param, Params, correl_of
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, table_of
 from needle_rig.units import deg, nmm
@@ -109,14 +109,10 @@ class Plan(Shown):
 
 def params_of_model(saved: SavedModel) -> Params:
     """The values of a model as its file tells them, each ± as a normal distribution."""
-    correlations: dict[str, dict[str, float]] = {}
-    for (one, other), value in saved.correlations.items():
-        correlations.setdefault(one, {})[other] = value
-        correlations.setdefault(other, {})[one] = value
     params = {}
     for name, value in saved.model.values().items():
         size = saved.uncertainties.get(name)
         ends = None if size is None else (value - SIGMAS_95 * size, value + SIGMAS_95 * size)
         unit = saved.model.info(name).unit
-        params[name] = Param(name, value, size, ends, unit, correlations.get(name, {}))
+        params[name] = Param(name, value, size, ends, unit, correl_of(name, saved.correlations))
     return Params(saved.model.name, params)

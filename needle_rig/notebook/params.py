@@ -43,6 +43,13 @@ class Param:
         return f"{self.value:.7g} +/- {self.stderr:.4g}{share}{unit} (95%: {low:.6g} to {high:.6g})"
 
 
+def correl_of(name: str, pairs: Mapping[tuple[str, str], float]) -> dict[str, float]:
+    """Correlations of one value with the others, from those of pairs."""
+    return {
+        other if one == name else one: value for (one, other), value in pairs.items() if name in (one, other)
+    }
+
+
 class Params(Shown, Mapping[str, Param]):
     """Values by name."""
 

@@ -40,6 +40,10 @@ for trial in data:
 """
 
 
+untyped: Any = nr
+"""For arguments of wrong types, that mypy refuses."""
+
+
 def test_every_name_is_there_and_completes() -> None:
     assert set(nr.__all__) <= set(dir(nr))
     for name in nr.__all__:
@@ -50,19 +54,25 @@ def test_every_name_is_there_and_completes() -> None:
 @pytest.mark.parametrize(
     ("ask", "said"),
     [
-        (lambda: nr.compare("nowhere/mine"), "nowhere/mine"),
-        (lambda: nr.compare([1.0]), "data is of type list; give a path"),
-        (lambda: nr.compare(data(), 1.0), "model is of type float; give a path"),
-        (lambda: nr.compare(data(), fixed={"torsional_rigidity_nmm2": "62"}), "is '62', not a number"),
-        (lambda: nr.simulate(["tissue_elasticity"]), "effects is of type list; name values"),
-        (lambda: nr.simulate({"tissue_elasticity": {"stifness": 0.35}}), "tissue_elasticity has no stifness"),
-        (lambda: nr.simulate({"tissue_elasticity": "0.35"}), "is '0.35', not a number; give it in N·mm/rad"),
-        (lambda: nr.simulate({"tissue_elasticity": None}), "is None, not a number"),
-        (lambda: nr.adopt("diagnosis.yaml"), "diagnosis is of type str; give what diagnose answers"),
-        (lambda: nr.plan("rig_elastic", 45.0, "planed"), "planed"),
-        (lambda: nr.experiment(data(), "tip_friction"), "between is 'tip_friction'; name two effects"),
-        (lambda: nr.diagnose(data(), jobs=0), "^jobs 0: give at least 1"),
-        (lambda: nr.strategies("none", targets_deg=[0.0]), "^targets 0: give angles"),
+        (lambda: untyped.compare("nowhere/mine"), "nowhere/mine"),
+        (lambda: untyped.compare([1.0]), "data is of type list; give a path"),
+        (lambda: untyped.compare(data(), 1.0), "model is of type float; give a path"),
+        (lambda: untyped.compare(data(), fixed={"torsional_rigidity_nmm2": "62"}), "is '62', not a number"),
+        (lambda: untyped.simulate(["tissue_elasticity"]), "effects is of type list; name values"),
+        (
+            lambda: untyped.simulate({"tissue_elasticity": {"stifness": 0.35}}),
+            "tissue_elasticity has no stifness",
+        ),
+        (
+            lambda: untyped.simulate({"tissue_elasticity": "0.35"}),
+            "is '0.35', not a number; give it in N·mm/rad",
+        ),
+        (lambda: untyped.simulate({"tissue_elasticity": None}), "is None, not a number"),
+        (lambda: untyped.adopt("diagnosis.yaml"), "diagnosis is of type str; give what diagnose answers"),
+        (lambda: untyped.plan("rig_elastic", 45.0, "planed"), "planed"),
+        (lambda: untyped.experiment(data(), "tip_friction"), "between is 'tip_friction'; name two effects"),
+        (lambda: untyped.diagnose(data(), jobs=0), "^jobs 0: give at least 1"),
+        (lambda: untyped.strategies("none", targets_deg=[0.0]), "^targets 0: give angles"),
     ],
 )
 def test_a_wrong_argument_is_one_sentence_in_python_s_words(ask: Callable[[], Any], said: str) -> None:

@@ -12,6 +12,7 @@ import pytest
 import needle_rig as nr
 from needle_rig.dataset import Dataset
 from needle_rig.notebook.data import Data
+from needle_rig.notebook.tables import table_of
 from tests.workbench.hidden import PROTOCOL
 
 SETTLED = "reed2008"
@@ -85,6 +86,10 @@ def test_a_run_is_exported_once(run_path: Path, tmp_path: Path) -> None:
     assert len(nr.read_dataset(nr.export(run, tmp_path / "data", "dataset"))) == 1
     with pytest.raises(nr.BadInput, match=r"exists already; name another place with out$"):
         nr.export(run, tmp_path / "csv")
+
+
+def test_a_table_without_rows_has_its_columns() -> None:
+    assert list(pd.DataFrame(table_of([], ("effect", "value")))) == ["effect", "value"]
 
 
 def test_without_pandas_a_sentence_says_what_to_install(data: Data, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,7 +64,7 @@ class Experiment:
         ]
         if self.power_sigma < TOLD_APART_SIGMA:
             said.append(
-                f"At the values fitted here {self.better} and {self.other} foretell the same needle; what one"
+                f"At the values fitted here {self.better} and {self.other} predict the same needle; what one"
                 " trial separates, fitting both again takes back."
             )
         return said
