@@ -11,28 +11,52 @@ from needle_rig.version import VERSION
 
 if TYPE_CHECKING:
     from needle_rig.notebook import (
+        BadInput,
+        NeedleRigError,
+        SolverError,
         add_effect,
         adopt,
         compare,
         diagnose,
+        effects,
+        experiment,
+        export,
+        fit,
+        identify,
+        import_recording,
+        learn,
+        parameters,
         plan,
         read_dataset,
         read_model,
         read_run,
         simulate,
+        strategies,
     )
 
 __version__ = VERSION
 __all__ = [
+    "BadInput",
+    "NeedleRigError",
+    "SolverError",
     "add_effect",
     "adopt",
     "compare",
     "diagnose",
+    "effects",
+    "experiment",
+    "export",
+    "fit",
+    "identify",
+    "import_recording",
+    "learn",
+    "parameters",
     "plan",
     "read_dataset",
     "read_model",
     "read_run",
     "simulate",
+    "strategies",
 ]
 
 
@@ -43,3 +67,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(notebook, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,20 +100,11 @@ def read_saved(path: Path | None, directories: tuple[str, ...]) -> SavedModel | 
     return load_saved(path, effects=directories)
 
 
-def progress(results: Iterable[Any], total: int) -> Iterable[Any]:
-    """Hands on `results` with a bar and the time left on stderr: on a terminal, silent otherwise."""
-    from rich.console import Console
-    from rich.progress import track
-
-    silent = total < 2 or not sys.stderr.isatty()
-    return track(results, "", total, console=Console(stderr=True), transient=True, disable=silent)
-
-
 def worker(jobs: int | None, cluster: str | None) -> Work:
     """Where tasks run, with progress shown."""
-    from needle_rig.workbench.parallel import workers
+    from needle_rig.workbench.parallel import on_terminal, workers
 
-    return workers(jobs, cluster, progress)
+    return workers(jobs, cluster, on_terminal)
 
 
 def say(text: str) -> None:

@@ -39,11 +39,12 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
     """
     from needle_rig.errors import BadInput
     from needle_rig.importing import Recordings, dataset_of
+    from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
     from needle_rig.importing.keep import kept
 
     if os.path.lexists(out):
         raise BadInput(f"{out}: exists already; name another folder with --out or remove it first")
-    named = [file for file in files if file.suffix.lower() in (".yaml", ".yml") and not file.is_dir()]
+    named = [file for file in files if is_mapping(file)]
     others = [file for file in files if file not in named]
     if len(named) > 1:
         raise BadInput(f"{named[1]}: a second mapping; give one")
@@ -53,9 +54,9 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
         raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
     recordings = Recordings()
     if named:
-        mapping, folder = _given(named[0], others, layout)
+        mapping, folder = given_mapping(named[0], others, layout)
     else:
-        mapping, folder = _guessed(others, out, layout, recordings), Path()
+        mapping, folder = guessed_mapping(others, out.resolve().name, layout, recordings), Path()
         _tell(mapping)
     waiting = mapping.doubts()
     if not yes and waiting and not mapping.lacks() and guessing and sys.stdin.isatty():
@@ -81,32 +82,6 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
         f"{out}: {len(dataset.trials)} trials, {len(dataset.replicates)} commands, {samples} samples"
         + (f"; see {out / PICTURE}" if drawn else "")
     )
-
-
-def _given(path: Path, others: list[Path], layout: Path | None) -> tuple[Mapping, Path]:
-    from needle_rig.errors import BadInput
-    from needle_rig.importing import read_mapping
-    from needle_rig.importing.mapping import FilePart
-    from needle_rig.importing.shaft import read_rig
-
-    mapping, _ = read_mapping(path)
-    if layout is not None:
-        mapping = mapping.model_copy(update={"rig": read_rig(layout)})
-    if others:
-        if len({f.path for clock in mapping.clocks.values() for f in clock.files[:1]}) > 1:
-            raise BadInput(f"{path}: has files of several kinds; write the others into a copy of it")
-        parts = tuple(FilePart(path=os.path.relpath(file, path.parent)) for file in others)
-        clocks = {name: clock.model_copy(update={"files": parts}) for name, clock in mapping.clocks.items()}
-        mapping = mapping.model_copy(update={"clocks": clocks})
-    return mapping, path.parent
-
-
-def _guessed(files: list[Path], out: Path, layout: Path | None, recordings: Recordings) -> Mapping:
-    from needle_rig.importing import guess
-    from needle_rig.importing.shaft import read_rig
-
-    rig = None if layout is None else read_rig(layout)
-    return guess([recordings.read(file) for file in files], out.resolve().name, rig, Path())
 
 
 def _tell(mapping: Mapping) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import json
 import shlex
 import time
@@ -66,9 +65,8 @@ def command(
     from needle_rig.workbench.parallel import one_thread_each
 
     one_thread_each()
-    from needle_rig.workbench.laws.draft import Origin
-    from needle_rig.workbench.laws.learn import learn_laws
     from needle_rig.workbench.laws.symbolic import formula_of, regressor
+    from needle_rig.workbench.learning.learn_law import laws_of
     from needle_rig.workbench.learning.observations import Traces
 
     started = time.monotonic()
@@ -82,16 +80,7 @@ def command(
             f"{observed.name}: holds settled values only, from which no curve can be learnt;"
             " name a dataset of traces or a run file"
         )
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    found = learn_laws(
-        observed.data,
-        effects,
-        present,
-        origin=Origin(observed.name, observed.sha256(), today),
-        seed=seed,
-        workers=lambda: worker(jobs, None),
-        say=say,
-    )
+    found = laws_of(observed, effects, present, seed=seed, workers=lambda: worker(jobs, None), say=say)
     drafts = found.write_drafts(out) if out is not None else ()
     for draft in drafts:
         click.echo(f"wrote {draft}", err=True)

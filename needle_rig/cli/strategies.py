@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,11 +13,9 @@ from needle_rig.cli._workbench import effects_option, jobs_option, json_option, 
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from needle_rig.model import SavedModel
     from needle_rig.physics.needle_model import NeedleModel
-    from needle_rig.records import JsonObject
-    from needle_rig.workbench.contest.strategies_table import Foretold, StrategyOverall, Table
-    from needle_rig.workbench.virtual.noise import Noise
+    from needle_rig.workbench.contest.contest import Contest
+    from needle_rig.workbench.contest.strategies_table import StrategyOverall
 
 PAIR = ("planned", "reed2008")
 EACH = "  {:<36}{:<24}{:>11}{:>13}{:>7}  {}"
@@ -82,8 +79,9 @@ def command(
 
     one_thread_each()
     from needle_rig.cli._workbench import library as find_library
-    from needle_rig.model import SavedModel, load_model, load_parameters, parameter_sets
+    from needle_rig.model import load_parameters, load_saved
     from needle_rig.physics.effect_text import parse_effects
+    from needle_rig.workbench.contest.contest import Asked, contest
     from needle_rig.workbench.contest.strategies_table import all_strategies
     from needle_rig.workbench.virtual.noise import Noise
 
@@ -97,36 +95,38 @@ def command(
         raise BadInput("--each needs --effect once or more, and goes without --model and --png")
     if each and not set(PAIR) <= set(strategies):
         raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
-    noise = Noise(friction_scatter=scatter_percent / 100.0)
+    saved = None if model_path is None else load_saved(model_path, effects=directories)
+    asked = Asked(strategies, angles, seeds, Noise(friction_scatter=scatter_percent / 100.0))
 
-    def contest(plant: NeedleModel) -> Contest:
-        saved = None
-        if "planned" in strategies or model_path is not None:
-            if model_path is None:
-                saved = _identified(plant, noise, library, diagnose, jobs)
-            elif model_path in parameter_sets():
-                saved = SavedModel(load_parameters(model_path, effects=directories), model_path)
-            else:
-                saved = load_model(model_path, effects=directories)
-        return _contest(plant, noise, saved, strategies, angles, seeds, jobs)
+    def run(plant: NeedleModel) -> Contest:
+        return contest(
+            plant,
+            asked,
+            library,
+            saved,
+            diagnose=diagnose,
+            workers=lambda: worker(jobs, None),
+            say=say,
+            tell=lambda sentence: click.echo(sentence, err=True),
+        )
 
     over = f"medians (95 % quantiles) over {len(angles)} targets, each {seeds} × relaxed and {seeds} × wound"
     if each:
         plants = {e: bare.with_effects(*parse_effects((e,), library)) for e in effects}
         if as_json:
-            told = [{"effect": e} | _document(contest(plant)) for e, plant in plants.items()]
+            told = [{"effect": e} | run(plant).as_json() for e, plant in plants.items()]
             click.echo(json.dumps({"effects": told}, ensure_ascii=False, allow_nan=False))
             return
         click.echo(f"{parameters}: worst error of the shaft in °, {over}")
         click.echo(
             EACH.format("hidden effect", "in the model", "planned", "reed2008", "times", "said before")
         )
-        sentences = [_show_one(effect, contest(plant)) for effect, plant in plants.items()]
+        sentences = [_show_one(effect, run(plant)) for effect, plant in plants.items()]
         for sentence in filter(None, sentences):
             click.echo(sentence)
         return
     plant = bare.with_effects(*parse_effects(effects, library))
-    found = contest(plant)
+    found = run(plant)
     if pictures is not None:
         from needle_rig.figures.page import png
         from needle_rig.figures.strategies import strategies_figure
@@ -138,40 +138,9 @@ def command(
         file.write_bytes(png(strategies_figure(found.table, title)))
         click.echo(f"picture: {file}", err=True)
     if as_json:
-        click.echo(json.dumps(_document(found), ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(found.as_json(), ensure_ascii=False, allow_nan=False))
         return
     _show(found.table.overall(), f"{parameters}: {over}")
-
-
-@dataclass(frozen=True)
-class Contest:
-    """The strategies on one rig: the model that planned had, what was said beforehand, and what came."""
-
-    saved: SavedModel | None
-    foretold: Foretold | None
-    table: Table
-
-
-def _contest(
-    plant: NeedleModel,
-    noise: Noise,
-    saved: SavedModel | None,
-    strategies: tuple[str, ...],
-    targets_deg: tuple[float, ...],
-    seeds: int,
-    jobs: int | None,
-) -> Contest:
-    from needle_rig.workbench.contest.strategies_table import Bout, compare_strategies, foretold
-
-    bout = Bout(plant, plant.torsional_rigidity_nm2, noise, saved)
-    told = None
-    if saved is not None:
-        told = foretold(bout, targets_deg)
-        click.echo(told.sentence, err=True)
-    say(f"running {len(strategies)} strategies to {len(targets_deg)} targets")
-    return Contest(
-        saved, told, compare_strategies(bout, strategies, targets_deg, seeds, work=worker(jobs, None))
-    )
 
 
 def _targets(text: str) -> tuple[float, ...]:
@@ -181,40 +150,10 @@ def _targets(text: str) -> tuple[float, ...]:
         raise BadInput(f"--targets {text}: write degrees with commas, as in --targets 45,-90") from None
 
 
-def _identified(plant: NeedleModel, noise: Any, library: Any, diagnose: bool, jobs: int | None) -> SavedModel:
-    """A model from runs of the standard protocol with reed2008 on the plant."""
-    from needle_rig.simulation.protocol import load_protocol
-    from needle_rig.workbench.learning.learn import fit_known, learn
-    from needle_rig.workbench.virtual.dataset import simulate_dataset
-
-    say("making eight runs with reed2008 and fitting a model to them")
-    dataset = simulate_dataset(plant, load_protocol("standard"), seed=1, noise=noise)
-    if diagnose:
-        return learn(dataset, library, work=worker(jobs, None), say=say).after
-    return fit_known(dataset, library, [e.name() for e in plant.effects if not e.is_off()])
-
-
-def _document(contest: Contest) -> JsonObject:
-    table, saved = contest.table, contest.saved
-    told = contest.foretold.sentence if contest.foretold else ""
-    document: JsonObject = {"rows": table.rows(), "overall": table.overall(), "foretold": told}
-    if saved is not None:
-        document["model"] = {
-            name: {
-                "value": value if abs(value) != float("inf") else "inf",
-                "uncertainty": saved.uncertainties.get(name),
-            }
-            for name, value in saved.model.values().items()
-            if abs(value) != float("inf")
-        }
-        document["model_error_over_floor"] = saved.error_over_floor
-    return document
-
-
-def _show_one(effect: str, contest: Contest) -> str:
+def _show_one(effect: str, found: Contest) -> str:
     """Print one line a hidden effect; the answer says why planning will not help much, or is empty."""
-    rows = {row["strategy"]: row for row in contest.table.overall()}
-    saved, told = contest.saved, contest.foretold
+    rows = {row["strategy"]: row for row in found.table.overall()}
+    saved, told = found.saved, found.foretold
     assert saved is not None
     assert told is not None
     names = ", ".join(e.name() for e in saved.model.effects) or "none"

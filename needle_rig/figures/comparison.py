@@ -9,10 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
-from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.learning.compare import TraceComparison
+from needle_rig.workbench.learning.misfit import modelled
 from needle_rig.workbench.learning.places import NOISE_LIMIT, motion_words, scale_of
 
 SHOWN_TRIALS = 4
@@ -113,12 +111,6 @@ def worst_trials(found: TraceComparison) -> list[int]:
     largest = np.argsort(-found.shown.trial_errors).tolist()
     ordered = [*(files.index(place.trial) for place in worst), *largest]
     return list(dict.fromkeys(ordered))[:SHOWN_TRIALS]
-
-
-def modelled(problem: Problem, fit: Fit, trial: int) -> Array:
-    """What a fit says the sensors read (C, samples) in one trial."""
-    reading = problem.model(fit.parameters, fit.vector, trial).predict(problem.trials[trial].trial)
-    return np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
 
 
 def residual_map(found: TraceComparison) -> Figure:

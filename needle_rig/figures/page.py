@@ -82,8 +82,13 @@ def row(name: str, cells: Iterable[str | float], mark: bool | None = None) -> st
 
 def shown(picture: Picture) -> str:
     """A picture under its title."""
-    data, title = base64.b64encode(picture.png).decode("ascii"), html.escape(picture.title)
-    return f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{data}">'
+    return f"<h2>{html.escape(picture.title)}</h2>{image(picture.title, picture.png)}"
+
+
+def image(alt: str, png: bytes) -> str:
+    """A picture that the page itself holds; `alt` says what it shows."""
+    data = base64.b64encode(png).decode("ascii")
+    return f'<img alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
 
 
 def write_page(path: Path, title: str, blocks: Iterable[str]) -> None:

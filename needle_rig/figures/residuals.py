@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from needle_rig.errors import BadInput
-from needle_rig.figures.comparison import modelled, pulls, residual_map, traces, worst_trials
+from needle_rig.figures.comparison import pulls, residual_map, traces, worst_trials
 from needle_rig.figures.refit import correlation, profile
 from needle_rig.numerics import Array
 from needle_rig.units import deg
 from needle_rig.workbench.learning.compare import TraceComparison
+from needle_rig.workbench.learning.misfit import modelled
 from needle_rig.workbench.learning.places import scale_of
 from needle_rig.workbench.selection.answer import SIGMAS_95
 

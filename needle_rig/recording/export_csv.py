@@ -15,7 +15,7 @@ import numpy.typing as npt
 from needle_rig.config.places import parse_yaml, show_path, write_yaml
 from needle_rig.errors import BadInput
 from needle_rig.recording.reader import RunFile
-from needle_rig.recording.tables import Rows, at_edge
+from needle_rig.recording.tables import Rows, edge_values
 
 
 def export_csv(run: RunFile, folder: str | os.PathLike[str]) -> list[Path]:
@@ -46,17 +46,9 @@ def export_csv(run: RunFile, folder: str | os.PathLike[str]) -> list[Path]:
 
 
 def edge_columns(rows: Rows, begin_s: float = 0.0) -> Iterator[tuple[str, list[str]]]:
-    """Columns of a table as text, in the units of files; arrays become one column an entry (hall_1_deg)."""
-    for name in rows.dtype.names or ():
-        values = rows[name]
-        shown, convert, decimals = at_edge(name)
-        values = values - begin_s if name == "time_s" else convert(values)
-        if values.ndim == 1:
-            yield shown, _texts(values, decimals)
-            continue
-        stem, unit = shown.rsplit("_", 1)
-        for index in range(values.shape[1]):
-            yield f"{stem}_{index + 1}_{unit}", _texts(values[:, index], decimals)
+    """Columns of a table as text, in the units of files."""
+    for name, values, decimals in edge_values(rows, begin_s):
+        yield name, _texts(values, decimals)
 
 
 def _texts(values: npt.NDArray[Any], decimals: int) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -40,6 +40,23 @@ def at_edge(field: str) -> tuple[str, Callable[[Array], Array], int]:
         if field.endswith(inside):
             return field.removesuffix(inside) + outside, convert, decimals
     return field, lambda values: values, 6
+
+
+def edge_values(rows: Rows, begin_s: float = 0.0) -> Iterator[tuple[str, npt.NDArray[Any], int]]:
+    """Columns of a table as files show them: name, values, decimals; arrays become one column an entry.
+
+    `hall_rad` becomes `hall_1_deg` and so on; `time_s` counts from `begin_s`.
+    """
+    for name in rows.dtype.names or ():
+        values = rows[name]
+        shown, convert, decimals = at_edge(name)
+        values = values - begin_s if name == "time_s" else convert(values)
+        if values.ndim == 1:
+            yield shown, values, decimals
+            continue
+        stem, unit = shown.rsplit("_", 1)
+        for index in range(values.shape[1]):
+            yield f"{stem}_{index + 1}_{unit}", values[:, index], decimals
 
 
 def run_tables(sensors: int, shaft_nodes: int = 0) -> dict[str, np.dtype[Any]]:

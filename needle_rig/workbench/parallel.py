@@ -5,11 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import pickle
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any, Self
 
 from needle_rig.errors import BadInput, NeedleRigError
@@ -18,6 +21,15 @@ from needle_rig.extras import missing
 Task = tuple[Any, ...]
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 """Hands on results as they come, of which there will be so many, and shows how far they are."""
+
+
+def on_terminal(results: Iterable[Any], total: int) -> Iterable[Any]:
+    """Hands on `results` with a bar and the time left on stderr: on a terminal, silent otherwise."""
+    from rich.console import Console
+    from rich.progress import track
+
+    silent = total < 2 or not sys.stderr.isatty()  # noqa: PLR2004 one task has no way to go
+    return track(results, "", total, console=Console(stderr=True), transient=True, disable=silent)
 
 
 class Work:
@@ -48,6 +60,22 @@ class Work:
         self._shared = None
 
 
+class _Afresh(SpawnProcess):
+    """A process that does not run the caller's main file again: a script would ask all its questions anew."""
+
+    def start(self) -> None:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = main
+
+
+class _AfreshContext(SpawnContext):
+    Process = _Afresh
+
+
 class Processes(Work):
     """In `jobs` processes, started afresh (spawn), so that nothing of this one leaks into them."""
 
@@ -57,7 +85,7 @@ class Processes(Work):
             raise BadInput(f"--jobs {jobs}: give at least 1")
         one_thread_each()
         self.processes = jobs
-        self._pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext())
         self._folder = TemporaryDirectory(prefix="needle-rig-")
         self._round = 0
 

@@ -12,6 +12,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 FOUND_BY_FILE_NAME = ("needle_rig/physics/effects", "needle_rig/control/strategies")
 """One class a file, looked up by the file's name; its fields are read by their names."""
 CALLED_BY_LIBRARIES = {
+    "__dir__": "Python: attributes of the package",
     "__getattr__": "Python: attributes of the package",
     "Ki": "simple_pid",
     "MAX_RETRIES": "canopen",
@@ -22,7 +23,6 @@ CALLED_BY_LIBRARIES = {
     "_one_of_both": "pydantic",
     "_optimize_final_module": "numba",
     "_options_end": "pydantic",
-    "_repr_png_": "Jupyter",
     "get_code": "importlib",
     "define_pipelines": "numba",
     "disconnected": "uvicorn",

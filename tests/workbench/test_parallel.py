@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from needle_rig.cli._workbench import progress
 from needle_rig.errors import NeedleRigError
-from needle_rig.workbench.parallel import Processes, Work
+from needle_rig.workbench.parallel import Processes, Work, on_terminal
 
 INTERRUPTED = """
 import time
@@ -110,7 +109,7 @@ def test_progress_is_shown_on_a_terminal_alone(
     monkeypatch.setenv("TERM", "xterm")
     err = stream()
     monkeypatch.setattr(sys, "stderr", err)
-    work = Work(progress)
+    work = Work(on_terminal)
     work.share(1)
     assert work.run(pow, [(k,) for k in range(3)]) == [1, 1, 1]
     said = err.getvalue()

@@ -223,6 +223,17 @@ def all_strategies() -> tuple[str, ...]:
     return tuple(name for name in find_strategies() if name not in NEEDS_OTHERS)
 
 
+def check_asked(strategies: Sequence[str], targets_deg: Sequence[float]) -> None:
+    """Raises BadInput for a strategy that there is not, and for a target too far to turn to."""
+    known = all_strategies()
+    for name in strategies:
+        if name not in known:
+            raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(known)}")
+    for target in targets_deg:
+        if not 0.0 < abs(target) <= FARTHEST_TARGET_DEG:
+            raise BadInput(f"--targets {target:g}: give angles of up to ±{FARTHEST_TARGET_DEG:g}°, and not 0")
+
+
 def compare_strategies(
     bout: Bout,
     strategies: Sequence[str],
@@ -234,13 +245,7 @@ def compare_strategies(
     work: Work | None = None,
 ) -> Table:
     """Run every strategy from every start to every target, `seeds` times. Raises BadInput, SolverError."""
-    known = all_strategies()
-    for name in strategies:
-        if name not in known:
-            raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(known)}")
-    for target in targets_deg:
-        if not 0.0 < abs(target) <= FARTHEST_TARGET_DEG:
-            raise BadInput(f"--targets {target:g}: give angles of up to ±{FARTHEST_TARGET_DEG:g}°, and not 0")
+    check_asked(strategies, targets_deg)
     tasks = [
         (name, float(target), start, first_seed + seed)
         for name in strategies

@@ -17,6 +17,7 @@ from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, null_model
 from needle_rig.workbench.estimation.file_units import known_of, values_by_name, vector_of
 from needle_rig.workbench.estimation.gaussian import Gaussian
@@ -192,6 +193,13 @@ class TraceComparison:
         }
 
 
+def known_value(model: NeedleModel, name: str) -> None:
+    """Raises BadInput where the model has no value of this name."""
+    names = tuple(model.values())
+    if name not in names:
+        raise BadInput(f"{name}: no value of the model {model.name}; it has {', '.join(names)}")
+
+
 def ratio(value: float | None) -> str:
     """Error over noise for a table."""
     return "—" if value is None else f"{value:.3g}"
@@ -211,10 +219,8 @@ def compare(
     model = None if saved is None else saved.model
     if held.fixed or held.free:
         model = model or null_model(dataset)
-        names = tuple(model.values())
         for name in (*held.fixed, *held.free):
-            if name not in names:
-                raise BadInput(f"{name}: no value of the model {model.name}; it has {', '.join(names)}")
+            known_value(model, name)
         if both := set(held.fixed) & set(held.free):
             raise BadInput(f"{min(both)} is both fixed and free; name it once")
         if held.free and (saved is None or held.refit_only):

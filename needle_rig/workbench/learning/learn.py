@@ -57,7 +57,7 @@ def learn(
 def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Sequence[str]) -> SavedModel:
     """A model with the named effects, fitted to `dataset` one after the other, without looking for others."""
     if not effects:
-        return _saved(fit_baseline(dataset, None, library))
+        return saved_fit(fit_baseline(dataset, None, library))
     saved = None
     for effect in effects:
         saved = adopt(Traces(dataset), effect, library, saved, force=True, name=dataset.name)
@@ -67,10 +67,11 @@ def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Se
 
 def fitted(found: Diagnosis) -> SavedModel:
     """The current model of a diagnosis, fitted to its dataset, with its errors as history."""
-    return _saved(found.baseline)
+    return saved_fit(found.baseline)
 
 
-def _saved(baseline: Baseline) -> SavedModel:
+def saved_fit(baseline: Baseline) -> SavedModel:
+    """The model of a baseline, fitted as it is, with its errors as history."""
     current = baseline.current
     entry = HistoryEntry(
         dataset=baseline.dataset.name,

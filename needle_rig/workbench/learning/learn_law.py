@@ -10,6 +10,7 @@ from pathlib import Path
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
+from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.learn import learn_laws
 from needle_rig.workbench.laws.learnt import Learnt
@@ -28,6 +29,24 @@ class LawLesson(Lesson):
     """Effects, the drafted ones among them."""
 
 
+def laws_of(
+    observed: Traces,
+    library: Mapping[str, type[Effect]],
+    model: NeedleModel | None = None,
+    *,
+    seed: int = 0,
+    workers: Callable[[], Work] = Work,
+    say: Callable[[str], None] = lambda _: None,
+) -> Learnt:
+    """Learn laws from traces; what is drafted says which data and day it comes from.
+
+    Raises BadInput, SolverError.
+    """
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    origin = Origin(observed.name, observed.sha256(), today)
+    return learn_laws(observed.data, library, model, origin=origin, seed=seed, workers=workers, say=say)
+
+
 def learn_law(
     dataset: Dataset,
     library: Mapping[str, type[Effect]],
@@ -42,9 +61,7 @@ def learn_law(
     `cannot_tell` or `none`, nor what improves no cross-validation. Raises BadInput, SolverError.
     """
     observed = Traces(dataset)
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    origin = Origin(dataset.name, observed.sha256(), today)
-    found = learn_laws(dataset, library, origin=origin, workers=workers, say=say)
+    found = laws_of(observed, library, workers=workers, say=say)
     before = fitted(found.diagnosis)
     if found.verdict not in ("law", "library"):
         return LawLesson(before, before, found.diagnosis, (), found, library)

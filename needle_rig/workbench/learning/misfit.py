@@ -70,6 +70,12 @@ def misfit(problem: Problem, found: Fit, names: tuple[str, ...], known: Array | 
     )
 
 
+def modelled(problem: Problem, fit: Fit, trial: int) -> Array:
+    """What a fit says the sensors read (C, samples; N·m and rad) in one trial, at every time of its drive."""
+    reading = problem.model(fit.parameters, fit.vector, trial).predict(problem.trials[trial].trial)
+    return np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])
+
+
 def finite(value: float) -> float | None:
     """Six digits; None for what JSON has no number for."""
     return float(f"{value:.6g}") if np.isfinite(value) else None

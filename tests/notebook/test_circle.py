@@ -14,10 +14,10 @@ import pytest
 
 import needle_rig as nr
 from needle_rig.errors import BadInput
-from needle_rig.notebook import Shown
+from needle_rig.notebook.shown import Shown
 from tests.workbench.hidden import dataset, effect
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "docs/tutorial/circle.ipynb"
 
 
@@ -25,6 +25,7 @@ def shown(value: Any) -> str:
     """What a notebook shows of a cell's last value."""
     if isinstance(value, Shown):
         assert value._repr_html_().count("<table>") == 1
+        assert value._repr_html_().count('src="data:image/png;base64,') == 1
         return repr(value)
     if hasattr(value, "savefig"):
         return f"figure with {len(value.axes)} axes"
@@ -108,10 +109,10 @@ def test_importing_the_package_imports_no_workbench() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_quick_diagnosis_says_what_it_left_out() -> None:
-    found = nr.diagnose(
-        dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), quick=True
-    )
+def test_a_quick_diagnosis_says_what_it_left_out_and_whether_values_hold() -> None:
+    hidden = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
+    found = nr.diagnose(hidden, "rig_rigid", quick=True, jobs=1)
     assert found.effects == ("tissue_elasticity",)
     assert "whether a second is missing" in found.notes[0]
     assert found.notes[0] in found._repr_html_()
+    assert found.model_values[0].startswith("its values as they stand leave")

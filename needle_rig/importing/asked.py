@@ -1,0 +1,41 @@
+"""The mapping that a person asks for: one that is given, or a guess from the files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from needle_rig.errors import BadInput
+from needle_rig.importing.guess import guess
+from needle_rig.importing.mapping import FilePart, Mapping, read_mapping
+from needle_rig.importing.reader import Recordings
+from needle_rig.importing.shaft import read_rig
+
+
+def is_mapping(file: Path) -> bool:
+    """Whether a file says what is what in others."""
+    return file.suffix.lower() in (".yaml", ".yml") and not file.is_dir()
+
+
+def given_mapping(path: Path, others: Sequence[Path], layout: Path | None) -> tuple[Mapping, Path]:
+    """The mapping in a file, and the folder that its files are relative to; `others` take their place.
+
+    Raises BadInput.
+    """
+    mapping, _ = read_mapping(path)
+    if layout is not None:
+        mapping = mapping.model_copy(update={"rig": read_rig(layout)})
+    if others:
+        if len({f.path for clock in mapping.clocks.values() for f in clock.files[:1]}) > 1:
+            raise BadInput(f"{path}: has files of several kinds; write the others into a copy of it")
+        parts = tuple(FilePart(path=os.path.relpath(file, path.parent)) for file in others)
+        clocks = {name: clock.model_copy(update={"files": parts}) for name, clock in mapping.clocks.items()}
+        mapping = mapping.model_copy(update={"clocks": clocks})
+    return mapping, path.parent
+
+
+def guessed_mapping(files: Sequence[Path], name: str, layout: Path | None, recordings: Recordings) -> Mapping:
+    """What the files themselves say of their columns, with reasons and doubts. Raises BadInput."""
+    rig = None if layout is None else read_rig(layout)
+    return guess([recordings.read(file) for file in files], name, rig, Path())

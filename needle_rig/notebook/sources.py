@@ -1,0 +1,114 @@
+"""Where measurements and models come from: files, other programs' recordings, the simulated rig."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+from needle_rig.dataset import write_dataset
+from needle_rig.errors import BadInput
+from needle_rig.importing import Recordings, dataset_of
+from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
+from needle_rig.importing.keep import kept
+from needle_rig.model import load_parameters, load_saved
+from needle_rig.notebook.asking import PathLike, asked
+from needle_rig.notebook.catalogue import hidden_effects
+from needle_rig.notebook.data import Data
+from needle_rig.notebook.model import Model
+from needle_rig.notebook.run import Run
+from needle_rig.recording import RunFile
+from needle_rig.simulation.protocol import Protocol, load_protocol
+from needle_rig.workbench.observations.sources import read_observed
+from needle_rig.workbench.virtual.dataset import simulate_dataset
+from needle_rig.workbench.virtual.noise import Noise
+
+
+@asked
+def read_dataset(*paths: PathLike) -> Data:
+    """The trials of dataset folders and run files, or settled values, by path or by name. Raises BadInput."""
+    return Data(read_observed(paths))
+
+
+@asked
+def read_run(path: PathLike) -> Run:
+    """A run file. Raises BadInput."""
+    return Run(RunFile(path))
+
+
+@asked
+def read_model(path: PathLike, *, effects: Iterable[PathLike] = ()) -> Model:
+    """A model file or a parameter set; `effects` are further folders with effects. Raises BadInput."""
+    return Model(load_saved(path, effects=[Path(e) for e in effects]))
+
+
+@asked
+def simulate(
+    effects: Mapping[str, float | Mapping[str, float]] | None = None,
+    *,
+    parameters: str = "rig_rigid",
+    protocol: str | Protocol = "standard",
+    seed: int = 1,
+    noise: Noise | None = None,
+    rate_hz: float = 50.0,
+    name: str = "simulated",
+    out: PathLike | None = None,
+    folders: Sequence[PathLike] = (),
+) -> Data:
+    """Simulated trials with effects hidden in them, `{"tissue_elasticity": 0.35}` in the units of files.
+
+    An effect of several parameters takes them by name; `folders` are further ones with effects. With `out`
+    the dataset is written there too. Raises BadInput.
+    """
+    hidden = hidden_effects({} if effects is None else effects, folders)
+    model = load_parameters(parameters)
+    model = model.with_effects(*hidden) if hidden else model
+    plan_ = load_protocol(protocol) if isinstance(protocol, str) else protocol
+    dataset = simulate_dataset(model, plan_, seed, noise or Noise(), name=name, rate_hz=rate_hz)
+    if out is not None:
+        write_dataset(dataset, Path(out))
+    return Data(dataset)
+
+
+@asked
+def import_recording(
+    *files: PathLike,
+    out: PathLike,
+    layout: PathLike | None = None,
+    accept_doubts: bool = False,
+) -> Data:
+    """Recordings of another laboratory as a new dataset folder `out`, which keeps the mapping.
+
+    A mapping (YAML) among `files` says what is what; without one it is guessed. `layout` says what the shaft
+    looks like. A guess with doubts is refused, doubt by doubt, unless `accept_doubts`. Raises BadInput.
+    """
+    target, shaft = Path(out), None if layout is None else Path(layout)
+    if os.path.lexists(target):
+        raise BadInput(f"{target}: exists already; name another folder with out or remove it first")
+    named = [Path(file) for file in files if is_mapping(Path(file))]
+    others = [Path(file) for file in files if not is_mapping(Path(file))]
+    if len(named) > 1 or not files:
+        raise BadInput(f"{len(named)} mappings and {len(others)} recordings: give recordings, or one mapping")
+    recordings = Recordings()
+    if named:
+        mapping, folder = given_mapping(named[0], others, shaft)
+    else:
+        mapping, folder = guessed_mapping(others, target.resolve().name, shaft, recordings), Path()
+    waiting = mapping.lacks() if accept_doubts else [*mapping.lacks(), *mapping.doubts()]
+    if waiting:
+        accept = "" if mapping.lacks() else ", or take the guess as it is with accept_doubts=True"
+        raise BadInput(f"{'; '.join(waiting)}; say so in a mapping{accept}")
+    mapping = mapping.confirmed()
+    dataset = dataset_of(mapping, folder, recordings=recordings)
+    with kept(dataset, mapping, folder, target):
+        return Data(dataset)
+
+
+@asked
+def export(run: Run | PathLike, out: PathLike, form: Literal["csv", "mcap", "dataset"] = "csv") -> Path:
+    """Write a run to `out`, which must be new: a folder of CSV, an MCAP file, or a dataset folder.
+
+    Raises BadInput.
+    """
+    return (run if isinstance(run, Run) else read_run(run)).export(out, form)
