@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._workbench import effects_option
+from needle_rig.cli._workbench import effects_option, library
 
 
 @click.command("simulate")
@@ -76,9 +76,8 @@ def command(
     from needle_rig.cli._layouts import layout_named
     from needle_rig.dataset import write_dataset
     from needle_rig.errors import BadInput
-    from needle_rig.model import effect_directories, load_parameters
+    from needle_rig.model import load_parameters
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.physics.library import find_effects
     from needle_rig.simulation.protocol import load_protocol
     from needle_rig.workbench.virtual.dataset import simulate_dataset
     from needle_rig.workbench.virtual.noise import Noise
@@ -89,7 +88,7 @@ def command(
         parameters, layout=None if layout_from is None else layout_named(layout_from), effects=directories
     )
     if effects:
-        model = model.with_effects(*parse_effects(effects, find_effects(effect_directories(directories))))
+        model = model.with_effects(*parse_effects(effects, library(directories)))
     noise = Noise(
         hall_noise_deg,
         torque_noise_nmm,
