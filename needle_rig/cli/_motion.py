@@ -128,6 +128,7 @@ def _stops(client: DaemonClient) -> Iterator[Callable[[], None]]:
     def stop(number: int, _: FrameType | None) -> None:
         for each in before:
             signal.signal(each, signal.default_int_handler)
+        os.write(2, "\rstopping …\n".encode())  # a handler may not wait for a stream's lock
         client.stop("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
         if not begun:
             raise Aborted("Stopped: the drive is stopped, and nothing begins.")

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from needle_rig.cli._complete import completing
+
 if TYPE_CHECKING:
     from needle_rig.config.own_things import Library
     from needle_rig.dataset import Dataset
@@ -25,6 +27,7 @@ data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(
 model_option = click.option(
     "--model",
     "model_path",
+    shell_complete=completing("parameters"),
     metavar="FILE|NAME",
     type=click.Path(path_type=Path),
     help="Model file, or a parameter set as rig_elastic; default: the null model.",

@@ -36,7 +36,11 @@ if TYPE_CHECKING:
 )
 @click.option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
 @click.option(
-    "--png", "png_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder."
+    "--pictures",
+    "png_folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Draw PNGs to this folder.",
 )
 @click.option(
     "--figure",
@@ -119,12 +123,13 @@ def _value(text: str) -> tuple[str, float]:
 
 
 def _show(found: Comparison) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    from needle_rig.cli._output import printer
+
     # names and notes come from files: brackets in them are no markup
-    console = Console(highlight=False, markup=False)
+    console = printer(markup=False)
     name, said = found.headline()
     console.print(Text.assemble((name, "bold"), f" {said}"))
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))

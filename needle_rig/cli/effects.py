@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import effects_option
 from needle_rig.errors import BadInput
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=completing("effects"))
 @effects_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> int:

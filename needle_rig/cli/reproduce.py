@@ -12,7 +12,11 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
 @click.option("--html", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page.")
 @click.option(
-    "--png", "folder", type=click.Path(path_type=Path, file_okay=False), help="Draw figures 3, 4, 6, 7."
+    "--pictures",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Draw figures 3, 4, 6 and 7 as PNG to this folder.",
 )
 def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
     """Run the model through every result of Reed, BioRob 2008, and print both side by side.
@@ -38,8 +42,9 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
     if as_json:
         click.echo(json.dumps(as_document(rows), ensure_ascii=False, indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
+
+    from needle_rig.cli._output import printer
 
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
@@ -52,7 +57,7 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
         numbers = [f"{round(v, 4) + 0.0:.4g}" for v in (row.paper, row.ours, row.difference)]
         mark = "[green]✓[/]" if row.within else "[red]✗[/]"
         table.add_row(mark, row.name, *numbers, row.unit, row.parameters)
-    console = Console(highlight=False, soft_wrap=False)
+    console = printer()
     console.print(table)
     off = [row for row in rows if not row.within]
     console.print(

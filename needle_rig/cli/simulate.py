@@ -8,20 +8,34 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import effects_option, library
 
 
 @click.command("simulate")
-@click.option("--parameters", default="rig_rigid", show_default=True, help="Parameter set, or a model file.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    default="rig_rigid",
+    show_default=True,
+    help="Parameter set, or a model file.",
+)
 @click.option(
     "--effect",
     "effects",
+    shell_complete=completing("effects"),
     multiple=True,
     metavar="NAME[=VALUE]",
     help="Effect to hide, e.g. tissue_elasticity=0.35; may be repeated. Without a value: its typical size.",
 )
 @effects_option
-@click.option("--protocol", default="standard", show_default=True, help="Name, or a YAML file.")
+@click.option(
+    "--protocol",
+    shell_complete=completing("protocols"),
+    default="standard",
+    show_default=True,
+    help="Name, or a YAML file.",
+)
 @click.option("--replicates", type=click.IntRange(1, 100), default=1, help="Run the protocol so many times.")
 @click.option(
     "--layout",

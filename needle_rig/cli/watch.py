@@ -86,8 +86,9 @@ def command(
 
 
 def _show(runs: list[WatchedRun]) -> None:
-    from rich.console import Console
     from rich.table import Table
+
+    from needle_rig.cli._output import printer
 
     names = list(dict.fromkeys(name for run in runs for name in run.parameters))
     units = {name: one.unit for run in runs for name, one in run.parameters.items()}
@@ -103,4 +104,4 @@ def _show(runs: list[WatchedRun]) -> None:
         told = [run.parameters.get(name) for name in names]
         cells = ["—" if one is None else f"{one.value:.4g}" for one in told]
         table.add_row(run.run, *cells, number(run.misfit))
-    Console(highlight=False, markup=False).print(table)
+    printer(markup=False).print(table)

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from needle_rig.config.files import config_directories
+from needle_rig.config.directories import config_directories
 from needle_rig.config.python_file import load_module
 from needle_rig.errors import BadInput
 

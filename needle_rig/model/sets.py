@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories
+from needle_rig.config.directories import config_directories
 from needle_rig.config.places import read_yaml
 from needle_rig.errors import BadInput
 from needle_rig.model.build import built_effect, built_model, effect_directories

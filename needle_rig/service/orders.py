@@ -115,7 +115,7 @@ def read_order(name: str, content: bytes | Mapping[str, Any]) -> Model:
             return model.model_validate_json(content or b"{}")
         return model.model_validate(content)
     except ValidationError as error:
-        raise BadInput(f"{_complaint(error)}; see /openapi.json for what may be asked") from None
+        raise BadInput(_complaint(error)) from None
 
 
 def _complaint(error: ValidationError) -> str:
@@ -131,4 +131,9 @@ def _complaint(error: ValidationError) -> str:
             f" of small letters, or up to {MOST_MOTIONS} numbers"
         )
     place = ".".join(str(part) for part in first["loc"])[:_SHOWN_LETTERS] or "the request"
+    limits = first.get("ctx", {})
+    if "le" in limits:
+        return f"{place}: {shown} is above {limits['le']:g}; give {limits['le']:g} at most"
+    if "ge" in limits:
+        return f"{place}: {shown} is below {limits['ge']:g}; give {limits['ge']:g} at least"
     return f"{place}: {first['msg'].lower()}, not {shown}"
