@@ -147,11 +147,12 @@ class Strategy:
 
 def find_strategies() -> Library[type[Strategy]]:
     """Every strategy by the name of its file: the shipped ones, then one's own; broken ones are told."""
-    return library("strategies", _shipped(), folders_of("strategies"), strategy_in)
+    return library("strategies", shipped_strategies(), folders_of("strategies"), strategy_in)
 
 
 @functools.cache
-def _shipped() -> Mapping[str, type[Strategy]]:
+def shipped_strategies() -> Mapping[str, type[Strategy]]:
+    """The strategies that come with the package, by name."""
     from needle_rig.control import strategies
 
     folder = Path(strategies.__path__[0])
