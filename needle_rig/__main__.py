@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 
 STOPPED = 4
@@ -38,8 +39,9 @@ def _stopping_of(process: int) -> Callable[[int, FrameType | None], None]:
 
 
 def _say(text: str) -> None:
-    # a handler may not wait for a stream's lock
-    os.write(2, f"\r{text}\n".encode())
+    # a handler may not wait for a stream's lock, and nobody may read any more
+    with suppress(OSError):
+        os.write(2, f"{text}\n".encode())
 
 
 if __name__ == "__main__":
