@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -11,18 +10,7 @@ if TYPE_CHECKING:
 
     from needle_rig.service.documents import Settled, Told
 
-PIPED_COLUMNS = 1000
-"""No reader of lines wants them wrapped: longer than any table or sentence of ours."""
-
 EXIT_CODES = {"aligned": 0, "not_aligned": 0, "fault": 3, "aborted": 4}
-
-
-def printer(*, markup: bool = True) -> Console:
-    """Where tables and sentences are printed: as wide as the terminal, unwrapped where there is none."""
-    from rich.console import Console
-
-    width = None if sys.stdout.isatty() else PIPED_COLUMNS
-    return Console(highlight=False, markup=markup, width=width)
 
 
 def settled_table(settled: list[Settled]) -> Table:

@@ -123,13 +123,12 @@ def _value(text: str) -> tuple[str, float]:
 
 
 def _show(found: Comparison) -> None:
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    from needle_rig.cli._output import printer
-
     # names and notes come from files: brackets in them are no markup
-    console = printer(markup=False)
+    console = Console(highlight=False, markup=False)
     name, said = found.headline()
     console.print(Text.assemble((name, "bold"), f" {said}"))
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))

@@ -320,13 +320,15 @@ def _draw(run: str) -> str | None:
 
 def _tell(ended: Told, figure: str | None, as_json: bool, require_aligned: bool) -> int:
     """Tell how it ended; the exit code."""
-    from needle_rig.cli._output import EXIT_CODES, printer, tell_result, verdict
+    from needle_rig.cli._output import EXIT_CODES, tell_result, verdict
 
     status = ended["result"]["status"]
     if as_json:
         click.echo(f"{verdict(ended)}{'' if figure is None else f' (picture: {figure})'}", err=True)
     else:
-        tell_result(printer(), ended, figure)
+        from rich.console import Console
+
+        tell_result(Console(), ended, figure)
     if status == "aborted":
         click.echo("Stopped: the drive is stopped and the run is closed.", err=True)
     if require_aligned and status == "not_aligned":

@@ -133,14 +133,14 @@ def _next_step(
 
 
 def _show(found: Answer, values: Sequence[str]) -> None:
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    from needle_rig.cli._output import printer
     from needle_rig.workbench.selection.answer import left_out_error
 
     # names and notes come from files: brackets in them are no markup
-    console = printer(markup=False)
+    console = Console(highlight=False, soft_wrap=False, markup=False)
     against = f" against the model {found.model}: "
     if values:
         first, *others = values

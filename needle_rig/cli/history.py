@@ -37,9 +37,8 @@ def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as
     if not steps:
         click.echo(f"{model}: no step yet; add an effect with needle-rig adopt")
         return
+    from rich.console import Console
     from rich.table import Table
-
-    from needle_rig.cli._output import printer
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("step", "date", "dataset", "training", "left out", "floor"):
@@ -53,4 +52,4 @@ def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as
             number(step.held_out),
             number(step.floor),
         )
-    printer().print(table)
+    Console(highlight=False).print(table)

@@ -42,9 +42,8 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
     if as_json:
         click.echo(json.dumps(as_document(rows), ensure_ascii=False, indent=2))
         return
+    from rich.console import Console
     from rich.table import Table
-
-    from needle_rig.cli._output import printer
 
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
@@ -57,7 +56,7 @@ def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
         numbers = [f"{round(v, 4) + 0.0:.4g}" for v in (row.paper, row.ours, row.difference)]
         mark = "[green]✓[/]" if row.within else "[red]✗[/]"
         table.add_row(mark, row.name, *numbers, row.unit, row.parameters)
-    console = printer()
+    console = Console(highlight=False, soft_wrap=False)
     console.print(table)
     off = [row for row in rows if not row.within]
     console.print(

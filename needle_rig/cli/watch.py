@@ -86,9 +86,8 @@ def command(
 
 
 def _show(runs: list[WatchedRun]) -> None:
+    from rich.console import Console
     from rich.table import Table
-
-    from needle_rig.cli._output import printer
 
     names = list(dict.fromkeys(name for run in runs for name in run.parameters))
     units = {name: one.unit for run in runs for name, one in run.parameters.items()}
@@ -104,4 +103,4 @@ def _show(runs: list[WatchedRun]) -> None:
         told = [run.parameters.get(name) for name in names]
         cells = ["—" if one is None else f"{one.value:.4g}" for one in told]
         table.add_row(run.run, *cells, number(run.misfit))
-    printer(markup=False).print(table)
+    Console(highlight=False, markup=False).print(table)
