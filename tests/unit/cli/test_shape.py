@@ -1,8 +1,7 @@
-"""The shape of the command line: groups, nearest names, one meaning an option, completion, width, Ctrl-C."""
+"""The shape of the command line: groups, nearest names, one meaning an option, completion, Ctrl-C."""
 
 from __future__ import annotations
 
-import io
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +13,6 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
 from needle_rig.cli._groups import GROUPS, LOOKED_FOR
-from needle_rig.cli._output import PIPED_COLUMNS, console
 from needle_rig.cli._renamed import RENAMED, in_new_words
 from needle_rig.cli.main import Commands, group, run
 from needle_rig.errors import BadInput
@@ -145,15 +143,6 @@ def test_a_shell_completes_names(
     monkeypatch.chdir(tmp_path)
     shell = ShellComplete(group, {}, "needle-rig", "_NEEDLE_RIG_COMPLETE")
     assert found in [item.value for item in shell.get_completions(words, begun)]
-
-
-def test_what_is_piped_is_not_wrapped(monkeypatch: pytest.MonkeyPatch) -> None:
-    sentence = "error on commands left out 32.21 × the noise, " * 8
-    piped = io.StringIO()
-    monkeypatch.setattr(sys, "stdout", piped)
-    console().print(sentence)
-    assert piped.getvalue().strip() == sentence.strip()
-    assert len(sentence) < PIPED_COLUMNS
 
 
 @pytest.mark.parametrize(
