@@ -240,7 +240,7 @@ def _read_run(path: Path, number: int) -> list[Action]:
     in_turn = (
         _cli("export", path, "--csv", "--out", out),
         _cli("export", path, "--mcap", "--out", out),
-        _cli("export", path, "--png", "--out", out),
+        _cli("export", path, "--picture", "--out", out),
         _cli("export", path, "--dataset", "--out", out),
         _cli("compare", path),
         _cli("watch", "--dir", path.parent),

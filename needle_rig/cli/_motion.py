@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -129,6 +129,9 @@ def _stops(client: DaemonClient) -> Iterator[Callable[[], None]]:
         for each in before:
             signal.signal(each, signal.default_int_handler)
         client.stop("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
+        # said after the stop was sent: a terminal that hangs may hold this up, and no lock of a stream may
+        with suppress(OSError):
+            os.write(2, "stopping …\n".encode())
         if not begun:
             raise Aborted("Stopped: the drive is stopped, and nothing begins.")
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from needle_rig.cli._complete import completing
+
 if TYPE_CHECKING:
+    from needle_rig.config.own_things import Library
     from needle_rig.dataset import Dataset
     from needle_rig.model import SavedModel
     from needle_rig.physics.effect import Effect
@@ -17,10 +20,13 @@ if TYPE_CHECKING:
     from needle_rig.workbench.learning.observations import Observations
     from needle_rig.workbench.parallel import Work
 
+Thing = TypeVar("Thing")
+
 data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
 model_option = click.option(
     "--model",
     "model_path",
+    shell_complete=completing("parameters"),
     metavar="FILE|NAME",
     type=click.Path(path_type=Path),
     help="Model file, or a parameter set as rig_elastic; default: the null model.",
@@ -41,11 +47,18 @@ cluster_option = click.option("--cluster", metavar="ADDRESS", help="Dask schedul
 
 
 def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
-    """Built-in and users' effects."""
+    """Built-in effects and one's own; each that is broken gets a warning line."""
     from needle_rig.model import effect_directories
     from needle_rig.physics.library import find_effects
 
-    return find_effects(effect_directories(directories))
+    return warned(find_effects(effect_directories(directories)))
+
+
+def warned(found: Library[Thing]) -> Library[Thing]:
+    """`found`, after a line on stderr for each thing of one's own that cannot be used."""
+    for _, sentence in found.broken:
+        click.echo(f"warning: {sentence}", err=True)
+    return found
 
 
 def read_data(paths: tuple[Path, ...]) -> Dataset:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import (
     effects_option,
     json_option,
@@ -29,7 +30,14 @@ DATA_FILES = ("dataset.yaml", "settled.yaml")
 @click.argument("what", nargs=-1, metavar="DIAGNOSIS [DATA...] | DATA... EFFECT")
 @model_option
 @effects_option
-@click.option("--effect", "chosen", multiple=True, metavar="EFFECT", help="Which of a diagnosis's ties.")
+@click.option(
+    "--effect",
+    "chosen",
+    shell_complete=completing("effects"),
+    multiple=True,
+    metavar="EFFECT",
+    help="Which of a diagnosis's ties.",
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Model file to write.")
 @click.option("--force", is_flag=True, help="Add the effect even if it foretells nothing better.")
 @click.option(

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._complete import completing
+
 if TYPE_CHECKING:
     from needle_rig.simulation.bench_lines import Said
 
@@ -26,7 +28,11 @@ Ctrl-C ends it."""
 @click.command()
 @click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
 @click.option("--image", is_flag=True, help="Run the Cortex-M images under an emulator, not the library.")
-@click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    help="Parameter set of the simulated needle, such as rig_rigid.",
+)
 @click.option("--seed", type=int, help="Seed of the plant's noise.")
 @click.option("--errors", type=int, help="Give the sensors the errors of this number; 0: none.")
 @click.option("--pages", type=click.Path(), help="Folder of calibration pages to flash into the nodes.")

@@ -25,15 +25,31 @@ _STEPS = {
 
 @click.command()
 @click.argument("node", type=click.Choice(["drive", "torque", "hall"]))
-@click.option("--rig", required=True, help="bench: the simulated rig; else the rig file of a real one.")
+@click.option("--rig", "bench", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
+@click.option("--config", type=click.Path(), help="Rig file of a real rig.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("calibration"), show_default=True)
 @click.option("--serial", type=click.IntRange(1, 2**32 - 1), required=True, help="Serial number of the node.")
-@click.option("--weights", default="0,0.5,1,1.5", show_default=True, help="Weights on the load cell, N·mm.")
+@click.option(
+    "--weights",
+    metavar="N·MM,…",
+    default="0,0.5,1,1.5",
+    show_default=True,
+    help="Weights on the load cell, N·mm.",
+)
 @click.option(
     "--errors", type=click.IntRange(min=1), default=1, show_default=True, help="Bench: which errors."
 )
 @click.option("--yes", is_flag=True, help="Ask nothing before a step.")
-def command(node: str, rig: str, out: Path, serial: int, weights: str, errors: int, yes: bool) -> None:
+def command(
+    node: str,
+    bench: str | None,
+    config: str | None,
+    out: Path,
+    serial: int,
+    weights: str,
+    errors: int,
+    yes: bool,
+) -> None:
     """Calibrate a node: guided steps, a fit with the picture of its residual, a page for the node.
 
     The node must be neutral (its calibration page blank), so that it sends what its converters see; it alone
@@ -43,6 +59,9 @@ def command(node: str, rig: str, out: Path, serial: int, weights: str, errors: i
     """
     from needle_rig.calibration.steps import Target
 
+    rig = bench or config
+    if rig is None or None not in (bench, config):
+        raise BadInput("give either --rig bench, or --config with the rig file of a real rig")
     loads = _weights(weights)
     out.mkdir(parents=True, exist_ok=True)
     target = Target(out, serial, datetime.date.today())

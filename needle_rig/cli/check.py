@@ -34,7 +34,11 @@ _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clock
     "--config", "rig_file", type=click.Path(path_type=Path), help="Rig file.  [default: the service's]"
 )
 @click.option(
-    "--move", "turn_deg", type=click.FloatRange(-90.0, 90.0), help="Turn the base so far and back, degrees."
+    "--move",
+    "turn_deg",
+    metavar="DEG",
+    type=click.FloatRange(-90.0, 90.0),
+    help="Turn the base so far and back, degrees.",
 )
 @click.option(
     "--calibration", type=click.Path(path_type=Path), help="Folder of calibrations.  [default: the service's]"

@@ -51,7 +51,14 @@ def _found(name: str, given: tuple[str, ...]) -> tuple[type[Device], Section, Ca
     """The device, its options and what makes its twin. Raises BadInput."""
     from needle_rig.config.check import validate
     from needle_rig.config.places import Places, parse_yaml
-    from needle_rig.devices.library import SHIPPED, errors_told, load_device, named_file, shipped_device
+    from needle_rig.devices.library import (
+        SHIPPED,
+        device_in,
+        errors_told,
+        load_device,
+        named_source,
+        shipped_device,
+    )
     from needle_rig.errors import BadInput
     from needle_rig.simulation.twins import TWINS
 
@@ -63,8 +70,11 @@ def _found(name: str, given: tuple[str, ...]) -> tuple[type[Device], Section, Ca
         values |= parse_yaml(f"{key}: {value}", text)[0]
     kind = next((kind for kind, word in SHIPPED if word == name and word != "node"), None)
     if kind is None:
-        path = Path(name) if name.endswith(".py") else named_file(name)
-        made = load_device(path)
+        if name.endswith(".py"):
+            path, made = Path(name), load_device(Path(name))
+        else:
+            source = named_source(name)
+            path, made = source.path, device_in(source.module(), source.path)
         with errors_told(str(path)):
             section = validate(made.Options, values, Places(name))
             twin = made.simulated(section)

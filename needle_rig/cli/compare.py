@@ -38,7 +38,11 @@ if TYPE_CHECKING:
 )
 @picture_option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
 @picture_option(
-    "--png", "png_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder."
+    "--pictures",
+    "png_folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Draw PNGs to this folder.",
 )
 @picture_option(
     "--figure",

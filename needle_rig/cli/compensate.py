@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._live import moving_bar
 from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, view
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
@@ -32,18 +33,42 @@ _RELAX: Message = {"target_deg": 0.0, "strategy": "decay"}
 
 
 @click.command()
-@click.option("--target", type=float, help="Angle that the whole needle shall reach, degrees.")
-@click.option("--protocol", help="Run a series of trials instead: a protocol's name or file.")
-@click.option("--strategy", default="reed2008", show_default=True, help="How to get there.")
+@click.option("--target", type=float, metavar="DEG", help="Angle that the whole needle shall reach, degrees.")
+@click.option(
+    "--protocol",
+    shell_complete=completing("protocols"),
+    help="Run a series of trials instead: a protocol's name or file.",
+)
+@click.option(
+    "--strategy",
+    shell_complete=completing("strategies"),
+    default="reed2008",
+    show_default=True,
+    help="How to get there.",
+)
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="An option of the strategy.")
 @click.option(
-    "--extra", type=float, help="Extra turn of reed2008_elastic, degrees; same as --option extra_deg=."
+    "--extra",
+    type=float,
+    metavar="DEG",
+    help="Extra turn of reed2008_elastic, degrees; same as --option extra_deg=.",
 )
 @click.option("--after", metavar="RUN", help="Run whose lag reed2008_elastic learns from; also: last.")
-@click.option("--settle", type=float, help="Seconds that each motion settles; default: of the config.")
-@click.option("--speed", type=float, help="Speed of the base, degrees per second; default: of the config.")
+@click.option(
+    "--settle", type=float, metavar="S", help="Seconds that each motion settles; default: of the config."
+)
+@click.option(
+    "--speed",
+    type=float,
+    metavar="DEG/S",
+    help="Speed of the base, degrees per second; default: of the config.",
+)
 @click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
-@click.option("--parameters", help="Parameter set of the simulated needle, such as rig_rigid.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    help="Parameter set of the simulated needle, such as rig_rigid.",
+)
 @click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
 @click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
 @click.option("--simulated", is_flag=True, help="The simulated rig, also where a real one is set up.")
@@ -174,9 +199,16 @@ def _order(
     speed: float | None,
 ) -> Message:
     """The request to the daemon, with what can be judged without a rig judged."""
+    from needle_rig.control.strategy import NAME
+
     for name, value in (("--target", target), ("--extra", extra), ("--settle", settle), ("--speed", speed)):
         if value is not None and not math.isfinite(value):
             raise BadInput(f"{name} {value}: is not a number to turn by; give one, as in --target 45")
+    if not NAME.fullmatch(strategy.replace("-", "_")):
+        home = f"config/strategies/{Path(strategy).stem or 'NAME'}.py"
+        raise BadInput(
+            f"--strategy {strategy}: is no name; one of your own is a file {home}, named by its stem"
+        )
     chosen: JsonObject = dict(_option(text) for text in options)
     if extra is not None:
         chosen["extra_deg"] = extra

@@ -8,26 +8,45 @@ from tempfile import TemporaryDirectory
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import effects_option, jobs_option, json_option, library, say
 
 
 @click.command("demo")
-@click.option("--parameters", default="rig_rigid", show_default=True, help="Parameter set, or a model file.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    default="rig_rigid",
+    show_default=True,
+    help="Parameter set, or a model file.",
+)
 @click.option(
     "--effect",
     "effects",
+    shell_complete=completing("effects"),
     multiple=True,
     metavar="NAME[=VALUE]",
     help="What to hide in the rig; default: tissue_elasticity=0.3.",
 )
 @click.option("--law", is_flag=True, help="Hide a law that no effect holds; learn has to find it.")
 @effects_option
-@click.option("--target", type=click.FloatRange(-360.0, 360.0), default=45.0, show_default=True)
+@click.option(
+    "--target",
+    metavar="DEG",
+    type=click.FloatRange(-360.0, 360.0),
+    default=45.0,
+    show_default=True,
+    help="Angle that the needle shall reach, degrees.",
+)
 @click.option("--runs", type=click.IntRange(1, 100), default=8, show_default=True, help="Fresh needles.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--model-out", type=click.Path(path_type=Path), help="Model file to write what was learnt to.")
-@picture_option("--png", "picture", type=click.Path(path_type=Path), help="Folder for the picture.")
+@click.option(
+    "--out", "model_out", type=click.Path(path_type=Path), help="Model file to write what was learnt to."
+)
+@picture_option(
+    "--pictures", "picture", metavar="DIR", type=click.Path(path_type=Path), help="Draw a PNG to this folder."
+)
 @jobs_option
 @json_option
 def command(
@@ -73,7 +92,7 @@ def command(
         with TemporaryDirectory(prefix="needle-rig-") as folder:
             draft = _draft(model_out, Path(folder))
             if draft.stem in known:
-                raise BadInput(f"{draft.stem}: there is an effect of this name; name --model-out otherwise")
+                raise BadInput(f"{draft.stem}: there is an effect of this name; name --out otherwise")
             story = tell_law_story(
                 plant,
                 known,

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import effects_option
+from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
     from needle_rig.physics.effect import Effect, ParameterInfo
@@ -17,13 +19,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=completing("effects"))
 @effects_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
-def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> None:
+def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> int:
     """List the effects, or show one: its law, source, parameters, units and ranges.
 
-    Your own files are checked while they are listed; a broken one is named with its line.
+    Your own files are checked while they are listed. A broken one is named with its line after the others.
+
+    \b
+    Exit codes: 0 every file can be used, 2 one is broken.
     """
     from needle_rig.model import effect_directories
     from needle_rig.physics.compiled import compiled_torque
@@ -31,23 +36,36 @@ def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> No
     from needle_rig.physics.library import built_in_effects, find_effects
 
     library = find_effects(effect_directories(directories))
-    for key, effect in library.items():
-        if key not in built_in_effects() and effect.has("torque"):
-            compiled_torque(effect)
+    for key, effect in list(library.items()):
+        try:
+            if key not in built_in_effects() and effect.has("torque"):
+                compiled_torque(effect)
+        except BadInput as error:
+            del library[key]
+            library.broken.append((key, str(error)))
     if name:
-        library = {name: effect_called(name, library)}
+        chosen = effect_called(name, library)
+        if as_json:
+            _print(_described(chosen, own=name not in built_in_effects()))
+        else:
+            _show(chosen)
+        return 0
     if as_json:
         found = [_described(effect, own=key not in built_in_effects()) for key, effect in library.items()]
-        click.echo(json.dumps(found[0] if name else {"effects": found}, indent=2, ensure_ascii=False))
-        return
-    if name:
-        _show(library[name])
-        return
-    width = max(map(len, library))
-    for key, effect in library.items():
-        own = "" if key in built_in_effects() else " (your own)"
-        click.echo(f"{click.style(key.ljust(width), bold=True)}  {_text(effect).splitlines()[0]}{own}")
-    click.echo("\nneedle-rig effects NAME shows the law, its source and the parameters.")
+        _print({"effects": found, "broken": [sentence for _, sentence in library.broken]})
+    else:
+        width = max(map(len, library))
+        for key, effect in library.items():
+            own = "" if key in built_in_effects() else " (your own)"
+            click.echo(f"{click.style(key.ljust(width), bold=True)}  {_text(effect).splitlines()[0]}{own}")
+        click.echo("\nneedle-rig effects NAME shows the law, its source and the parameters.")
+    for _, sentence in library.broken:
+        click.echo(sentence, err=True)
+    return BadInput.exit_code if library.broken else 0
+
+
+def _print(told: JsonObject) -> None:
+    click.echo(json.dumps(told, indent=2, ensure_ascii=False))
 
 
 def _show(effect: type[Effect]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import (
     data_argument,
     effects_option,
@@ -21,12 +22,17 @@ from needle_rig.cli._workbench import (
 
 @click.command("experiment")
 @data_argument
-@click.option("--between", nargs=2, required=True, metavar="EFFECT EFFECT")
+@click.option(
+    "--between", shell_complete=completing("effects"), nargs=2, required=True, metavar="EFFECT EFFECT"
+)
 @model_option
 @effects_option
 @click.option("--out", type=click.Path(path_type=Path), help="Protocol file; default: EFFECT-or-EFFECT.yaml.")
 @click.option(
-    "--rig", type=click.Path(path_type=Path), help="Rig file whose limits hold; default: the shipped one."
+    "--config",
+    "rig",
+    type=click.Path(path_type=Path),
+    help="Rig file whose limits hold; default: the shipped one.",
 )
 @json_option
 def command(

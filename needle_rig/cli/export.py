@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.option("--csv", "wanted", flag_value="csv", help="A folder with one CSV a source and run.yaml.")
 @click.option("--mcap", "wanted", flag_value="mcap", help="One MCAP file: JSON messages with schema.")
 @click.option(
-    "--png", "wanted", flag_value="png", help="The picture: angles, torque, shaft after each motion."
+    "--picture", "wanted", flag_value="png", help="The picture: angles, torque, shaft after each motion."
 )
 @click.option(
     "--dataset", "wanted", flag_value="dataset", help="A folder that diagnose and identify read as a trial."
@@ -40,7 +40,7 @@ def command(
     from needle_rig.recording import mark_read
 
     if wanted is None:
-        raise click.UsageError("Say which format: --csv, --mcap, --png or --dataset.")
+        raise click.UsageError("Say which format: --csv, --mcap, --picture or --dataset.")
     found = the_run(run, directory, config_path)
     if not found.complete:
         click.echo(f"{show_path(found.path)}: {_why_no_end(found)}; exporting what is there", err=True)

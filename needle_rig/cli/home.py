@@ -12,8 +12,15 @@ from needle_rig.errors import BadInput
 
 @click.command()
 @click.option("--by", type=click.Choice(["angle", "hall", "index"]), help="How; default: angle.")
-@click.option("--here", type=float, help="Where the base stands, degrees, as a person sees it.")
-@click.option("--speed", type=float, help="Speed of the base, degrees per second; default: of the config.")
+@click.option(
+    "--here", type=float, metavar="DEG", help="Where the base stands, degrees, as a person sees it."
+)
+@click.option(
+    "--speed",
+    type=float,
+    metavar="DEG/S",
+    help="Speed of the base, degrees per second; default: of the config.",
+)
 @socket_option
 def command(by: str | None, here: float | None, speed: float | None, socket: Path | None) -> None:
     """Turn the base to 0°, or find its zero again after the drive node lost it.

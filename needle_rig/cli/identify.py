@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import effects_option, json_option, library, read_data, read_model
 
 if TYPE_CHECKING:
@@ -29,8 +30,19 @@ SIMULATED = ("jg", "damping", "friction")
     help="Model file to put the recording to: what it knows counts, too.",
 )
 @effects_option
-@click.option("--parameters", help="Of a simulated experiment: parameter set, or a model file.")
-@click.option("--effect", "effects", multiple=True, metavar="NAME[=VALUE]", help="The same: an effect.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    help="Of a simulated experiment: parameter set, or a model file.",
+)
+@click.option(
+    "--effect",
+    "effects",
+    shell_complete=completing("effects"),
+    multiple=True,
+    metavar="NAME[=VALUE]",
+    help="The same: an effect.",
+)
 @click.option("--seed", type=click.IntRange(min=0), help="The same: of the sensors' noise.")
 @json_option
 def command(

@@ -11,9 +11,14 @@ from needle_rig.errors import BadInput
 
 
 @click.command()
-@click.option("--by", type=float, help="How far to turn, degrees; negative: the other way.")
-@click.option("--to", type=float, help="Where to turn, degrees.")
-@click.option("--speed", type=float, help="Speed of the base, degrees per second; default: of the config.")
+@click.option("--by", type=float, metavar="DEG", help="How far to turn, degrees; negative: the other way.")
+@click.option("--to", type=float, metavar="DEG", help="Where to turn, degrees.")
+@click.option(
+    "--speed",
+    type=float,
+    metavar="DEG/S",
+    help="Speed of the base, degrees per second; default: of the config.",
+)
 @socket_option
 def command(by: float | None, to: float | None, speed: float | None, socket: Path | None) -> None:
     """Turn the base of the running daemon's rig by or to an angle, without a run's file.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import importlib
 import os
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._groups import GROUPS, LOOKED_FOR
+from needle_rig.cli._renamed import in_new_words
 from needle_rig.errors import NeedleRigError
 from needle_rig.version import VERSION
 
@@ -40,6 +43,26 @@ class Commands(click.Group):
         module = importlib.import_module(f"needle_rig.cli.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that `args` name, its options as spelt now. Raises UsageError with the nearest name."""
+        word = args[0]
+        if not word.startswith("-") and word not in self.list_commands(ctx):
+            near = difflib.get_close_matches(word, self.list_commands(ctx), n=1)
+            meant = LOOKED_FOR.get(word) or next(iter(near), None)
+            told = "" if meant is None else f" Did you mean {meant}?"
+            raise click.UsageError(f"there is no command {word!r}.{told}", ctx)
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, command, rest if name is None else in_new_words(name, rest)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """The commands in groups, a line each; none is imported for it."""
+        width = max(len(name) for lines in GROUPS.values() for name in lines)
+        for title, lines in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(width), line) for name, line in lines.items()])
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

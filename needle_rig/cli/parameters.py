@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._complete import completing
+
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", shell_complete=completing("parameters"), required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 def command(name: str | None, as_json: bool) -> None:
     """List the parameter sets, or show one (NAME, or the path of a file).

@@ -15,7 +15,11 @@ from needle_rig.cli._pictures import picture_option
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON.")
 @picture_option("--html", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page.")
 @picture_option(
-    "--png", "folder", type=click.Path(path_type=Path, file_okay=False), help="Draw figures 3, 4, 6, 7."
+    "--pictures",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Draw figures 3, 4, 6 and 7 as PNG to this folder.",
 )
 def command(as_json: bool, page: Path | None, folder: Path | None) -> None:
     """Run the model through every result of Reed, BioRob 2008, and print both side by side.

@@ -8,20 +8,34 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._workbench import effects_option
+from needle_rig.cli._complete import completing
+from needle_rig.cli._workbench import effects_option, library
 
 
 @click.command("simulate")
-@click.option("--parameters", default="rig_rigid", show_default=True, help="Parameter set, or a model file.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    default="rig_rigid",
+    show_default=True,
+    help="Parameter set, or a model file.",
+)
 @click.option(
     "--effect",
     "effects",
+    shell_complete=completing("effects"),
     multiple=True,
     metavar="NAME[=VALUE]",
     help="Effect to hide, e.g. tissue_elasticity=0.35; may be repeated. Without a value: its typical size.",
 )
 @effects_option
-@click.option("--protocol", default="standard", show_default=True, help="Name, or a YAML file.")
+@click.option(
+    "--protocol",
+    shell_complete=completing("protocols"),
+    default="standard",
+    show_default=True,
+    help="Name, or a YAML file.",
+)
 @click.option("--replicates", type=click.IntRange(1, 100), default=1, help="Run the protocol so many times.")
 @click.option(
     "--layout",
@@ -76,9 +90,8 @@ def command(
     from needle_rig.cli._layouts import layout_named
     from needle_rig.dataset import write_dataset
     from needle_rig.errors import BadInput
-    from needle_rig.model import effect_directories, load_parameters
+    from needle_rig.model import load_parameters
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.physics.library import find_effects
     from needle_rig.simulation.protocol import load_protocol
     from needle_rig.workbench.virtual.dataset import simulate_dataset
     from needle_rig.workbench.virtual.noise import Noise
@@ -89,7 +102,7 @@ def command(
         parameters, layout=None if layout_from is None else layout_named(layout_from), effects=directories
     )
     if effects:
-        model = model.with_effects(*parse_effects(effects, find_effects(effect_directories(directories))))
+        model = model.with_effects(*parse_effects(effects, library(directories)))
     noise = Noise(
         hall_noise_deg,
         torque_noise_nmm,

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._pictures import picture_option
-from needle_rig.cli._workbench import effects_option, jobs_option, json_option, say, worker
+from needle_rig.cli._workbench import effects_option, jobs_option, json_option, say, warned, worker
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -24,10 +25,19 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
 
 @click.command("strategies")
 @click.option(
-    "--parameters", default="rig_elastic", show_default=True, help="Parameter set, or a model file."
+    "--parameters",
+    shell_complete=completing("parameters"),
+    default="rig_elastic",
+    show_default=True,
+    help="Parameter set, or a model file.",
 )
 @click.option(
-    "--effect", "effects", multiple=True, metavar="NAME[=VALUE]", help="Effect of the simulated rig."
+    "--effect",
+    "effects",
+    shell_complete=completing("effects"),
+    multiple=True,
+    metavar="NAME[=VALUE]",
+    help="Effect of the simulated rig.",
 )
 @click.option(
     "--each",
@@ -44,14 +54,22 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
     "--diagnose", is_flag=True, help="Let diagnose find the effects of that model, instead of naming them."
 )
 @click.option("--targets", default=TARGETS, show_default=True, help="Angles in degrees, with commas.")
-@click.option("--strategy", "names", multiple=True, help="Only this one; may be repeated.")
+@click.option(
+    "--strategy",
+    "names",
+    shell_complete=completing("strategies"),
+    multiple=True,
+    help="Only this one; may be repeated.",
+)
 @click.option(
     "--seeds", type=click.IntRange(1, 1000), default=3, show_default=True, help="Runs of each kind."
 )
 @click.option(
     "--scatter-percent", type=float, default=5.0, show_default=True, help="Of friction, run to run."
 )
-@picture_option("--png", "pictures", type=click.Path(path_type=Path), help="Folder for the picture.")
+@picture_option(
+    "--pictures", metavar="DIR", type=click.Path(path_type=Path), help="Draw a PNG to this folder."
+)
 @jobs_option
 @json_option
 def command(
@@ -79,6 +97,7 @@ def command(
 
     one_thread_each()
     from needle_rig.cli._workbench import library as find_library
+    from needle_rig.control.strategy import find_strategies
     from needle_rig.model import load_parameters, load_saved
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.workbench.contest.contest import Asked, contest
@@ -86,13 +105,14 @@ def command(
     from needle_rig.workbench.virtual.noise import Noise
 
     library = find_library(directories)
+    warned(find_strategies())
     bare = load_parameters(parameters, effects=directories)
     angles = _targets(targets)
     strategies = tuple(n.replace("-", "_") for n in names) or (PAIR if each else all_strategies())
     if not 0.0 <= scatter_percent <= 50.0:
         raise BadInput(f"--scatter-percent {scatter_percent:g}: give 0 to 50")
     if each and (not effects or model_path is not None or pictures is not None):
-        raise BadInput("--each needs --effect once or more, and goes without --model and --png")
+        raise BadInput("--each needs --effect once or more, and goes without --model and --pictures")
     if each and not set(PAIR) <= set(strategies):
         raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
     saved = None if model_path is None else load_saved(model_path, effects=directories)

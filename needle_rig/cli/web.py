@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from needle_rig.cli._complete import completing
 from needle_rig.cli._motion import socket_option
 from needle_rig.cli._workbench import effects_option, jobs_option
 from needle_rig.errors import BadInput
@@ -19,7 +20,11 @@ from needle_rig.errors import BadInput
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port; default: any free one.")
 @socket_option
 @click.option("--rig", type=click.Choice(["simulated", "bench"]), help="Start a rig for the page alone.")
-@click.option("--parameters", help="Parameter set of that rig's needle, such as rig_rigid.")
+@click.option(
+    "--parameters",
+    shell_complete=completing("parameters"),
+    help="Parameter set of that rig's needle, such as rig_rigid.",
+)
 @click.option("--fast", is_flag=True, help="That rig in virtual time.")
 @click.option("--dir", "directory", type=click.Path(path_type=Path), help="Folder of the runs.")
 @effects_option

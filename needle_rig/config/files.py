@@ -1,4 +1,4 @@
-"""Where configuration files are: the working folder's config/ first, then what the package ships."""
+"""Finding a configuration file: in the working folder's config/ first, then in what the package ships."""
 
 from __future__ import annotations
 
@@ -6,17 +6,9 @@ import difflib
 import os
 from pathlib import Path
 
+from needle_rig.config.directories import config_directories
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
-
-
-def config_directories() -> tuple[Path, ...]:
-    """Folders to search, nearest first: ./config, then the files that came with needle-rig."""
-    package = Path(__file__).resolve().parent.parent
-    shipped = package / "shipped"
-    source = package.parent / "config"
-    folders = [Path("config"), shipped if shipped.is_dir() else source]
-    return tuple(dict.fromkeys(f.resolve() for f in folders if f.is_dir()))
 
 
 def shipped_file(name: str) -> Path:

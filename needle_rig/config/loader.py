@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories, find_config_file, parameters_path
+from needle_rig.config.directories import config_directories
+from needle_rig.config.files import find_config_file, parameters_path
 from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
 from needle_rig.config.schema import NodeDevice, RigConfig, TextHall
 from needle_rig.errors import BadInput

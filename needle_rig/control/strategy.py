@@ -1,4 +1,6 @@
-"""What a strategy is: settled measurements in, next waypoint or done out. One file each in `strategies`.
+"""What a strategy is: settled measurements in, next waypoint or done out.
+
+One file each in `strategies`, or one of one's own in `config/strategies`.
 
 A strategy is a frozen dataclass whose fields are its options, in the units that people give them (degrees,
 the unit in the name). It keeps no memory: `next` is a function of the task and of the settled motions so far,
@@ -11,12 +13,18 @@ import dataclasses
 import enum
 import functools
 import importlib
+import inspect
 import math
 import pkgutil
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from needle_rig.config.own_things import Library, folders_of, library
+from needle_rig.config.python_file import the_subclass
 from needle_rig.control.ranges import check_option
 from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
@@ -26,6 +34,14 @@ if TYPE_CHECKING:
     from needle_rig.physics.needle_model import NeedleModel
 
 History = tuple["SettledMotion", ...]
+
+METHODS: Mapping[str, tuple[str, ...]] = {
+    "next": ("self", "task", "history"),
+    "expected_motions": ("self",),
+}
+"""What a strategy must define."""
+NAME = re.compile(r"[a-z0-9_]{1,64}")
+"""What an order may call a strategy."""
 
 
 @dataclass(frozen=True)
@@ -129,31 +145,58 @@ class Strategy:
         raise NotImplementedError
 
 
+def find_strategies() -> Library[type[Strategy]]:
+    """Every strategy by the name of its file: the shipped ones, then one's own; broken ones are told."""
+    return library("strategies", shipped_strategies(), folders_of("strategies"), strategy_in)
+
+
 @functools.cache
-def find_strategies() -> dict[str, type[Strategy]]:
-    """Every strategy by the name of its file, sorted."""
+def shipped_strategies() -> Mapping[str, type[Strategy]]:
+    """The strategies that come with the package, by name."""
     from needle_rig.control import strategies
 
-    found: dict[str, type[Strategy]] = {}
-    for module in sorted(pkgutil.iter_modules(strategies.__path__), key=lambda m: m.name):
-        loaded = importlib.import_module(f"{strategies.__name__}.{module.name}")
-        for value in vars(loaded).values():
-            if (
-                isinstance(value, type)
-                and issubclass(value, Strategy)
-                and value.__module__ == loaded.__name__
-            ):
-                value.name = module.name
-                found[module.name] = value
+    folder = Path(strategies.__path__[0])
+    names = sorted(module.name for module in pkgutil.iter_modules(strategies.__path__))
+    return {
+        name: strategy_in(importlib.import_module(f"{strategies.__name__}.{name}"), folder / f"{name}.py")
+        for name in names
+    }
+
+
+def strategy_in(module: ModuleType, path: Path) -> type[Strategy]:
+    """The one strategy that `module` defines, checked and named. Raises BadInput with file and line."""
+    found: type[Strategy] = the_subclass(module, Strategy, "a strategy", path)
+    place = f"{path}:{inspect.getsourcelines(found)[1]}: {found.__name__}"
+    options = getattr(found, "__dataclass_params__", None)
+    if options is None or "__dataclass_fields__" not in vars(found) or not options.frozen:
+        raise BadInput(f"{place} is not a frozen dataclass; put @dataclass(frozen=True) above it")
+    for option in dataclasses.fields(found):  # type: ignore[arg-type]
+        if option.default is dataclasses.MISSING and option.default_factory is dataclasses.MISSING:
+            raise BadInput(f"{place}: the option {option.name} has no default; give it one")
+    for method, wanted in METHODS.items():
+        own = getattr(found, method)
+        if own is getattr(Strategy, method):
+            raise BadInput(f"{place} has no {method}; define {method}({', '.join(wanted)})")
+        if len(inspect.signature(own).parameters) != len(wanted):
+            line = inspect.getsourcelines(own)[1]
+            raise BadInput(f"{path}:{line}: {method} must be def {method}({', '.join(wanted)})")
+    if not NAME.fullmatch(path.stem):
+        raise BadInput(f"{path}:1: {path.stem} is no name for orders; use a to z, 0 to 9 and _, up to 64")
+    found.name = path.stem
     return found
 
 
 def make_strategy(name: str, options: Mapping[str, Any]) -> Strategy:
     """The strategy called `name` with `options` as its fields; BadInput names what is unknown."""
     found = find_strategies()
-    if name not in found:
-        raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(found)}")
-    fields = {f.name: f for f in dataclasses.fields(found[name])}  # type: ignore[arg-type]
+    try:
+        kind = found[name]
+    except KeyError:
+        raise BadInput(
+            f"strategy {name!r} is unknown; there are {', '.join(found)};"
+            f" one of your own is a file config/strategies/{name}.py"
+        ) from None
+    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for option in options:
         if option not in fields:
             known = ", ".join(sorted(fields)) or "none"
@@ -163,7 +206,7 @@ def make_strategy(name: str, options: Mapping[str, Any]) -> Strategy:
         if not isinstance(options[option], str) or fields[option].type not in ("str", str):
             check_option(option, options[option])
     try:
-        return found[name](**options)
+        return kind(**options)
     except TypeError:
         given = ", ".join(f"{option}={value!r}" for option, value in options.items())
         raise BadInput(f"strategy {name}: {given} has a value of the wrong kind; give numbers") from None

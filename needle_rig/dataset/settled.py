@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories
+from needle_rig.config.directories import config_directories
 from needle_rig.config.places import Places, read_yaml, show_path
 from needle_rig.config.schema import Section
 from needle_rig.dataset.description import RigPart, layout_of, needle_of

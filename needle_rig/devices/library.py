@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import importlib.util
 import inspect
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 
 from pydantic import BaseModel
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories
+from needle_rig.config.own_things import OwnFile, Source, folders_of, sources
 from needle_rig.config.places import Places
-from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
+from needle_rig.config.python_file import the_subclass
 from needle_rig.config.schema import DeviceFile, LinksSection, Section
 from needle_rig.devices.device import Device, Drive, HallSensors, Host, TorqueSensor
 from needle_rig.errors import BadInput, NeedleRigError
@@ -70,25 +67,24 @@ def shipped_device(kind: str, word: str) -> type[Device]:
 
 
 def find_device(kind: str, name: str) -> type[Device]:
-    """The device of the nearest file `config/devices/NAME.py`. Raises BadInput when there is none."""
+    """The nearest device of one's own called `name`. Raises BadInput when there is none."""
     try:
-        path = named_file(name)
+        source = named_source(name)
     except BadInput as unknown:
         raise BadInput(f"links.{kind}.device: {unknown}") from None
-    found = load_device(path)
+    found = device_in(source.module(), source.path)
     if not issubclass(found, KINDS[kind]):
-        raise BadInput(f"links.{kind}.device: {path} is for links.{_kind_of(found)}; name one for {kind}")
+        raise BadInput(f"links.{kind}.device: {source} is for links.{_kind_of(found)}; name one for {kind}")
     return found
 
 
-def named_file(name: str) -> Path:
-    """The nearest file `config/devices/NAME.py`. Raises BadInput when there is none."""
-    folders = [folder / "devices" for folder in config_directories()]
-    for folder in folders:
-        if os.path.isfile(folder / f"{name}.py"):
-            return folder / f"{name}.py"
-    words = [word for _, word in SHIPPED]
-    words += [file.stem for folder in folders for file in sorted(folder.glob("*.py"))]
+def named_source(name: str) -> Source:
+    """The nearest device of one's own called `name`, not read yet. Raises BadInput when there is none."""
+    own = sources("devices", folders_of("devices"))
+    for source in own:
+        if source.name == name:
+            return source
+    words = [word for _, word in SHIPPED] + [source.name for source in own]
     raise BadInput(
         f"{name!r} is unknown; there are {', '.join(dict.fromkeys(words))}; one of your own is a file"
         f" config/devices/{name}.py"
@@ -97,17 +93,16 @@ def named_file(name: str) -> Path:
 
 def load_device(path: Path) -> type[Device]:
     """The device in the file `path`. Raises BadInput with file and line when it is missing or broken."""
-    stamp = stamp_ns(path)
-    return _load(path.resolve(), stamp)
+    file = OwnFile(path.parent.resolve() / path.name)
+    return device_in(file.module(), file.path)
 
 
 def _kind_of(device: type[Device]) -> str:
     return next((kind for kind, base in KINDS.items() if issubclass(device, base)), "")
 
 
-@cache
-def _load(path: Path, stamp: int) -> type[Device]:  # noqa: ARG001 the cache's key
-    module = load_module(path)
+def device_in(module: ModuleType, path: Path) -> type[Device]:
+    """The one device that `module` defines, checked. Raises BadInput with file and line."""
     found: type[Device] = the_subclass(module, Device, "a device", path)
     _check(found, path)
     return found

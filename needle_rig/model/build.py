@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from needle_rig.config.files import config_directories
+from needle_rig.config.own_things import folders_of
 from needle_rig.config.places import Places
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
@@ -17,7 +17,7 @@ from needle_rig.records import JsonObject
 
 def effect_directories(extra: Iterable[str | Path] = ()) -> tuple[Path, ...]:
     """Folders with users' effects: `effects` of the config folders, then `extra`."""
-    folders = [*(folder / "effects" for folder in config_directories()), *(Path(e) for e in extra)]
+    folders = [*folders_of("effects"), *(Path(e) for e in extra)]
     for folder in map(Path, extra):
         if not os.path.isdir(folder):
             raise BadInput(f"{folder}: there is no such folder of effects; name one with --effects DIR")

@@ -7,6 +7,7 @@ takes the typical size.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Iterable, Mapping
 
@@ -40,8 +41,8 @@ def parse_effects(texts: Iterable[str], library: Mapping[str, type[Effect]]) -> 
 
 
 def effect_called(name: str, library: Mapping[str, type[Effect]]) -> type[Effect]:
-    """The effect `name`. Raises BadInput with the nearest names when there is none."""
-    if name in library:
+    """The effect `name`. Raises BadInput with the nearest names when there is none, or why it is broken."""
+    with contextlib.suppress(KeyError):
         return library[name]
     near = difflib.get_close_matches(name, library, n=1)
     meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(library))}"

@@ -1,4 +1,4 @@
-"""The library of effects: one file each, found by name in the package and in users' directories.
+"""The library of effects: one file each, found by name in the package and among one's own things.
 
 There is no registry: the file's name is the effect's name. A user's file passes the same checks as a
 built-in one and gets one sentence with file and line when something is missing.
@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-import importlib.machinery
-import importlib.util
 import inspect
 import math
 import sys
@@ -19,7 +17,8 @@ from pathlib import Path
 from types import ModuleType
 
 from needle_rig.config.hints import key_endings, split_unit
-from needle_rig.config.python_file import load_module, stamp_ns, the_subclass
+from needle_rig.config.own_things import Library, OwnFile, library
+from needle_rig.config.python_file import the_subclass
 from needle_rig.errors import BadInput
 from needle_rig.physics import effects as built_in
 from needle_rig.physics.effect import Effect, ParameterInfo
@@ -32,24 +31,12 @@ HOOKS: dict[str, tuple[str, ...]] = {
 }
 
 
-def find_effects(user_directories: Iterable[str | Path] = ()) -> dict[str, type[Effect]]:
-    """Every effect by name: the built-in ones, then those in `user_directories` (missing ones are empty).
+def find_effects(user_directories: Iterable[str | Path] = ()) -> Library[type[Effect]]:
+    """Every effect by name: the built-in ones, those in `user_directories`, and those of packages.
 
-    Raises BadInput with file and line for a file that is no effect, or takes the name of another.
+    A file that is no effect, or takes the name of another, stands in `broken` with its sentence.
     """
-    found = dict(built_in_effects())
-    origin = dict.fromkeys(found, "a built-in effect")
-    for directory in user_directories:
-        for path in sorted(Path(directory).glob("*.py")):
-            if path.stem.startswith("_"):
-                continue
-            if path.stem in found:
-                raise BadInput(
-                    f"{path}:1: the name {path.stem} is taken by {origin[path.stem]}; rename the file"
-                )
-            found[path.stem] = load_effect(path)
-            origin[path.stem] = str(path)
-    return found
+    return library("effects", built_in_effects(), user_directories, effect_in)
 
 
 @cache
@@ -65,12 +52,8 @@ def built_in_effects() -> dict[str, type[Effect]]:
 
 def load_effect(path: Path) -> type[Effect]:
     """The effect in the file `path`. Raises BadInput with file and line when it is missing or broken."""
-    return _load(path.parent.resolve() / path.name, stamp_ns(path))
-
-
-@cache
-def _load(path: Path, stamp: int) -> type[Effect]:  # noqa: ARG001 the cache's key
-    return effect_in(load_module(path), path)
+    file = OwnFile(path.parent.resolve() / path.name)
+    return effect_in(file.module(), file.path)
 
 
 def effect_in(module: ModuleType, path: Path) -> type[Effect]:

@@ -131,4 +131,9 @@ def _complaint(error: ValidationError) -> str:
             f" of small letters, or up to {MOST_MOTIONS} numbers"
         )
     place = ".".join(str(part) for part in first["loc"])[:_SHOWN_LETTERS] or "the request"
+    limits = first.get("ctx", {})
+    if "le" in limits:
+        return f"{place}: {shown} is above {limits['le']:g}; give {limits['le']:g} at most"
+    if "ge" in limits:
+        return f"{place}: {shown} is below {limits['ge']:g}; give {limits['ge']:g} at least"
     return f"{place}: {first['msg'].lower()}, not {shown}"

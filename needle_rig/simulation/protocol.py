@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from needle_rig.config.check import validate
-from needle_rig.config.files import config_directories
+from needle_rig.config.directories import config_directories
 from needle_rig.config.places import read_yaml, write_yaml
 from needle_rig.config.schema import Section
 from needle_rig.dataset.records import TrialCommand

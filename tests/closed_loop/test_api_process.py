@@ -144,7 +144,8 @@ def test_a_signal_to_the_client_while_its_run_starts_stops_it(
     finally:
         with contextlib.suppress(ProcessLookupError):  # the daemon kills one that was silent for 10 s
             os.kill(recorder, signal.SIGCONT)
-    assert (client.returncode, err) == (4, "Stopped: the drive is stopped, and nothing begins.\n")
+    said = "stopping …\nStopped: the drive is stopped, and nothing begins.\n"
+    assert (client.returncode, err) == (4, said)
     time.sleep(0.5)
     state = DaemonClient(the_socket(shell)).state()
     assert (state["run"], state["phase"], state["lease"]) == (None, "aborted", None)
@@ -183,7 +184,8 @@ def test_a_motion_is_stopped_by_ctrl_c(shell: Shell, daemon: subprocess.Popen[st
         client.send_signal(signal.SIGINT)
         _, err = client.communicate(timeout=30)
     assert client.returncode == 4
-    assert "Stopped" in err.splitlines()[-1]
+    assert "stopping …" in err.splitlines()
+    assert err.splitlines()[-1] == "Stopped: the drive is stopped."
     assert DaemonClient(the_socket(shell)).state()["phase"] == "aborted"
 
 

@@ -163,7 +163,7 @@ def test_export_draws_the_picture_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert needle_rig(["export", str(run_path), "--png"]) == 0
+    assert needle_rig(["export", str(run_path), "--picture"]) == 0
     assert capsys.readouterr().out == f"{run_path.stem}.png\n"
-    assert needle_rig(["export", str(run_path), "--png"]) == 2
+    assert needle_rig(["export", str(run_path), "--picture"]) == 2
     assert "exists already" in capsys.readouterr().err

@@ -26,6 +26,8 @@ CALLED_BY_LIBRARIES = {
     "get_code": "importlib",
     "define_pipelines": "numba",
     "disconnected": "uvicorn",
+    "format_commands": "click",
+    "resolve_command": "click",
     "get_source_stamp": "numba",
     "ignore_aliases": "PyYAML",
     "model_config": "pydantic",

@@ -161,8 +161,8 @@ def test_a_base_installation_reads_a_csv(tmp_path: Path) -> None:
     ("line", "says"),
     [
         (("layout", "none.yaml", "--png", "x.png"), "a picture needs the package matplotlib"),
-        (("compare", "none", "--png", "x"), "a picture needs the package matplotlib"),
-        (("demo", "--png", "x"), "a picture needs the package matplotlib"),
+        (("compare", "none", "--pictures", "x"), "a picture needs the package matplotlib"),
+        (("demo", "--pictures", "x"), "a picture needs the package matplotlib"),
         (("reproduce", "--html", "x.html"), "a picture needs the package matplotlib"),
         (("firmware", "build"), "building the firmware (the compiler) needs the package ziglang"),
     ],

@@ -27,8 +27,8 @@ def test_an_effect_or_a_page_that_is_no_file(kind: str, tmp_path: Path) -> None:
             os.mkfifo(path)
         else:
             path.symlink_to(path.name if kind == "loop" else "/etc/passwd")
-    with pytest.raises(BadInput, match=r"law\.py"):
-        find_effects([tmp_path])
+    [(_, sentence)] = find_effects([tmp_path]).broken
+    assert "law.py" in sentence
     with pytest.raises(BadInput, match=r"drive\.hex"):
         read_page(tmp_path / "drive.hex")
 

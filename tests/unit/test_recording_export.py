@@ -198,4 +198,4 @@ def test_a_run_without_end_is_exported_with_a_word(runs: Path, capsys: pytest.Ca
 
 def test_a_format_must_be_named(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert needle_rig(["export", "last"]) == 2
-    assert "Say which format: --csv, --mcap, --png or --dataset" in capsys.readouterr().err
+    assert "Say which format: --csv, --mcap, --picture or --dataset" in capsys.readouterr().err

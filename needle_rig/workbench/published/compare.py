@@ -187,7 +187,8 @@ class SettledComparison:
     def traces(self) -> NoReturn:
         """Raises BadInput: there are none."""
         raise BadInput(
-            f"{self.dataset} has settled values only, no traces to draw; leave out --html and --png, and plot"
+            f"{self.dataset} has settled values only, no traces to draw;"
+            " leave out --html and --pictures, and plot"
         )
 
     def as_json(self) -> CompareDocument:

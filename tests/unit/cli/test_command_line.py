@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -31,19 +28,6 @@ sys.argv = ["needle-rig", "parameters", "--json"]
 runpy.run_module("needle_rig", run_name="__main__")
 """
 LONG = "a note of many words that goes on " * 10
-
-
-@pytest.mark.parametrize("module", ["click", "needle_rig.cli.parameters", "needle_rig.model"])
-def test_ctrl_c_while_python_imports(module: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED.format(module=module)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (4, "\nStopped.\n")
 
 
 def test_a_pipe_gets_whole_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -128,5 +128,5 @@ def test_a_model_file_whose_law_would_take_an_effects_name_is_said(
     source = Path(__file__).resolve().parents[2] / "data" / "effects"
     taken.write_text(next(iter(sorted(source.glob("*.py")))).read_text(encoding="utf-8"), encoding="utf-8")
     out = tmp_path / "m.yaml"
-    assert command(["demo", "--law", "--effects", str(tmp_path), "--model-out", str(out)]) == 2
-    assert "m_law: there is an effect of this name; name --model-out otherwise" in capsys.readouterr().err
+    assert command(["demo", "--law", "--effects", str(tmp_path), "--out", str(out)]) == 2
+    assert "m_law: there is an effect of this name; name --out otherwise" in capsys.readouterr().err

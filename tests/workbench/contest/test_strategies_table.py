@@ -35,7 +35,7 @@ def _bout(name: str = "rig_elastic", model: str | None = None) -> Bout:
 
 
 def test_the_command_identifies_a_model_and_prints_the_stated_rows(tmp_path: Path) -> None:
-    asked = ["--targets", "45", "--seeds", "1", "--jobs", "1", "--json", "--png", str(tmp_path)]
+    asked = ["--targets", "45", "--seeds", "1", "--jobs", "1", "--json", "--pictures", str(tmp_path)]
     for name in ("planned", "reed2008", "none"):
         asked += ["--strategy", name]
     answer = CliRunner().invoke(command, asked)

@@ -60,6 +60,6 @@ def test_the_command_prints_the_stated_json(tmp_path: Path) -> None:
         "worst",
     }
     assert set(answer["channels"]["torque"]) >= {"rmse", "noise", "by_phase"}
-    plain = CliRunner().invoke(command, [str(folder), "--png", str(tmp_path / "p")])
+    plain = CliRunner().invoke(command, [str(folder), "--pictures", str(tmp_path / "p")])
     assert "Worst places" in plain.stdout
     assert (tmp_path / "p" / "residuals.png").exists()

@@ -79,7 +79,7 @@ def test_the_document_has_what_was_promised(runs: Reproduction) -> None:
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "out" / "page.html"
-    assert run(["reproduce", "--json", "--html", str(page), "--png", str(tmp_path / "png")]) == 0
+    assert run(["reproduce", "--json", "--html", str(page), "--pictures", str(tmp_path / "png")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert len(document["rows"]) > 30
     pictures = sorted(p.name for p in (tmp_path / "png").iterdir())
