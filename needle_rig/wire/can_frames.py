@@ -223,8 +223,8 @@ class CanCodec:
             )
         if frame_id == DRIVE_REFERENCE_ID:
             return DriveReference(rad(values["angle"]), values["counter"], values["heartbeat"])
-        flags = (bool(values[name]) for name in ("enable", "clear", "acknowledge"))
-        command = Command(rad(values["velocity"]), *flags, sight_s=values["sight"])
+        enable, clear, acknowledge = (bool(values[name]) for name in ("enable", "clear", "acknowledge"))
+        command = Command(rad(values["velocity"]), enable, clear, acknowledge, sight_s=values["sight"])
         return DriveCommand(command, values["counter"], values["heartbeat"])
 
     def _angle_deg(self, angle_rad: float) -> float:

@@ -18,7 +18,7 @@ from needle_rig.control import clearing, limits, standing
 from needle_rig.control.brain import Brain
 from needle_rig.firmware.host import HostNodes
 from needle_rig.firmware.sources import firmware_folder
-from needle_rig.records import Command, DriveState
+from needle_rig.records import Command, DriveFault, DriveState
 from tests.firmware.latch_world import Broken, World
 
 ORDERS = ("clear", "jog", "hold", "release", "stop", "home", "hall", "here", "compensate")
@@ -286,7 +286,7 @@ def _clears_through_faults(patch: pytest.MonkeyPatch) -> None:
 
 def _one_fault_a_name(patch: pytest.MonkeyPatch) -> None:
     own = limits._own
-    patch.setattr(limits, "_own", lambda *told: dataclasses.replace(own(*told), bit=limits.DriveFault.NONE))
+    patch.setattr(limits, "_own", lambda *told: dataclasses.replace(own(*told), bit=DriveFault.NONE))
 
 
 def _supply_stays_on(patch: pytest.MonkeyPatch) -> None:
