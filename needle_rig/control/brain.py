@@ -355,8 +355,8 @@ class Brain:
     def _fail(self, *found: Fault) -> None:
         """Take what was found in this tick; a fault ends what goes on, a clear on its way too."""
         self._standing.take(found)
-        first = self._standing.first
-        if first is None or not found:
+        first = self._standing.first if found else None
+        if first is None:
             return
         self._clearing.cancel()
         self._supervision.reference.searching = False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from needle_rig.records import COMMAND_AGE_S, TEMPORARY, Command, DriveFault, DriveState, Measurement
 
 CLEAR_S = 1.0
@@ -22,7 +24,7 @@ class ClearHandshake:
         self._left_s = 0.0
         self._ticks = 0
         self._acknowledged: DriveFault | None = None
-        self._sight_s = 0.0
+        self._sight_s = math.inf
 
     @property
     def asked(self) -> bool:
@@ -55,6 +57,8 @@ class ClearHandshake:
     def step(self, measurement: Measurement, dt_s: float) -> None:
         """One tick: what the drive says ends the asking, or time does."""
         self._ticks += 1
+        if not self.asked:
+            return
         self._sight_s += dt_s
         done = awake(measurement) and not measurement.drive_faults
         self._left_s = 0.0 if done else max(self._left_s - dt_s, 0.0)

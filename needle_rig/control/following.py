@@ -120,7 +120,7 @@ class FollowingError:
         error_rad = self.error_rad + asked_rad - turned_rad
         # an answer that comes later than the command is no error to be forgiven: it comes back at the end
         late_rad = self._limits.response_s * commanded_rad_s
-        least_rad, most_rad = min(late_rad, 0.0), max(late_rad, 0.0)
+        least_rad, most_rad = (late_rad, 0.0) if late_rad < 0.0 else (0.0, late_rad)
         if error_rad > most_rad:
             error_rad = max(error_rad - forgiven_rad, most_rad)
         elif error_rad < least_rad:

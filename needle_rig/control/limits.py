@@ -14,6 +14,7 @@ from needle_rig.records import COMMAND_AGE_S, STOP, TEMPORARY, Command, DriveFau
 from needle_rig.units import deg, nmm
 
 ROUNDING = 1e-9
+LINKS = frozenset({"torque", "hall", "drive"})
 
 DRIVE_SENTENCES: dict[DriveFault, str] = {
     DriveFault.COMMAND_AGE: f"no valid command reached it for {COMMAND_AGE_S * 1e3:g} ms; check the bus, this"
@@ -106,24 +107,7 @@ def find_faults(measurement: Measurement, limits: Limits) -> tuple[frozenset[str
     A dead link hides what it alone tells, and nothing that others tell. The drive's own faults are not among
     them: see `drive_faults`.
     """
-    found: list[Fault] = []
-    no_numbers: list[Fault] = []
-    heard = set()
-    finite = {
-        "torque": math.isfinite(measurement.torque_nm),
-        "hall": all(map(math.isfinite, measurement.hall_rad)),
-        "drive": math.isfinite(measurement.base_angle_rad),
-    }
-    for link, age_s, limit_s, complaint in _ages(measurement, limits):
-        if not age_s <= limit_s:
-            found.append(
-                Fault(FaultName.LINK_DEAD, link, _stale(link, age_s, limit_s, complaint), latching=False)
-            )
-        elif not finite[link]:
-            no_numbers.append(Fault(FaultName.NOT_A_NUMBER, link, _NO_NUMBER[link], latching=False))
-        else:
-            heard.add(link)
-    found += no_numbers
+    heard, found = (LINKS, []) if _all_good(measurement, limits) else _judged_links(measurement, limits)
     if "torque" in heard and abs(measurement.torque_nm) > limits.torque_nm:
         found.append(
             Fault(
@@ -155,7 +139,41 @@ def find_faults(measurement: Measurement, limits: Limits) -> tuple[frozenset[str
                 latching=True,
             )
         )
-    return frozenset(heard), found
+    return heard, found
+
+
+def _all_good(measurement: Measurement, limits: Limits) -> bool:
+    """Whether every link is heard and gives numbers, as nearly always; `_judged_links` tells which does not."""
+    return (
+        measurement.torque_age_s <= limits.torque_age_s
+        and measurement.hall_age_s <= limits.hall_age_s
+        and measurement.drive_age_s <= limits.drive_age_s
+        and math.isfinite(measurement.torque_nm)
+        and math.isfinite(measurement.base_angle_rad)
+        and all(map(math.isfinite, measurement.hall_rad))
+    )
+
+
+def _judged_links(measurement: Measurement, limits: Limits) -> tuple[frozenset[str], list[Fault]]:
+    """The links whose values may be used, and a fault for each of the others; dead ones first."""
+    found: list[Fault] = []
+    no_numbers: list[Fault] = []
+    heard = set()
+    finite = {
+        "torque": math.isfinite(measurement.torque_nm),
+        "hall": all(map(math.isfinite, measurement.hall_rad)),
+        "drive": math.isfinite(measurement.base_angle_rad),
+    }
+    for link, age_s, limit_s, complaint in _ages(measurement, limits):
+        if not age_s <= limit_s:
+            found.append(
+                Fault(FaultName.LINK_DEAD, link, _stale(link, age_s, limit_s, complaint), latching=False)
+            )
+        elif not finite[link]:
+            no_numbers.append(Fault(FaultName.NOT_A_NUMBER, link, _NO_NUMBER[link], latching=False))
+        else:
+            heard.add(link)
+    return frozenset(heard), [*found, *no_numbers]
 
 
 _NO_NUMBER = {

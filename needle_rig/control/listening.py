@@ -26,6 +26,15 @@ class Listening:
         """`measurement` with the ages that may be held against its links; see `heard_age_s`."""
         self._late_ticks = self._late_ticks + 1 if dt_s > self._listening_s else 0
         ages_s = (measurement.torque_age_s, measurement.hall_age_s, measurement.drive_age_s)
+        torque_s, hall_s, drive_s = self._ages_s
+        if (
+            dt_s <= self._listening_s
+            and ages_s[0] <= torque_s + dt_s
+            and ages_s[1] <= hall_s + dt_s
+            and ages_s[2] <= drive_s + dt_s
+        ):  # a host that keeps time, as nearly always: heard_age_s would say the same
+            self._ages_s = ages_s
+            return measurement
         torque_s, hall_s, drive_s = self._ages_s = tuple(
             heard_age_s(before_s, age_s, dt_s, self._listening_s)
             for before_s, age_s in zip(self._ages_s, ages_s, strict=True)

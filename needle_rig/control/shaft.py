@@ -10,6 +10,7 @@ person's clear do not move the datum; a new reference alone does.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -92,8 +93,9 @@ class ShaftWatch:
         places_m = layout.sensor_positions_m
         self._spring = spring_to_first_sensor(layout, torsional_rigidity_nm2) if places_m else None
         self._gaps_m = tuple(b - a for a, b in pairwise(places_m))
-        middle = self._spring.middle if self._spring else 1.0
-        self._same_nm = SAME_TWIST_SHARE * limits.disagreement_rad / (TORQUE_SHARE * middle)
+        self._middle = self._spring.middle if self._spring else 1.0
+        self._spread = self._spring.spread if self._spring else 0.0
+        self._same_nm = SAME_TWIST_SHARE * limits.disagreement_rad / (TORQUE_SHARE * self._middle)
         self._travel_rad = 0.0
         self._counted_rad: float | None = None
         self.rebase()
@@ -104,6 +106,7 @@ class ShaftWatch:
         self._last: Measurement | None = None
         self._motion_start: Measurement | None = None
         self._wound_before_rad = 0.0
+        self._pairs: tuple[tuple[float, float, float], ...] = ()
         self._disagreement_rad = 0.0
         self._torque_nm = 0.0
         self._most_torque_nm = 0.0
@@ -127,6 +130,7 @@ class ShaftWatch:
             datum = self._datum = now
             self._torque_nm = now.torque_nm
             self._wound_before_rad = self._own_twist_rad(now)
+            self._pairs = tuple(self._pairs_at(now))
         last, self._last = self._last or now, now
         self._motion_start = self._motion_start or now
         turned_rad = abs(now.base_angle_rad - last.base_angle_rad)
@@ -138,7 +142,7 @@ class ShaftWatch:
         return (
             self._jump(now, last, turned_rad)
             or self._windup(now, datum)
-            or self._against_encoder(now, datum, dt_s, self._spring)
+            or self._against_encoder(now, datum, dt_s)
             or self._neighbours(now, datum)
         )
 
@@ -147,7 +151,7 @@ class ShaftWatch:
         if self._spring is None:
             return 0.0
         past_rad = math.remainder(now.hall_rad[0] - now.hall_rad[-1], math.tau)
-        return self._spring.middle * now.torque_nm + past_rad
+        return self._middle * now.torque_nm + past_rad
 
     def _travel(self, now: Measurement) -> Fault | None:
         if self._counted_rad is None:
@@ -165,8 +169,9 @@ class ShaftWatch:
         )
 
     def _jump(self, now: Measurement, last: Measurement, turned_rad: float) -> Fault | None:
+        limit_rad = self._limits.jump_rad + turned_rad
         for number, (angle, before) in enumerate(zip(now.hall_rad, last.hall_rad, strict=True), 1):
-            if not abs(angle - before) <= self._limits.jump_rad + turned_rad:
+            if not abs(angle - before) <= limit_rad:
                 return _fault(
                     FaultName.HALL_JUMP,
                     "hall",
@@ -191,12 +196,10 @@ class ShaftWatch:
         """What gain and eccentricity of a sensor may make of a turn."""
         return self._limits.disagreement_share * min(turned_rad, math.pi)
 
-    def _against_encoder(
-        self, now: Measurement, datum: Measurement, dt_s: float, spring: Spring
-    ) -> Fault | None:
+    def _against_encoder(self, now: Measurement, datum: Measurement, dt_s: float) -> Fault | None:
         base_rad = now.base_angle_rad - datum.base_angle_rad
         hall_rad = now.hall_rad[0] - datum.hall_rad[0]
-        sprung_rad = spring.middle * (now.torque_nm - datum.torque_nm)
+        sprung_rad = self._middle * (now.torque_nm - datum.torque_nm)
         new = 1.0 - math.exp(-dt_s / SMOOTHING_S)
         self._disagreement_rad += new * (base_rad - hall_rad - sprung_rad - self._disagreement_rad)
         self._torque_nm += new * (now.torque_nm - self._torque_nm)
@@ -210,28 +213,28 @@ class ShaftWatch:
             + apart_rad
         )
         if not size_rad <= limit_rad:
-            return self._named(now, size_rad, limit_rad, spring)
-        return self._at_the_same_torque(now, apart_rad, spring)
+            return self._named(now, size_rad, limit_rad)
+        return self._at_the_same_torque(now, apart_rad)
 
-    def _at_the_same_torque(self, now: Measurement, apart_rad: float, spring: Spring) -> Fault | None:
+    def _at_the_same_torque(self, now: Measurement, apart_rad: float) -> Fault | None:
         """The same torque twists the shaft by the same, whatever its spring: unknown stiffness drops out."""
         same = round(self._torque_nm / self._same_nm)
         least_rad, most_rad = self._seen_rad.get(same, (math.inf, -math.inf))
         least_rad = min(least_rad, self._disagreement_rad + apart_rad)
         most_rad = max(most_rad, self._disagreement_rad - apart_rad)
         self._seen_rad[same] = least_rad, most_rad
-        limit_rad = self._limits.disagreement_rad + spring.spread * self._most_torque_nm
+        limit_rad = self._limits.disagreement_rad + self._spread * self._most_torque_nm
         if most_rad - least_rad <= limit_rad:
             return None
-        return self._named(now, most_rad - least_rad, limit_rad, spring)
+        return self._named(now, most_rad - least_rad, limit_rad)
 
-    def _named(self, now: Measurement, size_rad: float, limit_rad: float, spring: Spring) -> Fault:
+    def _named(self, now: Measurement, size_rad: float, limit_rad: float) -> Fault:
         """Which witness it is, by what each of them saw in this motion."""
         then = self._motion_start or now
         base_rad = now.base_angle_rad - then.base_angle_rad
         hall_rad = now.hall_rad[0] - then.hall_rad[0]
         torque_nm = now.torque_nm - then.torque_nm
-        sprung_rad = spring.middle * torque_nm
+        sprung_rad = self._middle * torque_nm
         seen = (
             f"they are {deg(size_rad):.1f}° apart since the last reference, limit {deg(limit_rad):.1f}°"
             f" (drive.disagreement_deg); in this motion the encoder turned by {deg(base_rad):.1f}°, Hall"
@@ -262,23 +265,28 @@ class ShaftWatch:
         )
 
     def _neighbours(self, now: Measurement, datum: Measurement) -> Fault | None:
-        twists = zip(now.hall_rad, now.hall_rad[1:], datum.hall_rad, datum.hall_rad[1:], strict=False)
-        turned_rad = abs(now.base_angle_rad - datum.base_angle_rad)
-        for number, ((a, b, a0, b0), gap_m) in enumerate(zip(twists, self._gaps_m, strict=True), 1):
-            twist_rad = (a - b) - (a0 - b0)
-            possible_rad = STRENGTH * self._most_torque_nm * gap_m / self._rigidity_nm2
-            # the shaft may have been wound one way at the datum, and the other way since
-            before_rad = abs(math.remainder(a0 - b0, math.tau))
-            limit_rad = self._limits.pair_rad + self._share_rad(turned_rad) + possible_rad + before_rad
-            if not abs(twist_rad) <= limit_rad:
+        hall_rad, most_nm = now.hall_rad, self._most_torque_nm
+        common_rad = self._limits.pair_rad + self._share_rad(abs(now.base_angle_rad - datum.base_angle_rad))
+        for i, (twist_rad, before_rad, strength) in enumerate(self._pairs):
+            apart_rad = hall_rad[i] - hall_rad[i + 1] - twist_rad
+            limit_rad = common_rad + strength * most_nm + before_rad
+            if not abs(apart_rad) <= limit_rad:
                 return _disagreement(
                     FaultName.HALL_DISAGREES,
                     "hall",
-                    f"Hall sensors {number} and {number + 1} came {deg(twist_rad):.0f}° apart, more than the"
+                    f"Hall sensors {i + 1} and {i + 2} came {deg(apart_rad):.0f}° apart, more than the"
                     f" largest torque since the last reference can twist the shaft between them, limit"
                     f" {deg(limit_rad):.0f}°; one of them stands still or lost its zero",
                 )
         return None
+
+    def _pairs_at(self, datum: Measurement) -> Iterator[tuple[float, float, float]]:
+        """Of each pair of neighbours: their twist at the datum, what of it may come undone, and the twist
+        that a torque can make, rad/(N·m)."""
+        for (a_rad, b_rad), gap_m in zip(pairwise(datum.hall_rad), self._gaps_m, strict=True):
+            # the shaft may have been wound one way at the datum, and the other way since
+            undone_rad = abs(math.remainder(a_rad - b_rad, math.tau))
+            yield a_rad - b_rad, undone_rad, STRENGTH * gap_m / self._rigidity_nm2
 
 
 def _disagreement(name: FaultName, link: str, text: str) -> Fault:

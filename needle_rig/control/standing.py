@@ -40,6 +40,9 @@ class StandingFaults:
 
     def take(self, found: Sequence[Fault]) -> None:
         """What was found in this tick: latching faults are kept, a passing one lasts until the next tick."""
+        self._passing = None
+        if not found:  # nearly always
+            return
         for fault in found:
             if fault.latching:
                 self._latched.setdefault((fault.name, fault.bit), fault)

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator
 
 from needle_rig.control.faults import Fault, FaultName
 from needle_rig.control.following import CLEAR_TEXT, FollowingError, FollowingLimits
+from needle_rig.control.limits import LINKS
 from needle_rig.control.reference import Reference
 from needle_rig.control.shaft import ShaftLimits, ShaftWatch, spring_to_first_sensor
 from needle_rig.physics.rod import Layout
@@ -18,7 +19,6 @@ from needle_rig.records import Command, DriveState, Measurement
 BLIND_S = 0.1
 """An enabled drive that was not heard for longer may do what it likes: at 60°/s it turns by 6°, as far as the
 following error allows."""
-LINKS = ("torque", "hall", "drive")
 
 
 class Supervision:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from needle_rig.control.clearing import CLEAR_EVERY, CLEAR_S, ClearHandshake, awake
+from needle_rig.control.clearing import CLEAR_EVERY, ClearHandshake, awake
 from needle_rig.records import COMMAND_AGE_S, Command, DriveFault, DriveState, Measurement
 from tests.values import now
 
@@ -127,7 +127,7 @@ def test_what_is_being_cleared_is_no_news(
 def test_a_clear_is_asked_for_a_second(by: str) -> None:
     clearing = ClearHandshake()
     clearing.wake() if by == "wake" else clearing.acknowledge(STOPPED, 0.0)
-    told(clearing, seen(), round(CLEAR_S / TICK_S) - 1)
+    told(clearing, seen(), round(1.0 / TICK_S) - 1)
     assert now(clearing).asked
     clearing.step(seen(), TICK_S + 1e-9)
     assert not now(clearing).asked
