@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _WORDS = """\
 Words that it takes, a line each:
   status                                        how it goes
-  torque|drive|hall|can  unplug|silence|garble|freeze|restore
+  torque|drive|hall|can  unplug|silence|garble|freeze|delay MS|restore
                                                 let a link fail, or work again
   turn DEGREES                                  turn the base by hand while the drive is off
   weigh N.MM                                    hang a weight on the load cell; weigh 0 takes it off

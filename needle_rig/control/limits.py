@@ -143,7 +143,7 @@ def find_faults(measurement: Measurement, limits: Limits) -> tuple[frozenset[str
 
 
 def _all_good(measurement: Measurement, limits: Limits) -> bool:
-    """Whether every link is heard and gives numbers, as nearly always; `_judged_links` tells which does not."""
+    """Whether every link is heard and gives numbers, as nearly always; `_judged_links` says which not."""
     return (
         measurement.torque_age_s <= limits.torque_age_s
         and measurement.hall_age_s <= limits.hall_age_s

@@ -2,7 +2,7 @@
 
 `python -m needle_rig.simulation.bench [--config FILE]` prints one JSON line with its ports, then runs until
 its standard input ends. Lines on standard input make links fail: `torque|drive|hall|can` with
-`unplug|silence|garble|freeze|fade|restore`; others break the machine (bench_loop.MACHINE) or
+`unplug|silence|garble|freeze|fade|restore` or `delay MS`; others break the machine (bench_loop.MACHINE) or
 restart the drive node (`drive reset`); `status` tells how it goes.
 """
 

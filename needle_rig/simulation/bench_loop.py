@@ -6,7 +6,6 @@ import contextlib
 import json
 import math
 import os
-import random
 import select
 import tempfile
 import time
@@ -19,7 +18,7 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.records import Measurement
 from needle_rig.simulation.bench_lines import Said
 from needle_rig.simulation.cia402_node import Cia402Node
-from needle_rig.simulation.faults import Faults, over_index
+from needle_rig.simulation.faults import Faults, Link, over_index
 from needle_rig.simulation.netft_sensor import NetFtPorts
 from needle_rig.simulation.node_set import build_nodes
 from needle_rig.simulation.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
@@ -45,6 +44,8 @@ MACHINE = {
 }
 """What else can be made to break, and how; `drive reset` restarts the drive, `drive emergency` breaks one of
 another make from within."""
+LONGEST_DELAY_MS = 1000.0
+"""Four times the oldest value that a shipped rig uses."""
 _EMERGENCY_CODE = 0x2310
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
@@ -77,26 +78,6 @@ class WorldPlant(Protocol):
         """The same, with the base turned by a person."""
 
 
-class Tap:
-    """Where a link can be made to fail."""
-
-    def __init__(self, seed: int) -> None:
-        self.fault = "restore"
-        self._last: dict[int, bytes] = {}
-        self._random = random.Random(seed)
-
-    def through(self, data: bytes, frame_id: int = 0) -> bytes | None:
-        """What leaves the node instead of `data`; None when nothing does."""
-        if self.fault in ("unplug", "silence"):
-            return None
-        if self.fault == "garble":
-            return self._random.randbytes(len(data))
-        if self.fault == "freeze":
-            return self._last.get(frame_id)
-        self._last[frame_id] = data
-        return data
-
-
 class BenchLoop:
     """Plant, nodes and ports. `say` receives what happens, as objects for JSON.
 
@@ -123,7 +104,7 @@ class BenchLoop:
         self._inputs, self._front_end = nodes.inputs, nodes.front_end
         self._no_field = nodes.no_field
         self._by_hand_rad = 0.0
-        self._taps = {link: Tap(seed) for seed, link in enumerate(LINKS)}
+        self._taps = {link: Link(seed=seed) for seed, link in enumerate(LINKS)}
         self._hub = SlcanHub()
         self._ports_folder = ports
         self._interface = interface
@@ -238,7 +219,7 @@ class BenchLoop:
         now_us, counts = self._now_us, self._inputs(self._plant.read())
         if self._netft is not None:
             record = self._netft.sensor.step(now_us, counts.torque)
-            self._netft.send((self._taps["torque"].through(record) if record else None) or b"")
+            self._netft.send((self._taps["torque"].through(record, now_us * 1e-6) if record else None) or b"")
         else:
             self._send("torque", self._torque.step(now_us, counts.torque))
         frames, self._velocity_rad_s = self._drive.step(
@@ -258,21 +239,24 @@ class BenchLoop:
         hall = self._taps["hall"]
         pairs = (*counts.hall[:-1], self._no_field) if hall.fault == "fade" else counts.hall
         sent = self._hall.step(now_us, pairs)
-        data = hall.through(sent) if sent else None
+        data = hall.through(sent, now_us * 1e-6) if sent else None
         if self._hall_port is not None:
             self._hall_port.write(data or b"")
             self._hall_port.flush()
         self._hub.flush()
 
     def _send(self, link: str, frame: Frame) -> None:
-        data = self._taps[link].through(frame[1], frame[0])
+        now_s = self._now_us * 1e-6
+        data = self._taps[link].through(frame[1], now_s, frame[0])
         if data is None:
             return
         if link == "torque" and self._taps["drive"].fault != "unplug":
             self._drive.receive(self._now_us, frame[0], data)
         if self._taps["can"].fault == "garble" and self._can_port is not None:
-            self._can_port.send_garbled((frame[0], data), lambda line: self._taps["can"].through(line) or b"")
-        elif self._taps["can"].fault == "restore":
+            self._can_port.send_garbled(
+                (frame[0], data), lambda line: self._taps["can"].through(line, now_s) or b""
+            )
+        elif not self._taps["can"].fault:
             self._hub.send((frame[0], data), sender=self._on_bus)
 
     def _on_bus(self, frame: Frame) -> None:
@@ -283,7 +267,7 @@ class BenchLoop:
             if asked != self._last_command:
                 self._last_command = asked
                 self._say({"event": "command", "enable": asked[0], "clear": asked[1]})
-        if self._taps["drive"].fault != "unplug" and self._taps["can"].fault == "restore":
+        if self._taps["drive"].fault != "unplug" and not self._taps["can"].fault:
             self._drive.receive(self._now_us, *frame)
 
     def _obey(self, words: list[str]) -> None:
@@ -296,7 +280,7 @@ class BenchLoop:
                     "supply_on": self._drive.supply_on,
                     "velocity_deg_s": round(deg(self._velocity_rad_s), 4),
                     "drive": self._drive.state.name.lower(),
-                    "faults": {link: tap.fault for link, tap in self._taps.items() if tap.fault != "restore"},
+                    "faults": {link: tap.fault for link, tap in self._taps.items() if tap.fault},
                     "node_clock_zero_s": self._start_s,
                     "plant_s": round(now.time_s, 3),
                     "behind_s": round(self._behind_s, 4),
@@ -305,7 +289,9 @@ class BenchLoop:
             )
         elif len(words) == 2 and words[0] in LINKS and words[1] in FAULTS:
             link, fault = words
-            self._taps[link].fault = fault
+            tap = self._taps[link]
+            tap.fault = "" if fault == "restore" else fault
+            tap.delay_s = 0.0
             if link == "hall" and fault in ("unplug", "restore"):
                 self._plug_hall(fault == "restore")
             if link == "torque" and self._netft is not None:
@@ -313,6 +299,8 @@ class BenchLoop:
             if link == "can" and fault in ("unplug", "restore"):
                 self._plug_can(fault == "restore")
             self._say({"event": "fault", "link": link, "fault": fault})
+        elif len(words) == 3 and words[0] in LINKS and words[1] == "delay":
+            self._delay(words[0], words[2])
         elif words == ["drive", "reset"]:
             self._drive.reset(self._now_us)
             self._say({"event": "fault", "link": "drive", "fault": "reset"})
@@ -325,9 +313,22 @@ class BenchLoop:
         elif len(words) == 2 and words[0] in ("turn", "weigh"):
             self._handle(*words)
         elif words:
-            choices = [f"{'|'.join(LINKS)} {'|'.join(FAULTS)}", "drive reset|emergency"]
+            links = "|".join(LINKS)
+            choices = [f"{links} {'|'.join(FAULTS)}", f"{links} delay MS", "drive reset|emergency"]
             choices += [f"{place} {'|'.join(ways)}" for place, ways in MACHINE.items()]
             self._say({"error": f"{' '.join(words)!r}: give one of: {'; '.join(choices)}; or: status"})
+
+    def _delay(self, link: str, amount: str) -> None:
+        """What a node sends arrives so many milliseconds later; `restore` ends it."""
+        try:
+            delay_ms = float(amount)
+        except ValueError:
+            delay_ms = math.nan
+        if not 0.0 <= delay_ms <= LONGEST_DELAY_MS:
+            self._say({"error": f"{link} delay {amount!r}: give milliseconds, 0 to {LONGEST_DELAY_MS:g}"})
+            return
+        self._taps[link].delay_s = delay_ms * 1e-3
+        self._say({"event": "fault", "link": link, "fault": f"delay {amount}"})
 
     def _break(self, place: str, how: str) -> None:
         """Break a part of the machine, or mend it: an encoder counts on from what it showed."""

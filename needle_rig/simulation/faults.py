@@ -47,7 +47,7 @@ class Link:
     """Frames of one node on their way to the host and, for torque, to the drive node."""
 
     fault: str = ""
-    """`silence`, `garble` or `freeze`, as the bench's."""
+    """`unplug`, `silence`, `garble` or `freeze`, as the bench's; `fade` lets frames pass."""
     delay_s: float = 0.0
     seed: int = 0
     _last: dict[int, bytes] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class Link:
 
     def through(self, data: bytes, now_s: float, frame_id: int = 0) -> bytes | None:
         """What arrives at `now_s` under `frame_id`, when `data` is sent; None when nothing does."""
-        if self.fault == "silence":
+        if self.fault in ("unplug", "silence"):
             return None
         if self.fault == "garble":
             self._random = self._random or random.Random(self.seed)

@@ -44,6 +44,14 @@ def test_it_says_how_it_goes(bench: Bench) -> None:
     assert bench.wait_for(lambda said: "base_deg" in said, 10)["faults"] == {"torque": "freeze"}
 
 
+@pytest.mark.parametrize("line", ["drive delay soon", "drive delay -1", "hall delay 1001", "can delay nan"])
+def test_a_delay_that_it_cannot_keep_is_refused_with_its_range(bench: Bench, line: str) -> None:
+    bench.tell(line)
+    said = bench.wait_for(lambda said: "error" in said, 10)
+    link, _, amount = line.split()
+    assert said["error"] == f"{link} delay '{amount}': give milliseconds, 0 to 1000"
+
+
 @pytest.mark.parametrize("line", ["torque explode", "elbow freeze", "torque", "no such thing at all"])
 def test_a_line_that_it_does_not_know_is_answered_with_the_choices(bench: Bench, line: str) -> None:
     bench.tell(line)
