@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from needle_rig.control.faults import Fault, FaultName
-from needle_rig.control.following import DRIFT_RAD_S, SCALE_TOLERANCE, FollowingError, FollowingLimits
+from needle_rig.control.following import (
+    DRIFT_RAD_S,
+    REVERSE_SHARE,
+    SCALE_TOLERANCE,
+    CommandedPath,
+    FollowingError,
+    FollowingLimits,
+)
 from needle_rig.units import deg, rad
 
 LIMITS = FollowingLimits(rad(1.5), 0.06)
@@ -101,10 +110,11 @@ def test_the_limit_itself_is_no_fault_and_a_hair_above_it_is() -> None:
         assert (base.turn(0.0, TICK_S) is not None) == found
 
 
-def test_scales_that_differ_by_less_than_a_node_s_clock_are_no_fault() -> None:
-    assert Base(45.0).turn(45.0 * (1 + 0.9 * SCALE_TOLERANCE), 60.0) is None
-    assert Base(45.0).turn(45.0 * (1 - 0.9 * SCALE_TOLERANCE), 60.0) is None
-    assert Base(45.0).turn(45.0 * (1 - 1.5 * SCALE_TOLERANCE), 60.0) is not None
+@pytest.mark.parametrize("asked_deg_s", [-45.0, 45.0])
+def test_scales_that_differ_by_less_than_a_node_s_clock_are_no_fault(asked_deg_s: float) -> None:
+    assert Base(asked_deg_s).turn(asked_deg_s * (1 + 0.9 * SCALE_TOLERANCE), 60.0) is None
+    assert Base(asked_deg_s).turn(asked_deg_s * (1 - 0.9 * SCALE_TOLERANCE), 60.0) is None
+    assert Base(asked_deg_s).turn(asked_deg_s * (1 - 1.5 * SCALE_TOLERANCE), 60.0) is not None
 
 
 def test_a_slow_drift_is_forgiven_and_one_twice_as_fast_is_not() -> None:
@@ -123,3 +133,112 @@ def test_a_reset_begins_anew_wherever_the_base_stands() -> None:
     assert base.turn(0.0, TICK_S) is None
     base.angle_deg = 91.7
     assert base.turn(0.0, TICK_S) is not None
+
+
+def test_limits_stay_as_they_are() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        LIMITS.floor_rad = 1.0  # type: ignore[misc]
+
+
+def test_the_commanded_path_is_asked_at_any_time_since_the_last_question() -> None:
+    path = CommandedPath()
+    assert path.now_s == 0.0
+    path.add(0.0, 0.5)
+    assert path.until(0.25) == (0.0, 0.0, 0.0)
+    for velocity_rad_s in (4.0, 4.0, -2.0, 1.0):
+        path.add(velocity_rad_s, 0.5)
+    assert path.now_s == 2.5
+    assert path.until(0.75) == (1.0, 4.0, 4.0)
+    assert path.until(1.5) == (4.0, 4.0, 4.0), "what was in force until then, not from then on"
+    assert path.until(1.75) == (3.5, -2.0, 4.0)
+    assert path.until(2.5) == (3.5, 1.0, 2.0)
+    assert path.until(2.5) == (3.5, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("age_ticks", [1, 4, 20, 50])
+def test_a_sample_is_held_against_what_had_been_asked_when_it_was_taken(age_ticks: int) -> None:
+    error, angles_deg = FollowingError(LIMITS), [0.0] * age_ticks
+    for tick in range(600):
+        asked_deg_s = (0.0, 60.0, -60.0, 0.0, 45.0, 0.0)[tick // 100]
+        error.commanded(rad(asked_deg_s), TICK_S)
+        angles_deg.append(angles_deg[-1] + asked_deg_s * TICK_S)
+        seen_deg = angles_deg[-1 - age_ticks]
+        assert error.sample(rad(seen_deg), age_ticks * TICK_S, enabled=True) is None
+        assert error.error_rad == pytest.approx(0.0, abs=rad(0.01))
+
+
+def test_a_base_that_stands_is_found_also_where_it_is_heard_rarely_and_late() -> None:
+    error = FollowingError(LIMITS)
+    asked_deg = 0.0
+    for tick in range(200):
+        error.commanded(rad(45.0), TICK_S)
+        asked_deg += 45.0 * TICK_S
+        fault = error.sample(0.0, 0.05 + tick % 10 * TICK_S, enabled=True)  # one sample in ten ticks
+        if fault is not None:
+            break
+    assert fault is not None
+    assert fault.name is FaultName.NOT_TURNING
+    assert asked_deg <= 1.05 * (0.06 * 45.0 + 1.5) + 45.0 * (0.1 + 10 * TICK_S)
+
+
+def test_what_was_asked_before_widens_the_limit_no_longer_than_the_answer_takes() -> None:
+    base = Base(60.0)
+    assert base.turn(60.0, 1.0) is None
+    base.commanded_deg_s = 0.0
+    assert base.turn(0.0, 1.0) is None
+    base.angle_deg += 1.6
+    assert base.turn(0.0, TICK_S) is not None
+
+
+def test_an_enabled_base_that_turns_though_nothing_was_asked_runs_away() -> None:
+    for turned_deg_s in (-50.0, 50.0):
+        fault = Base(0.0).turn(turned_deg_s, 1.0)
+        assert fault is not None
+        assert fault.name is FaultName.RUNAWAY
+
+
+@pytest.mark.parametrize("speed_deg_s", [-45.0, -5.0, 5.0, 45.0])
+@pytest.mark.parametrize(
+    ("share", "name"),
+    [(0.8, FaultName.NOT_TURNING), (0.5, FaultName.NOT_TURNING), (1.25, FaultName.WRONG_DIRECTION)],
+)
+def test_an_encoder_that_creeps_back_stands_still(speed_deg_s: float, share: float, name: FaultName) -> None:
+    fault = Base(speed_deg_s).turn(-share * REVERSE_SHARE * speed_deg_s, 60.0)
+    assert fault is not None
+    assert fault.name is name
+
+
+def nearly_found(speed_deg_s: float) -> Base:
+    """A base that was asked to turn and stands, one tick before that is a fault."""
+    ticks = 0
+    base = Base(speed_deg_s)
+    while base.turn(0.0, TICK_S) is None:
+        ticks += 1
+    base = Base(speed_deg_s)
+    assert base.turn(0.0, ticks * TICK_S) is None
+    return base
+
+
+def test_one_flicker_of_an_encoder_that_stands_is_no_turning_back() -> None:
+    fault = nearly_found(45.0).turn(-2.0 * REVERSE_SHARE * 45.0, TICK_S)
+    assert fault is not None
+    assert fault.name is FaultName.NOT_TURNING
+
+
+def test_a_command_that_turns_round_at_last_does_not_make_a_base_that_stands_run_away() -> None:
+    base = nearly_found(45.0)
+    base.commanded_deg_s = -1.0
+    fault = base.turn(0.0, 10 * TICK_S)
+    assert fault is not None
+    assert fault.name is FaultName.NOT_TURNING
+
+
+def test_a_base_that_turned_back_long_ago_and_stands_now_stands() -> None:
+    base = Base(-45.0)
+    assert base.turn(-45.0, 2.0) is None
+    base.commanded_deg_s = 0.0
+    assert base.turn(0.0, 1.0) is None
+    base.commanded_deg_s = 45.0
+    fault = base.turn(0.0, 1.0)
+    assert fault is not None
+    assert fault.name is FaultName.NOT_TURNING
