@@ -210,10 +210,8 @@ def test_an_encoder_that_creeps_back_stands_still(speed_deg_s: float, share: flo
 
 def nearly_found(speed_deg_s: float) -> Base:
     """A base that was asked to turn and stands, one tick before that is a fault."""
-    ticks = 0
     base = Base(speed_deg_s)
-    while base.turn(0.0, TICK_S) is None:
-        ticks += 1
+    ticks = next(tick for tick in range(1000) if base.turn(0.0, TICK_S) is not None)
     base = Base(speed_deg_s)
     assert base.turn(0.0, ticks * TICK_S) is None
     return base
