@@ -168,3 +168,20 @@ def test_a_clear_that_is_repeated_clears_no_cause_that_came_after_its_sight(
         guard.clear = False
         guard.tick(10)
     assert (guard.state is DriveState.READY) == granted
+
+
+@pytest.mark.parametrize(("seen_ms_ago", "granted"), [(90, True), (115, False)])
+def test_a_fault_that_was_there_for_a_moment_wants_a_sight_of_its_own(
+    nodes: HostNodes, seen_ms_ago: int, granted: bool
+) -> None:
+    """A motor that stalls is found once: nothing shows it again after the supply is off."""
+    guard = Guard(nodes).running()
+    guard.follows = 0.0
+    while guard.state is DriveState.RUNNING:
+        guard.tick()
+    assert guard.faults == DriveFault.STALL
+    guard.enable, guard.velocity = False, 0
+    guard.tick(200)
+    guard.sight_us = seen_ms_ago * 1000
+    guard.clear_now()
+    assert (guard.state is DriveState.READY) == granted
