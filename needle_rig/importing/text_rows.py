@@ -107,7 +107,13 @@ def _opened(path: Path, shape: Shape) -> BinaryIO:
 
 def _plain(rows: list[bytes], shape: Shape) -> tuple[Array, dict[int, Words]] | None:
     """The rows where every one has all fields and every number is one, or nothing; None otherwise."""
+    if not any(map(bytes.strip, rows)):
+        return None
     split = shape.delimiter.encode() if shape.delimiter != " " else None
+    if not any(shape.words):
+        numbers = _loaded(rows, split, shape)
+        if numbers is not None:
+            return numbers, {}
     if split is None:
         counts = {len(row.split()) for row in rows}
     else:
@@ -122,19 +128,19 @@ def _plain(rows: list[bytes], shape: Shape) -> tuple[Array, dict[int, Words]] | 
         if has:
             last = k + 1 if split else -1
             texts[k] = np.array([row.split(split, last)[k].strip() for row in rows])
-    if shape.comma:
-        rows = [row.translate(_COMMA_IS_POINT) for row in rows]
-    numbers = _loaded(rows, split, shape)
+    numbers = _loaded(rows, split, shape) if texts else None
     if numbers is None and split is not None:
         numbers = _loaded([_filled(row, split) for row in rows], split, shape)
     return None if numbers is None else (numbers, texts)
 
 
 def _loaded(rows: list[bytes], split: bytes | None, shape: Shape) -> Array | None:
-    """The numbers of rows; None where a field is no number as NumPy reads them."""
+    """The numbers of rows that all have as many fields; None where one has not, or a field is no number."""
     numeric = [k for k, has in enumerate(shape.words) if not has]
+    if shape.comma:
+        rows = [row.translate(_COMMA_IS_POINT) for row in rows]
     try:
-        return np.loadtxt(
+        found = np.loadtxt(
             rows,
             delimiter=split.decode() if split else None,
             usecols=numeric if any(shape.words) else None,
@@ -144,6 +150,7 @@ def _loaded(rows: list[bytes], split: bytes | None, shape: Shape) -> Array | Non
         )
     except ValueError:
         return None
+    return found if found.shape[1] == len(numeric) else None
 
 
 def _filled(row: bytes, split: bytes) -> bytes:

@@ -39,12 +39,12 @@ def test_numbers_in_quotes(tmp_path: Path) -> None:
 
 def test_chunks_are_one_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text_rows, "CHUNK_BYTES", 20)
-    rows = [*PLAIN, "", "stop,8,", "stop,9,4.5"]
+    rows = [*PLAIN, *[""] * 30, "stop,8,", "stop,9,4.5"]
     found = columns(tmp_path / "log.csv", *rows)
     assert found["time_s"].values.tolist() == list(range(10))
     assert math.isnan(found["base_deg"].values[8])
     assert found["note"].values.tolist() == [0.0] * 8 + [1.0, 1.0]
-    with pytest.raises(BadInput, match=r"log\.csv:12: base_deg: 'off' is no number"):
+    with pytest.raises(BadInput, match=r"log\.csv:41: base_deg: 'off' is no number"):
         columns(tmp_path / "log.csv", *rows[:-1], "stop,9,off", *PLAIN)
 
 
