@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from needle_rig.cli.main import run as command
-from needle_rig.workbench.laws import learn, symbolic
+from needle_rig.workbench.laws import symbolic
 from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.formulas import FORMS, Formula
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learnt import Learnt, LearntLaw
 from needle_rig.workbench.laws.symbolic import SymbolicFormula
+from needle_rig.workbench.learning import learn_law
 
 SINE = Formula(next(f for f in FORMS if f.name == "sine"), 90.0, -45.0, (0.05, 0.01, 2.0))
 CURVE = Curve(np.arange(3.0), np.zeros(3), np.zeros(3), np.zeros(3), np.ones(3), ())
@@ -79,7 +80,7 @@ def answered(monkeypatch: Any) -> Any:
     origin = Origin("mine", "ab" * 32, "2026-11-23")
     diagnosis: Any = SimpleNamespace(baseline=baseline)
     answer = Learnt("law", (SLIT,), (), 18.8, 0.97, "A torque.", 70, diagnosis, origin)
-    monkeypatch.setattr(learn, "learn_laws", lambda *_, **__: answer)
+    monkeypatch.setattr(learn_law, "laws_of", lambda *_, **__: answer)
     return str(Path(__file__).resolve().parents[2] / "data" / "practice" / "backlash")
 
 
