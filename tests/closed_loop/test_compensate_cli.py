@@ -204,7 +204,7 @@ DUPLICATE = "format: needle-rig/1\nname: a\nname: b\n"
     [
         (["--target", "nan"], 2, "nan"),
         (["--target", "1e3", "--fast"], 2, "outside ±720°"),
-        (["--target", "1e9", "--fast"], 2, "less than or equal to 3600"),
+        (["--target", "1e9", "--fast"], 2, "is above 3600"),
         (["--target", "abc"], 2, "abc"),
         ([], 2, "--target"),
         (["--target", "45", "--config", "missing.yaml"], 2, "missing.yaml"),

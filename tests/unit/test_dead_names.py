@@ -27,7 +27,6 @@ CALLED_BY_LIBRARIES = {
     "define_pipelines": "numba",
     "disconnected": "uvicorn",
     "format_commands": "click",
-    "resolve_command": "click",
     "get_source_stamp": "numba",
     "ignore_aliases": "PyYAML",
     "model_config": "pydantic",

@@ -139,7 +139,9 @@ def compared_values(
     spread = refit.covariance if model is None else refit.covariance + model.covariance
     # a scale may run the other way, as that of a compliance given as a stiffness
     way = 1.0 if known is None else np.where((at - known[0]) * away < 0.0, -1.0, 1.0)
-    distances = way * away / np.sqrt(np.diag(spread))
+    size = np.sqrt(np.diag(spread))
+    # one that no reading sees stays where it began: it is no distance away
+    distances = np.divide(way * away, size, out=np.zeros(len(names)), where=size > 0.0)
     each = []
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
         free = name not in fixed
@@ -155,12 +157,11 @@ def compared_values(
                 pull_rigidity if i == 1 and model is None else None,
             )
         )
-    moving = [i for i, name in enumerate(names) if name not in fixed]
+    moving = [i for i, name in enumerate(names) if name not in fixed and size[i] > 0.0]
     p = None
     if model is not None and moving:
-        size = np.sqrt(np.diag(spread))[moving]
-        alike = spread[np.ix_(moving, moving)] / np.outer(size, size)
-        apart = away[moving] / size
+        alike = spread[np.ix_(moving, moving)] / np.outer(size[moving], size[moving])
+        apart = away[moving] / size[moving]
         p = float(chdtrc(len(moving), apart @ np.linalg.pinv(alike, hermitian=True) @ apart))
     return ComparedValues(tuple(each), p)
 

@@ -16,7 +16,7 @@ MANY_STEPS = ", ".join(["1"] * (STEPS + 1))
 BAD: list[tuple[str, str, str]] = [
     ("compensate", '{"target_deg": true}', "target_deg"),
     ("compensate", '{"target_deg": "45"}', "'45'"),
-    ("compensate", '{"target_deg": 3600.001}', "less than or equal to 3600"),
+    ("compensate", '{"target_deg": 3600.001}', "is above 3600"),
     ("compensate", '{"target_deg": 1e999}', "finite"),
     ("compensate", '{"target_deg": NaN}', "finite"),
     ("compensate", '{"target_deg": 1, "speed_deg_s": 1e-300}', "0.1"),

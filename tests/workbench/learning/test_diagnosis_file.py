@@ -166,7 +166,7 @@ def test_a_model_that_no_longer_meets_its_data_is_refused(
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("needle-rig-diagnosis/1", "needle-rig-diagnosis/2", "'needle-rig-diagnosis/2' is not one of"),
+        ("needle-rig-diagnosis/1", "needle-rig-diagnosis/2", "version '2' of a"),
         ("verdict: effect", "verdict: maybe", "'maybe' is not one of"),
         ("verdict: effect", "verdict: none", "the file was changed after it was written"),
         (r"value: 0\.", "value: 0.0", "the file was changed after it was written"),
