@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -115,7 +116,8 @@ class Brain:
             self._refuse_unless_free()
             self._turn("home", angle_rad, speed_rad_s)
             return
-        now = self._free_to_refer(by)
+        settled = self._settled_by(by)
+        now = self._free_to_refer(by, settled)
         reference = self._supervision.reference
         if by == "hall":
             reference.tell(reference.by_hall_rad(now))
@@ -133,8 +135,9 @@ class Brain:
             reference.tell(reference.by_index_rad(now, self._index_rad))
         else:
             raise BadInput(f"home by {by!r} is unknown; there are angle, hall, index, here")
-        self._standing.clear()
-        self._phase = after(self._phase, Event.CLEAR)
+        self._standing.settle(settled)
+        if not self._standing:
+            self._phase = after(self._phase, Event.CLEAR)
         self._released = False
 
     def hold(self) -> None:
@@ -254,26 +257,39 @@ class Brain:
         strategy.check(task)
         return task, strategy
 
-    def _refuse_unless_free(self) -> None:
+    def _refuse_unless_free(self, but: Collection[Fault] = ()) -> None:
+        """Raise what a person must end first; the faults `but` may stand."""
         if self._phase is Phase.HOLDING:
             raise BadInput("the base is held; release it first: needle-rig release")
         if self._phase in ACTIVE:
             raise BadInput("a sequence is running; stop it first: needle-rig stop")
-        if self._standing:
-            raise RigFault(self._standing.text)
+        others = self._standing.beside(but)
+        if others:
+            raise RigFault(others)
 
-    def _free_to_refer(self, by: str) -> Measurement:
-        """The newest measurement, when the zero may be set now: at rest, with no fault but those it settles.
+    def _settled_by(self, by: str) -> frozenset[Fault]:
+        """Of the faults that stand, those that a new zero ends.
 
         A search turns the base: it serves a lost zero alone. A person's word also serves Hall sensors that
         lost their turns.
         """
-        standing = self._standing
-        lost_turns = by == "here" and all(fault.link == "hall" for fault in standing.all)
-        settles = {FaultName.REFERENCE_LOST} if by == "index" else REFERENCE_SETTLES
-        if self._phase in ACTIVE or not (lost_turns or standing.only(settles)):
-            self._refuse_unless_free()
-        if lost_turns and standing and self._measurement is not None:
+        faults = frozenset(self._standing.all)
+        if by == "index":
+            return frozenset(fault for fault in faults if fault.name is FaultName.REFERENCE_LOST)
+        if by == "here" and all(fault.link == "hall" for fault in faults):
+            return faults
+        return frozenset(fault for fault in faults if fault.name in REFERENCE_SETTLES)
+
+    def _free_to_refer(self, by: str, settled: Collection[Fault]) -> Measurement:
+        """The newest measurement, when the zero may be set now: at rest, with no fault that is in its way.
+
+        A search needs a drive that turns; whoever sets the zero by hand may do so before a clear.
+        """
+        faults = self._standing.all
+        asleep = [] if by == "index" else [fault for fault in faults if fault.link == "drive"]
+        self._refuse_unless_free({*settled, *asleep})
+        lost_turns = bool(settled) and all(fault.link == "hall" for fault in settled)
+        if by == "here" and lost_turns and self._measurement is not None:
             return self._measurement
         return self._seen()
 

@@ -98,12 +98,19 @@ class ShaftWatch:
         self._same_nm = SAME_TWIST_SHARE * limits.disagreement_rad / (TORQUE_SHARE * self._middle)
         self._travel_rad = 0.0
         self._counted_rad: float | None = None
+        self._past_rad = 0.0
+        """Twist past the first Hall sensor at the last datum or reading before one."""
+        self._turns_rad = 0.0
+        """Whole turns that the Hall angles count and the twist does not."""
+        self._last: Measurement | None = None
         self.rebase()
 
     def rebase(self) -> None:
         """The drive got a reference, or has none: the next reading is the datum."""
+        if self._last is not None:
+            self._past_rad = _past_rad(self._last) - self._turns_rad
         self._datum: Measurement | None = None
-        self._last: Measurement | None = None
+        self._last = None
         self._motion_start: Measurement | None = None
         self._wound_before_rad = 0.0
         self._pairs: tuple[tuple[float, float, float], ...] = ()
@@ -147,11 +154,17 @@ class ShaftWatch:
         )
 
     def _own_twist_rad(self, now: Measurement) -> float:
-        """What the shaft is wound by as torque and Hall angles tell it: the encoder's zero is not asked."""
+        """What the shaft is wound by as torque and Hall angles tell it: the encoder's zero is not asked.
+
+        Hall angles count turns from switch-on: the first twist is known within half a turn, every later one
+        by what it was before.
+        """
         if self._spring is None:
             return 0.0
-        past_rad = math.remainder(now.hall_rad[0] - now.hall_rad[-1], math.tau)
-        return self._middle * now.torque_nm + past_rad
+        past_rad = _past_rad(now)
+        self._turns_rad = math.tau * round((past_rad - self._past_rad) / math.tau)
+        self._past_rad = past_rad - self._turns_rad
+        return self._middle * now.torque_nm + self._past_rad
 
     def _travel(self, now: Measurement) -> Fault | None:
         if self._counted_rad is None:
@@ -287,6 +300,11 @@ class ShaftWatch:
             # the shaft may have been wound one way at the datum, and the other way since
             undone_rad = abs(math.remainder(a_rad - b_rad, math.tau))
             yield a_rad - b_rad, undone_rad, STRENGTH * gap_m / self._rigidity_nm2
+
+
+def _past_rad(now: Measurement) -> float:
+    """From the first Hall sensor to the last, whole turns included; 0 without a sensor."""
+    return now.hall_rad[0] - now.hall_rad[-1] if now.hall_rad else 0.0
 
 
 def _disagreement(name: FaultName, link: str, text: str) -> Fault:

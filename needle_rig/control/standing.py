@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from needle_rig.control.faults import Fault, FaultName
 from needle_rig.records import DriveFault
@@ -36,7 +36,7 @@ class StandingFaults:
     @property
     def text(self) -> str:
         """All of them as one sentence each; empty where nothing stands."""
-        return " Also: ".join(fault.text for fault in self.all)
+        return _told(self.all)
 
     def take(self, found: Sequence[Fault]) -> None:
         """What was found in this tick: latching faults are kept, a passing one lasts until the next tick."""
@@ -48,11 +48,20 @@ class StandingFaults:
                 self._latched.setdefault((fault.name, fault.bit), fault)
         self._passing = next((fault for fault in found if not fault.latching), None)
 
-    def only(self, names: Collection[FaultName]) -> bool:
-        """Whether nothing else stands than faults of these names."""
-        return all(fault.name in names for fault in self.all)
+    def beside(self, some: Collection[Fault]) -> str:
+        """What stands beside `some`, as `text`."""
+        return _told(fault for fault in self.all if fault not in some)
+
+    def settle(self, some: Collection[Fault]) -> None:
+        """What a person did ended `some`; the others stay."""
+        self._latched = {key: fault for key, fault in self._latched.items() if fault not in some}
+        self._passing = None
 
     def clear(self) -> None:
         """A person has looked: causes that are still there bring their faults back."""
         self._latched.clear()
         self._passing = None
+
+
+def _told(faults: Iterable[Fault]) -> str:
+    return " Also: ".join(fault.text for fault in faults)

@@ -46,9 +46,7 @@ async def turning(config: RigConfig) -> AsyncIterator[tuple[Ticking, Brain]]:
     await rig.open()
     ticking = Ticking(rig, brain)
     try:
-        await ticking.until(lambda: ticking.measurement.drive_age_s < 0.05)
-        brain.clear()
-        await ticking.until(lambda: ticking.measurement.drive_state is DriveState.READY)
+        await ticking.ready()
         start_rad = ticking.measurement.base_angle_rad
         brain.compensate(Request(start_rad + rad(80 if start_rad < 0 else -80)))
         await ticking.until(lambda: abs(ticking.measurement.base_angle_rad - start_rad) > rad(3))

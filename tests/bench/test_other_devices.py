@@ -80,8 +80,7 @@ async def awake(bench: Bench) -> AsyncIterator[tuple[Ticking, Brain]]:
                 elif brain.state.fault is not None:
                     brain.clear()
                 await asyncio.sleep(0.2)
-        brain.clear()
-        await ticking.until(lambda: ticking.measurement.drive_state is DriveState.READY)
+        await ticking.ready()
         yield ticking, brain
     finally:
         ticking.end()

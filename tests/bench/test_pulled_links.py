@@ -41,8 +41,7 @@ async def turning(config: RigConfig) -> AsyncIterator[tuple[Ticking, Brain]]:
     await rig.open()
     try:
         ticking = Ticking(rig, brain)
-        brain.clear()
-        await ticking.until(lambda: ticking.measurement.drive_state is DriveState.READY)
+        await ticking.ready()
         start_rad = ticking.measurement.base_angle_rad
         brain.compensate(Request(target_rad=start_rad + rad(60 if start_rad < 0 else -60)))
         await ticking.until(lambda: abs(ticking.measurement.base_angle_rad - start_rad) > rad(3))

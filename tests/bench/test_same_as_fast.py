@@ -10,7 +10,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request, SettledMotion
 from needle_rig.devices.hardware_rig import HardwareRig
-from needle_rig.records import DriveState, Phase
+from needle_rig.records import Phase
 from needle_rig.simulation import bench as bench_module
 from needle_rig.simulation.build import build_plant
 from needle_rig.simulation.run import run_virtual
@@ -32,8 +32,7 @@ def in_real_time(request: Request, nodes: str) -> tuple[SettledMotion, ...]:
         await rig.open()
         ticking = Ticking(rig, brain)
         try:
-            brain.clear()
-            await ticking.until(lambda: ticking.measurement.drive_state is DriveState.READY)
+            await ticking.ready()
             brain.compensate(request)
             await ticking.until(lambda: brain.state.phase in (Phase.DONE, Phase.FAULT), timeout_s=60)
             assert brain.state.phase is Phase.DONE, brain.state.outcome

@@ -16,7 +16,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.devices.hardware_rig import HardwareRig
-from needle_rig.records import DriveState, Phase
+from needle_rig.records import Phase
 from needle_rig.simulation.bench import Bench
 from needle_rig.units import rad
 from tests.bench.ticking import Ticking
@@ -61,8 +61,7 @@ def test_a_link_is_not_dead_because_a_process_stood_still(
         await rig.open()
         ticking = Ticking(rig, brain)
         try:
-            brain.clear()
-            await ticking.until(lambda: ticking.measurement.drive_state is DriveState.READY)
+            await ticking.ready()
             start_rad = ticking.measurement.base_angle_rad
             brain.compensate(Request(start_rad + rad(40 if start_rad < 0 else -40), "none", settle_s=0.3))
             await ticking.until(lambda: brain.state.phase is Phase.MOVING)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from needle_rig.control.brain import Brain
-from needle_rig.records import STOP, Command, Measurement
+from needle_rig.records import STOP, Command, DriveState, Measurement
 from needle_rig.rig import Rig
 
 
@@ -35,6 +35,24 @@ class Ticking:
             raise AssertionError(
                 f"not within {timeout_s:g} s: {self.brain.state} {self.measurement} {self.command}"
             ) from None
+
+    async def ready(self, timeout_s: float = 20.0) -> None:
+        """Clear as a person does until the drive is awake: look first, and again at whatever is new.
+
+        A bench that was starved of its core reads the frames of the last host and of this one at once,
+        and takes them for two masters.
+        """
+        try:
+            async with asyncio.timeout(timeout_s):
+                while True:
+                    await asyncio.sleep(0.2)
+                    if self.brain.state.fault is None or self.brain.state.latched:
+                        self.brain.clear()
+                    await asyncio.sleep(0.2)
+                    if self.measurement.drive_state is DriveState.READY and self.brain.state.fault is None:
+                        return
+        except TimeoutError:
+            raise AssertionError(f"not awake within {timeout_s:g} s: {self.brain.state}") from None
 
     def end(self) -> None:
         self._handle.cancel()

@@ -13,7 +13,7 @@ from needle_rig.control.faults import FaultName
 from needle_rig.control.reference import TELLING_S
 from needle_rig.control.reports import Request
 from needle_rig.errors import BadInput, RigFault
-from needle_rig.records import STOP, Command, DriveState, Measurement, Phase, Sample
+from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement, Phase, Sample
 from needle_rig.units import deg, rad
 from tests.values import now
 
@@ -252,6 +252,27 @@ def test_a_drive_that_does_not_tell_of_its_start_shows_it_by_its_angle(jump_deg:
         node.ticks(3)
         assert now(node.fault) is None
         assert deg(node.encoder_rad) == pytest.approx(45.0, abs=0.1)
+
+
+def test_a_zero_is_found_beside_a_fault_of_the_drive_which_stays() -> None:
+    node = known_at_45()
+    node.reset()
+    node.changes = {"drive_state": DriveState.FAULT, "drive_faults": DriveFault.HEARTBEAT | DriveFault.STALL}
+    node.ticks(2)
+    assert node.fault == FaultName.REFERENCE_LOST
+    with pytest.raises(RigFault, match="needle-rig clear"):
+        node.brain.home("index")
+    node.brain.home("hall")
+    node.ticks(5)
+    assert node.fault == FaultName.DRIVE
+    assert not node.command.enable
+    with pytest.raises(RigFault, match="needle-rig clear"):
+        node.brain.jog(by_rad=0.1)
+    node.changes = {}
+    node.brain.clear()
+    node.ticks(10)
+    assert now(node.fault) is None
+    node.brain.jog(by_rad=0.1)
 
 
 @pytest.mark.parametrize("ends", ["without a mark", "by a fault", "by a stop"])

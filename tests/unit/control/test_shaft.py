@@ -173,6 +173,25 @@ def test_windup_and_travel_have_their_limits() -> None:
     assert deg(shaft.base_rad) == pytest.approx(11.0, abs=2.0)
 
 
+def test_a_needle_wound_by_more_than_half_a_turn_stays_so_through_a_reference() -> None:
+    shaft = Shaft(disagreement_deg=400.0, windup_deg=300.0)
+    shaft.lies = {"hall_rad": lambda m: (*m.hall_rad[:-1], 0.0)}  # the tip is caught
+    assert shaft.turn(250.0) is None
+    shaft.watch.rebase()
+    fault = shaft.turn(60.0)
+    assert fault is not None
+    assert fault.name is FaultName.WINDUP_LIMIT
+    assert deg(shaft.base_rad) == pytest.approx(300.0, abs=0.5)
+
+
+def test_turns_that_the_hall_angles_count_from_elsewhere_are_no_windup() -> None:
+    shaft = Shaft(windup_deg=30.0)
+    shaft.lies = {"hall_rad": lambda m: (*m.hall_rad[:-1], m.hall_rad[-1] + rad(720.0))}
+    assert shaft.turn(20.0) is None
+    shaft.watch.rebase()
+    assert shaft.turn(20.0) is None
+
+
 def test_an_encoder_that_flickers_travels_nowhere() -> None:
     shaft = Shaft(travel_deg=10.0)
     for _ in range(1000):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import pytest
 
 from needle_rig.control.faults import Fault, FaultName
@@ -11,6 +13,7 @@ from needle_rig.records import DriveFault
 STOPPED = Fault(FaultName.EMERGENCY_STOP, "drive", "stopped", latching=True)
 ENCODER = Fault(FaultName.DRIVE, "drive", "encoder", latching=True, bit=DriveFault.ENCODER)
 HEARTBEAT = Fault(FaultName.DRIVE, "drive", "heartbeat", latching=True, bit=DriveFault.HEARTBEAT)
+LOST = Fault(FaultName.REFERENCE_LOST, "drive", "lost", latching=True)
 DEAD = Fault(FaultName.LINK_DEAD, "hall", "dead", latching=False)
 LATE = Fault(FaultName.LATE_TICK, "control", "late", latching=False)
 
@@ -51,15 +54,22 @@ def test_the_first_words_of_a_fault_stay() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "only"),
+    ("some", "text"),
     [
-        ({FaultName.EMERGENCY_STOP}, False),
-        ({FaultName.LINK_DEAD}, False),
-        ({FaultName.EMERGENCY_STOP, FaultName.LINK_DEAD}, True),
+        ({STOPPED}, DEAD.text),
+        ({DEAD}, STOPPED.text),
+        ((), f"{STOPPED.text} Also: {DEAD.text}"),
+        ({STOPPED, DEAD}, ""),
     ],
 )
-def test_whether_nothing_else_stands(names: set[FaultName], only: bool) -> None:
-    assert standing([STOPPED, DEAD]).only(names) is only
+def test_what_stands_beside_some_faults(some: Collection[Fault], text: str) -> None:
+    assert standing([STOPPED, DEAD]).beside(some) == text
+
+
+def test_what_is_settled_goes_and_the_others_stay() -> None:
+    faults = standing([STOPPED, LOST])
+    faults.settle({LOST})
+    assert faults.all == (STOPPED,)
 
 
 def test_a_person_s_clear_takes_all_of_them() -> None:
