@@ -49,7 +49,7 @@ class Watch:
 
     1: after a latching cause the supply is off at once, and stays off until a person cleared who saw it.
     2: nothing moves and no supply closes without an order since the last fault, stop or end.
-    3: a latching fault of the host stays until a person clears it.
+    3: a latching fault of the host stays until a person clears it; a reference settles none of the drive's.
     4: its text names everything that latched.
     """
 
@@ -72,10 +72,9 @@ class Watch:
         """A person's order was taken; `seen` are the drive's faults that he could know."""
         if what == "clear":
             self._clear_ms, self._seen = now_ms, seen & ~TEMPORARY
-        if what in REFERENCES:
-            assert not self._told, "3: a reference settled a fault of the drive"
-        if what == "clear" or what in REFERENCES:
-            self._latched_ms, self._told = None, DriveFault.NONE
+            self._told = DriveFault.NONE
+        if what == "clear" or (what in REFERENCES and not self._told):
+            self._latched_ms = None
         if what == "clear" or what in MOVES:
             self._order_ms = now_ms
         if what in MOVES:
