@@ -142,7 +142,11 @@ class ShaftWatch:
         self._motion_start = self._motion_start or now
         turned_rad = abs(now.base_angle_rad - last.base_angle_rad)
         self._most_torque_nm = max(self._most_torque_nm, abs(now.torque_nm))
-        self._pace_rad_s = max(turned_rad / dt_s, self._pace_rad_s * math.exp(-dt_s / PACE_MEMORY_S))
+        self._pace_rad_s *= math.exp(-dt_s / PACE_MEMORY_S)
+        if turned_rad > 0.0:
+            # an answer that comes every few ticks is what was turned in all of them
+            between_s = (now.time_s - now.drive_age_s) - (last.time_s - last.drive_age_s)
+            self._pace_rad_s = max(self._pace_rad_s, turned_rad / max(between_s, dt_s))
         fault = self._travel(now)
         if fault is not None or self._spring is None:
             return fault

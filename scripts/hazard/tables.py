@@ -28,6 +28,22 @@ Virtual time, the host's production code. *own*: the nodes' C, with the guard of
 - *woken*: trials in which the supply came on after a latching fault without a clear; must be none.
 - *moved*: trials in which something ran or moved without an order; must be none.
 """
+WHY = {
+    "supply relay welded": (
+        "beside a shorted power stage nothing that the host or a node commands ends the motion. The emergency"
+        " stop must open the motor's own line."
+    ),
+    "encoder reads 0.7": (
+        "from the first motion on, before the shaft's spring is known. It lies by 0.3 of the 28° in which the"
+        " needle winds up, and is named 8° + 4.2° later: the tissue before the first sensor may hold 4.2° of"
+        " twist at the same torque. With the way to stop that is 21° to 28°."
+    ),
+    "another master, same counter": (
+        "the node takes them for the host's until five of the host's own are out of sequence, which takes"
+        " 0.1 s at 50 Hz. The other master wants 60°/s."
+    ),
+}
+"""What limits the guards where a promise is known to be broken."""
 _COLUMNS = (
     "trials | commanded ° worst, median | asked ° worst, median | bound ° | named | unseen | off ms | no end"
     " | woken | moved |"
@@ -129,9 +145,19 @@ def report(found: list[Found], lame: list[Lame], head: str) -> str:
     )
     lines += ["", "## Broken", ""]
     lines += [f"{len(broken)} of {len(found)} trials; {pairs_far} pairs went beyond 15° and ended or not."]
-    lines += ["Again, with a trace: `scripts/hazards --repeat 'LINE'`.", ""]
+    lines += ["Again, with a trace: `scripts/hazards --repeat 'LINE'`.", *_reasons(broken)]
     lines += [f"- `{f.case.text}`: {'; '.join(why)} ({f.result.name or 'not noticed'})" for f, why in broken]
     return "\n".join(lines)
+
+
+def _reasons(broken: list[tuple[Found, list[str]]]) -> list[str]:
+    """Why, for the faults of which it is known."""
+    told = [
+        f"- {fault}: {reason}"
+        for fault, reason in WHY.items()
+        if any(fault in found.case.text for found, _ in broken)
+    ]
+    return ["", *told, ""]
 
 
 def drive_of(found: Found) -> str:

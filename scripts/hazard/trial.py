@@ -21,8 +21,9 @@ STEP_S = 0.001
 STILL_DEG_S = 0.5
 QUIET_S = 0.6
 """A base that stood and was off for so long has ended: three times the period in which a latch was lost."""
-LONGER_S = 10.0
-"""A base that turns when a healthy run is over has so long to come to an end: a fault may slow a run down."""
+LONGER_S = 65.0
+"""A base that turns when a healthy run is over has so long to come to an end: what never settles ends after
+`sequence.motion_timeout_s`, 60 s."""
 ORDERED = ("rest", "moving", "settling", "measuring", "holding")
 FIRST_ORDER_S, NEXT_ORDER_S = 0.2, 0.1
 

@@ -223,3 +223,23 @@ def test_an_effect_of_the_library_at_its_typical_size_is_no_fault(name: str) -> 
         Brain(CONFIG), Plant(model, settings), Request(rad(45.0), "reed2008", settle_s=0.3), tick_s=0.01
     )
     assert run.outcome.status in ("aligned", "not_aligned"), run.outcome.text
+
+
+@pytest.mark.parametrize("every", [1, 40])
+def test_old_answers_that_come_every_few_ticks_do_not_blind_the_watch(every: int) -> None:
+    shaft, tick_s, old = Shaft(), 0.001, 40
+    encoder_rad = [0.0] * (old + every)
+    for tick in range(old + every, 5000):
+        shaft.base_rad += rad(60.0) * tick_s
+        truth = shaft.read()
+        encoder_rad.append(0.5 * truth.base_angle_rad)
+        age = old + tick % every
+        seen = dataclasses.replace(
+            truth, time_s=tick * tick_s, base_angle_rad=encoder_rad[tick - age], drive_age_s=age * tick_s
+        )
+        fault = shaft.watch.step(seen, tick_s)
+        if fault is not None:
+            break
+    assert fault is not None
+    assert fault.name is FaultName.ENCODER_DISAGREES
+    assert deg(shaft.base_rad) < 60.0
