@@ -11,9 +11,12 @@ from dataclasses import dataclass
 
 from needle_rig.control.faults import Fault, FaultName
 from needle_rig.records import COMMAND_AGE_S, STOP, TEMPORARY, Command, DriveFault, DriveState, Measurement
-from needle_rig.units import deg, nmm
+from needle_rig.units import deg, nmm, rad
 
 ROUNDING = 1e-9
+ANGLE_MARGIN_RAD = rad(1.0)
+"""A base that was sent to the limit itself may come to rest beyond it by what its control leaves; half of the
+drive node's own margin."""
 LINKS = frozenset({"torque", "hall", "drive"})
 
 DRIVE_SENTENCES: dict[DriveFault, str] = {
@@ -119,13 +122,14 @@ def find_faults(measurement: Measurement, limits: Limits) -> tuple[frozenset[str
                 latching=True,
             )
         )
-    if "drive" in heard and abs(measurement.base_angle_rad) > limits.angle_rad:
+    if "drive" in heard and abs(measurement.base_angle_rad) > limits.angle_rad + ANGLE_MARGIN_RAD:
         found.append(
             Fault(
                 FaultName.ANGLE_LIMIT,
                 "drive",
                 f"the base stands at {deg(measurement.base_angle_rad):.1f}°, outside"
-                f" ±{deg(limits.angle_rad):g}° (drive.angle_limit_deg); turn it back by hand, then:"
+                f" ±{deg(limits.angle_rad):g}° (drive.angle_limit_deg) by more than"
+                f" {deg(ANGLE_MARGIN_RAD):g}°; turn it back by hand, then:"
                 " needle-rig clear",
                 latching=True,
             )

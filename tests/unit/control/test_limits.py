@@ -22,6 +22,7 @@ from needle_rig.control.limits import (
     tick_fault,
 )
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
+from needle_rig.units import rad
 from tests.values import known
 
 LIMITS = Limits(
@@ -170,10 +171,11 @@ def test_torque_beyond_its_limit_trips_and_latches(sign: int) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
-    assert first_fault(having(base_angle_rad=sign * 10.0), LIMITS) is None
-    fault = known(first_fault(having(base_angle_rad=sign * 10.01), LIMITS))
+    assert first_fault(having(base_angle_rad=sign * (10.0 + rad(0.999))), LIMITS) is None
+    fault = known(first_fault(having(base_angle_rad=sign * (10.0 + rad(1.001))), LIMITS))
     assert (fault.link, fault.latching) == ("drive", True)
-    assert f"the base stands at {sign * 573.5:.1f}°, outside ±572.958°" in fault.text
+    assert f"the base stands at {sign * 574.0:.1f}°, outside ±572.958°" in fault.text
+    assert "by more than 1°; turn it back" in fault.text
 
 
 def test_how_old_a_command_may_be_is_said_in_milliseconds() -> None:
@@ -287,6 +289,13 @@ def test_speed_towards_the_angle_limit_leaves_room_to_brake(sign: int) -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_at_the_angle_limit_only_the_way_back_is_open(sign: int) -> None:
     there = having(base_angle_rad=sign * 10.0)
+    assert gate(sign * 1.0, there, 0.0, 0.005, LIMITS).command == Command(0.0, enable=True)
+    assert gate(-sign * 0.02, there, 0.0, 0.005, LIMITS).command == Command(-sign * 0.02, enable=True)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_base_that_overshot_the_limit_by_little_may_turn_back(sign: int) -> None:
+    there = having(base_angle_rad=sign * (10.0 + rad(0.9)))
     assert gate(sign * 1.0, there, 0.0, 0.005, LIMITS).command == Command(0.0, enable=True)
     assert gate(-sign * 0.02, there, 0.0, 0.005, LIMITS).command == Command(-sign * 0.02, enable=True)
 
