@@ -49,6 +49,10 @@ CONNECTIONS = 256
 OWN_DESCRIPTORS = 256
 """Files of jobs and uploads, and connections to the daemon."""
 
+OF_A_MODEL = ("compare", "figure", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
+OF_DATA = ("compare", "figure", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
+"""Kinds of work that are given a model or none, and that are given data."""
+
 Document = dict[str, Any]
 
 
@@ -124,16 +128,20 @@ class Page:
         asked = as_mapping(await body(request, JOB_BYTES))
         kind, out = asked.get("kind"), self._folder / "jobs" / secrets.token_hex(8)
         given: Document = {}
-        if kind in ("compare", "diagnose", "adopt", "show", "export", "learn", "adopt_law"):
+        if kind in OF_DATA:
             given["data"] = await asyncio.to_thread(self.sources.paths, texts(asked.get("data")))
-        if kind in ("compare", "diagnose", "undo", "strategies", "learn", "adopt_law"):
-            given["model"] = self._file(asked.get("model"), MODEL)
+        if kind in OF_A_MODEL:
+            given["model"] = self._model(asked.get("model"))
         drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
-        if kind in ("compare", "diagnose", "adopt", "undo", "strategies", "learn", "adopt_law"):
+        if kind in OF_A_MODEL or kind == "adopt":
             given["effects"] = [*self._settings.effects, *drafts]
         if kind in ("diagnose", "strategies", "learn"):
             given["jobs"] = self._settings.jobs
-        if kind == "diagnose":
+        if kind in ("compare", "figure"):
+            given["held"] = held_values(asked)
+        if kind == "figure":
+            given["what"] = str(asked.get("what"))
+        elif kind == "diagnose":
             given["quick"] = asked.get("quick") is True
         elif kind == "adopt":
             given["diagnosis"] = self._file(asked.get("diagnosis"), DIAGNOSIS)
@@ -192,6 +200,12 @@ class Page:
         if not whole or not isinstance(seeds, int) or parameters not in parameter_sets():
             raise BadInput("give targets in degrees, a number of runs, and a parameter set of the list")
         return {"targets_deg": targets, "seeds": seeds, "parameters": parameters}
+
+    def _model(self, key: object) -> str | None:
+        """The model that a job made, or the name of a parameter set; None for the null model."""
+        if isinstance(key, str) and key in parameter_sets():
+            return key
+        return self._file(key, MODEL)
 
     def _file(self, key: object, name: str) -> str | None:
         """The file of this name that a job made; None for no key."""
@@ -252,8 +266,8 @@ class Page:
     # effects
 
     async def effects(self, _: Request) -> Response:
-        """The library."""
-        return JSONResponse({"effects": await self.lessons.ask(None, {})})
+        """The library, and the sentence of each own effect that cannot be used."""
+        return JSONResponse(await self.lessons.ask(None, {}))
 
     async def lesson(self, request: Request) -> Response:
         """One effect in the standard trial."""
@@ -342,6 +356,17 @@ def texts(given: object) -> list[str]:
     if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
         raise BadInput("no data was chosen; choose a dataset, or runs")
     return given
+
+
+def held_values(asked: Document) -> Document:
+    """Which values a comparison holds and which it fits; raises BadInput."""
+    fixed, free = asked.get("fixed", {}), asked.get("free", [])
+    numbers = isinstance(fixed, dict) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in fixed.values()
+    )
+    if not numbers or not isinstance(free, list) or not all(isinstance(name, str) for name in free):
+        raise BadInput("give a number for each value that is fixed, and names of those that are free")
+    return {"refit_only": asked.get("refit") is True, "fixed": fixed, "free": free}
 
 
 async def refuse(_: Request, error: Exception) -> Response:

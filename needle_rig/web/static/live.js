@@ -207,9 +207,9 @@ function Orders({ state }) {
 function Settled({ state }) {
   if (!state.settled.length) return null;
   const halls = state.rig.hall_positions_mm.length;
-  return html`<section class="card wide"><h2>Motions: foretold and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
+  return html`<section class="card wide"><h2>Motions: predicted and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
     <thead><tr><th>motion</th><th>waypoint / °</th><th>base / °</th><th>torque / N·mm</th>
-      <th>foretold lag / °</th><th>measured lag / °</th><th>difference / °</th>
+      <th>predicted lag / °</th><th>measured lag / °</th><th>difference / °</th>
       ${Array.from({ length: halls }, (_, k) => html`<th>hall ${k + 1} / °</th>`)}</tr></thead>
     <tbody>${state.settled.map((/** @type {any} */ m) => html`<tr><th scope="row">${words(m.phase)}</th>
       <td>${number(m.waypoint_deg, 1)}</td><td>${number(m.base_deg, 2)}</td><td>${number(m.torque_nmm, 4)}</td>
