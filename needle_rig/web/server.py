@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket
 from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
+from needle_rig.recording.watch_summary import read_contradiction
 from needle_rig.service.connections import Connections
 from needle_rig.service.endpoint import QUEUE
 from needle_rig.service.orders import read_order
@@ -257,6 +258,11 @@ class Page:
 
         return JSONResponse({"runs": await asyncio.to_thread(listed)})
 
+    async def watch(self, _: Request) -> Response:
+        """What the newest run says against the model of the rig file; empty where it says nothing."""
+        said = await asyncio.to_thread(read_contradiction, self._settings.runs)
+        return JSONResponse({"contradiction": said})
+
     async def notes(self, request: Request) -> Response:
         """Keep tags and a note beside a run."""
         content = await body(request, NOTES_BYTES)
@@ -309,6 +315,7 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/uploads", page.begin_upload, "POST"),
             put("/api/uploads/{key}/{path:path}", page.upload, "PUT"),
             put("/api/runs", page.runs, "GET"),
+            put("/api/watch", page.watch, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),

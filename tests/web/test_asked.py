@@ -41,3 +41,8 @@ def test_what_cannot_be_asked_is_a_sentence(served: Served, asked: dict[str, Any
         time.sleep(0.1)
         answer = served.ask("GET", f"/api/jobs/{job}").json()
     assert said in answer["error"]
+
+
+def test_without_a_watch_no_run_contradicts_the_model(served: Served) -> None:
+    assert served.ask("GET", "/api/watch").json() == {"contradiction": ""}
+    assert served.ask("GET", "/api/watch", headers={}).status_code == 401

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
 
+from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
 from tests.web.looking import IN_BROWSER, Open, look_at
@@ -124,3 +126,15 @@ def test_a_broken_effect_of_ones_own_is_named_where_effects_are_listed(
         broken.wait_for()
         assert "sticky.py:2" in broken.inner_text()
         assert page.get_by_role("button", name="tip friction").is_visible()
+
+
+def test_a_run_that_contradicts_the_model_of_the_rig_file_is_said_where_the_needle_is_turned(
+    visit: Open, shell: Shell, tmp_path: Path
+) -> None:
+    (tmp_path / WATCH_FOLDER).mkdir()
+    said = "the last run b contradicts the model rig_rigid: friction was 0.13 there, the model says 0.1"
+    (tmp_path / WATCH_FOLDER / SUMMARY).write_text(json.dumps({"sentences": [], "contradiction": said}))
+    for served in started(shell, "--rig", "simulated", "--fast", "--dir", str(tmp_path)):
+        page = visit("live", served=served)
+        page.get_by_role("alert").filter(has_text=said).wait_for()
+        look_at(page, "live-contradicted")
