@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
-from needle_rig.figures.style import COLOURS, HELD, LETTERS_PT, MEASURED, REFIT, above, column, spelt, titled
+from needle_rig.figures.style import COLOURS, HELD, LETTERS_PT, REFIT, SAMPLES, above, column, spelt, titled
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.misfit import modelled
 from needle_rig.workbench.learning.places import NOISE_LIMIT, motion_words, scale_of
@@ -48,14 +48,7 @@ def traces(found: TraceComparison) -> Figure:
             factor, unit = scale_of(c)
             noise = factor * float(np.hypot(problem.noise.white[c], problem.noise.correlated[c]))
             axis = axes[c, k]
-            axis.plot(
-                given.trial.time_s[::thin],
-                factor * data[c][::thin],
-                ".",
-                ms=1.5,
-                color=MEASURED,
-                label="measured",
-            )
+            axis.plot(given.trial.time_s[::thin], factor * data[c][::thin], ms=1.5, **SAMPLES)
             axis.plot(
                 binned.trial.time_s,
                 factor * model[c],
@@ -90,8 +83,7 @@ def traces(found: TraceComparison) -> Figure:
             if k == 0:
                 axis.set_ylabel(f"{spelt(name)} / {unit}")
             if c == 0:
-                error = found.shown.trial_errors[t]
-                axis.set_title(f"{trial_title(found, t)}\n{error:.3g} × the noise", fontsize=8)
+                axis.set_title(f"{trial_title(found, t)}\n{_how_bad(found, t)}", fontsize=8)
         axes[-1, k].set_xlabel("time / s")
     figure.legend(
         *axes[-1, 0].get_legend_handles_labels(),
@@ -180,6 +172,14 @@ def pulls(found: TraceComparison) -> Figure:
     titled(axis, f"{100 * outside:.1f} % lie outside ±6 σ")
     above(figure, axis)
     return figure
+
+
+def _how_bad(found: TraceComparison, trial: int) -> str:
+    """What `worst_trials` orders by: the worst place of a trial, then its error over all."""
+    file = found.baseline.problem.trials[trial].file
+    worst = max((place.sigmas for place in found.shown.places if place.trial == file), default=None)
+    place = "" if worst is None else f"worst place {worst:.0f} σ; "
+    return f"{place}over all {found.shown.trial_errors[trial]:.3g} × the noise"
 
 
 def trial_title(found: TraceComparison, trial: int) -> str:

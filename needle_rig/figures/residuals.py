@@ -22,9 +22,9 @@ from needle_rig.figures.style import (
     COLOURS,
     HELD,
     MARKERS,
-    MEASURED,
     NOISE,
     REFIT,
+    SAMPLES,
     above,
     column,
     in_sigmas,
@@ -51,7 +51,7 @@ def loop(found: TraceComparison) -> Figure:
     factor, unit = scale_of(0)
     figure, (axis,) = column(2.9)
     base_deg = deg(given.trial.base_angle_rad)
-    axis.plot(base_deg, factor * given.torque_nm, ".", ms=2, color=MEASURED, label="measured")
+    axis.plot(base_deg, factor * given.torque_nm, ms=2, **SAMPLES)
     drive_deg = deg(binned.trial.base_angle_rad)
     for name, of, look in _columns(found):
         torque_nm = modelled(found.baseline.problem, of.fit, t)[0]
@@ -66,7 +66,10 @@ def loop(found: TraceComparison) -> Figure:
 
 
 def strips(found: TraceComparison) -> Figure:
-    """The worst trial, each channel with a strip of its residuals in units of the noise below it."""
+    """The worst trial, each channel with a strip of its residuals in units of the noise below it.
+
+    A strip's scale is even up to 3 σ, where its dotted lines are, and logarithmic beyond.
+    """
     problem, t = found.baseline.problem, worst_trials(found)[0]
     given, binned = found.baseline.dataset.trials[t], problem.trials[t]
     names = _names(found)
@@ -77,7 +80,7 @@ def strips(found: TraceComparison) -> Figure:
     for c, name in enumerate(names):
         factor, unit = scale_of(c)
         trace, strip = axes[2 * c], axes[2 * c + 1]
-        trace.plot(given.trial.time_s, factor * data[c], ".", ms=1.2, color=MEASURED, label="measured")
+        trace.plot(given.trial.time_s, factor * data[c], ms=1.2, **SAMPLES)
         trace.set_ylabel(f"{spelt(name)} / {unit}")
         away = []
         for label, of, look in _columns(found):
@@ -223,8 +226,8 @@ def asked(path: Path) -> str:
 
 
 def described(found: TraceComparison, what: str) -> str:
-    """What the figure of this name shows, in a sentence, for those who do not see it. Raises BadInput."""
-    said = (inspect.getdoc(function(what)) or what).splitlines()[0]
+    """What the figure of this name shows, in words, for those who do not see it. Raises BadInput."""
+    said = " ".join((inspect.getdoc(function(what)) or what).split())
     of = found.baseline
     return f"{said} Data {of.dataset.name}, model {of.problem.base.name}."
 

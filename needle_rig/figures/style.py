@@ -20,7 +20,8 @@ MOST_TICKS = 7
 # Okabe and Ito's palette: told apart by people with colour-blindness.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "osv^Dx+"
-MEASURED = "0.45"
+SAMPLES: dict[str, Any] = {"ls": "", "marker": ".", "color": "0.45", "label": "measured", "rasterized": True}
+"""What was measured: thousands of dots, which a vector file would hold one by one."""
 HELD: dict[str, Any] = {"color": COLOURS[1], "lw": 1.2}
 REFIT: dict[str, Any] = {"color": COLOURS[0], "lw": 0.9, "ls": "--"}
 """The model as it stands, and refitted: they differ in grey as well."""
