@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator
-from itertools import cycle
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -248,9 +248,10 @@ def _columns(found: TraceComparison) -> list[tuple[str, Misfit, dict[str, Any]]]
 
 
 def _looks() -> Iterator[dict[str, Any]]:
-    """Colour and marker of one channel after another."""
-    for colour, marker in cycle(zip(COLOURS, MARKERS, strict=True)):
-        yield {"color": colour, "marker": marker, "mew": 0.4}
+    """Colour and marker of one channel after another; the two part ways where colours come again."""
+    for k in count():
+        marker = MARKERS[(k + k // len(COLOURS)) % len(MARKERS)]
+        yield {"color": COLOURS[k % len(COLOURS)], "marker": marker, "mew": 0.4}
 
 
 def _quantiles(size: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import pytest
 from matplotlib.text import Text
 
 from needle_rig.errors import BadInput
-from needle_rig.figures.residuals import FIGURES, asked, described, drawn, write_figure
+from needle_rig.figures.residuals import FIGURES, _looks, asked, described, drawn, write_figure
 from needle_rig.figures.style import LETTERS_PT
 from needle_rig.model import SavedModel, load_parameters
 from needle_rig.workbench.learning.compare import TraceComparison, compare
@@ -123,6 +123,8 @@ def test_what_a_paper_takes_is_as_wide_as_its_column(name: str) -> None:
 def test_channels_are_told_apart_by_marker_as_well_as_by_colour() -> None:
     lines = drawn(found(), "qq").axes[0].lines[:-1]
     assert len({line.get_marker() for line in lines}) == len(lines) > 1
+    many = [(look["color"], look["marker"]) for look in islice(_looks(), 40)]
+    assert len(set(many)) == len(many)
     held, refit = drawn(found(), "loop").axes[0].lines[1:3]
     assert held.get_linestyle() != refit.get_linestyle()
 
