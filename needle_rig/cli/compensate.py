@@ -122,8 +122,8 @@ def command(
         out = rig.get("out")
         extra = learned_extra_deg(the_run(after, Path(out) if out else None, rig.get("config")))
         click.echo(f"extra turn learned from {after}: {extra:.1f}°", err=True)
-    if strategy == "planned" and rig.get("model") is not None:
-        _warn(rig["model"], rig.get("out"), rig.get("config"))
+    if strategy == "planned":
+        _warn(rig.get("model"), rig.get("out"), rig.get("config"))
     end_as_by_ctrl_c()
     orders = _orders(target, protocol, strategy, options, extra, settle, speed)
     picture = not as_json if picture is None else picture
@@ -149,22 +149,27 @@ def command(
     return code
 
 
-def _warn(model: str, out: str | None, config: str | None) -> None:
-    """Say so before the needle is turned with a model that the last run contradicts."""
+def _warn(model: str | None, out: str | None, config: str | None) -> None:
+    """Say so before the needle is turned with a model that the last run contradicts.
+
+    Without a model of one's own it is that of the rig file, of which the watch has said it.
+    """
     from needle_rig.cli._runs import runs_directory
-    from needle_rig.recording.watch_summary import WATCH_FOLDER
+    from needle_rig.recording.watch_summary import WATCH_FOLDER, read_contradiction
 
     directory = runs_directory(Path(out) if out else None, Path(config) if config else None)
     if not (directory / WATCH_FOLDER).is_dir():
         return
-    from needle_rig.model import load_saved
-    from needle_rig.workbench.learning.last_run import contradiction
+    if model is None:
+        said = read_contradiction(directory)
+    else:
+        from needle_rig.model import load_saved
+        from needle_rig.workbench.learning.last_run import contradiction
+        from needle_rig.workbench.learning.watch import kept_runs
 
-    said = contradiction(directory, load_saved(model))
+        said = contradiction(kept_runs(directory), load_saved(model), model)
     if said:
-        click.echo(
-            f"warning: {said}; find out which is true: needle-rig compare last --model {model}", err=True
-        )
+        click.echo(f"warning: {said}", err=True)
 
 
 def _orders(

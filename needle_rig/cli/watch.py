@@ -72,7 +72,7 @@ def command(
             )
         watch.restart(folder)
     runs = watch.kept_runs(folder)
-    found = watch.judge(runs, watch.reference_of(folder, runs, section))
+    found = watch.said_of(folder, section)
     if as_json:
         listed = {"runs": [run.model_dump() for run in runs]} if as_list else {}
         click.echo(json.dumps(found.as_json() | listed, ensure_ascii=False))

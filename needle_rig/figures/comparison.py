@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
+from needle_rig.figures.style import COLOURS, HELD, LETTERS_PT, REFIT, SAMPLES, above, column, spelt, titled
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.misfit import modelled
 from needle_rig.workbench.learning.places import NOISE_LIMIT, motion_words, scale_of
@@ -24,7 +25,7 @@ def traces(found: TraceComparison) -> Figure:
     """Measured and modelled traces with the ±2σ noise band, the worst trial first, few of all."""
     problem, shown = found.baseline.problem, worst_trials(found)
     names = ("torque", *found.baseline.dataset.sensor_names)
-    width, height = 4.0 * len(shown), 1.7 * len(names) + 1.0
+    width, height = 4.0 * len(shown), 1.7 * len(names) + 1.25
     figure = Figure(figsize=(width, height))
     axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
     # margins in inches: a layout engine would draw everything once more to find them
@@ -32,11 +33,11 @@ def traces(found: TraceComparison) -> Figure:
         left=0.9 / width,
         right=1 - 0.1 / width,
         bottom=0.5 / height,
-        top=1 - 0.65 / height,
+        top=1 - 0.9 / height,
         wspace=0.2,
         hspace=0.12,
     )
-    for column, t in enumerate(shown):
+    for k, t in enumerate(shown):
         given = found.baseline.dataset.trials[t]
         binned = problem.trials[t]
         model = modelled(problem, found.shown.fit, t)
@@ -46,36 +47,26 @@ def traces(found: TraceComparison) -> Figure:
         for c, name in enumerate(names):
             factor, unit = scale_of(c)
             noise = factor * float(np.hypot(problem.noise.white[c], problem.noise.correlated[c]))
-            axis = axes[c, column]
-            axis.plot(
-                given.trial.time_s[::thin],
-                factor * data[c][::thin],
-                ".",
-                ms=1.5,
-                color="0.5",
-                label="measured",
-            )
+            axis = axes[c, k]
+            axis.plot(given.trial.time_s[::thin], factor * data[c][::thin], ms=1.5, **SAMPLES)
             axis.plot(
                 binned.trial.time_s,
                 factor * model[c],
-                color="tab:red",
-                lw=1.0,
                 label="model" if again is None else "model as it stands",
+                **HELD,
             )
             if again is not None:
                 axis.plot(
                     binned.trial.time_s,
                     factor * again[c],
-                    color="tab:blue",
-                    lw=0.8,
-                    ls="--",
                     label="refitted",
+                    **REFIT,
                 )
             axis.fill_between(
                 binned.trial.time_s,
                 factor * model[c] - 2 * noise,
                 factor * model[c] + 2 * noise,
-                color="tab:red",
+                color=HELD["color"],
                 alpha=0.2,
                 lw=0,
                 label="±2σ of the noise",
@@ -89,14 +80,20 @@ def traces(found: TraceComparison) -> Figure:
                     zorder=0,
                     label="base",
                 )
-            if column == 0:
-                axis.set_ylabel(f"{name} / {unit}")
+            if k == 0:
+                axis.set_ylabel(f"{spelt(name)} / {unit}")
             if c == 0:
-                error = found.shown.trial_errors[t]
-                title = f"{Path(given.file).name}, {_title(given.command)}\n{error:.3g} × the noise"
-                axis.set_title(title, fontsize=8)
-        axes[-1, column].set_xlabel("time / s")
-    axes[min(1, len(names) - 1), 0].legend(fontsize=7, loc="upper right")
+                axis.set_title(f"{trial_title(found, t)}\n{_how_bad(found, t)}", fontsize=8)
+        axes[-1, k].set_xlabel("time / s")
+    figure.legend(
+        *axes[-1, 0].get_legend_handles_labels(),
+        loc="upper center",
+        bbox_to_anchor=(0.5, 1 - 0.26 / height),
+        ncols=5,
+        fontsize=8,
+        frameon=False,
+        markerscale=3,
+    )
     name, count, of = found.baseline.dataset.name, len(shown), len(problem.trials)
     hidden = f"; {of - count} left out" if of > count else ""
     figure.suptitle(f"{name}: {count} of {of} trials, those of the worst places first{hidden}", fontsize=9)
@@ -132,7 +129,7 @@ def residual_map(found: TraceComparison) -> Figure:
     low, top = MAP_SIGMAS
     image = axis.imshow(np.clip(values, low, top), cmap="magma_r", norm=LogNorm(low, top), aspect="auto")
     axis.set_title(" ".join(found.headline()).split(":")[0], fontsize=9, loc="left")
-    axis.set_yticks(range(len(names)), names)
+    axis.set_yticks(range(len(names)), [spelt(n) for n in names])
     arrows = {"up": "↑", "down": "↓", "": ""}
     labels = [
         f"{motion_words(m)}{arrows[w]} {'moving' if s == 'moving' else 'settled'}" for m, w, s in columns
@@ -149,31 +146,46 @@ def residual_map(found: TraceComparison) -> Figure:
                         f"{values[i, j]:.0f}",
                         ha="center",
                         va="center",
-                        fontsize=6,
+                        fontsize=LETTERS_PT,
                         color="w" if dark else "k",
                     )
-    bar = figure.colorbar(image, label="error / noise", extend="both")
+    bar = figure.colorbar(image, label="error / σ of the noise", extend="both")
     bar.set_ticks([1.0, NOISE_LIMIT, 10.0, 30.0, 100.0], labels=["1", "3", "10", "30", "100"])
-    bar.ax.axhline(NOISE_LIMIT, color="tab:green", lw=2)
+    bar.ax.axhline(NOISE_LIMIT, color=COLOURS[5], lw=2)
     return figure
 
 
 def pulls(found: TraceComparison) -> Figure:
     """Histogram of the whitened residuals beside the standard normal."""
     values = np.concatenate(found.shown.fit.residuals)
-    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
-    axis = figure.subplots()
+    figure, (axis,) = column(2.3)
     edges = np.linspace(-6, 6, 61)
     outside = float(np.mean(np.abs(values) > 6))
     axis.hist(
-        np.clip(values, -5.99, 5.99), edges.tolist(), density=True, color="0.7", label="residual / noise"
+        np.clip(values, -5.99, 5.99), edges.tolist(), density=True, color="0.75", label="residual / noise"
     )
-    axis.plot(edges, np.exp(-(edges**2) / 2) / np.sqrt(2 * np.pi), color="tab:red", label="noise alone")
-    axis.set_xlabel("whitened residual")
+    axis.plot(
+        edges, np.exp(-(edges**2) / 2) / np.sqrt(2 * np.pi), color=COLOURS[0], lw=1.2, label="noise alone"
+    )
+    axis.set_xlabel("whitened residual / σ")
     axis.set_yticks([])
-    axis.legend(fontsize=8)
-    axis.set_title(f"{100 * outside:.1f} % lie outside ±6", fontsize=9)
+    titled(axis, f"{100 * outside:.1f} % lie outside ±6 σ")
+    above(figure, axis)
     return figure
+
+
+def _how_bad(found: TraceComparison, trial: int) -> str:
+    """What `worst_trials` orders by: the worst place of a trial, then its error over all."""
+    file = found.baseline.problem.trials[trial].file
+    worst = max((place.sigmas for place in found.shown.places if place.trial == file), default=None)
+    place = "" if worst is None else f"worst place {worst:.0f} σ; "
+    return f"{place}over all {found.shown.trial_errors[trial]:.3g} × the noise"
+
+
+def trial_title(found: TraceComparison, trial: int) -> str:
+    """File and command of a trial."""
+    given = found.baseline.dataset.trials[trial]
+    return f"{Path(given.file).name}, {_title(given.command)}"
 
 
 def _title(command: object) -> str:
@@ -182,7 +194,7 @@ def _title(command: object) -> str:
     kind = getattr(command, "kind", "trial")
     speed = getattr(command, "speed_deg_s", None)
     goal = f"{len(steps)} steps" if steps else "" if target is None else f"to {target:g}°"
-    return " ".join(p for p in (str(kind), goal, f"at {speed:g}°/s" if speed else "") if p)
+    return " ".join(p for p in (str(kind), goal, f"at {speed:g}°/s" if speed else "") if p).replace("-", "−")
 
 
 def pictures(found: TraceComparison) -> tuple[Picture, ...]:

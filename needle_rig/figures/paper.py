@@ -12,14 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from needle_rig.figures.page import Picture, paragraph, png, row, shown, table, write_page
+from needle_rig.figures.style import COLOURS
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
 from needle_rig.physics.rod import Layout
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import deg, mm, nmm
 from needle_rig.workbench.paper.reproduce import STANDARD_ERROR_DEG, Reproduction, Row
 
-# Okabe and Ito's palette: told apart by people with colour-blindness and in grey.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 TISSUE = "#EFEDE6"
 
 

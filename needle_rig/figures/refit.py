@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from needle_rig.errors import BadInput
+from needle_rig.figures.style import COLOURS, COLUMN_IN, LETTERS_PT, PAGE_IN, above, plain
 from needle_rig.physics.needle_model import FRICTION
 from needle_rig.workbench.estimation.file_units import in_file_units, shared_units, within_bounds
 from needle_rig.workbench.estimation.map_fit import fit
@@ -13,6 +15,8 @@ from needle_rig.workbench.estimation.parameters import shared_names
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.selection.answer import SIGMAS_95
 
+MOST_ACROSS = 4
+LINE_LETTERS = 22
 DARK = 0.6
 """Correlation from which its number is white."""
 PROFILE_SIGMAS = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)
@@ -24,25 +28,39 @@ def correlation(found: TraceComparison) -> Figure:
     free = [i for i, value in enumerate(found.values.each) if value.refit_uncertainty is not None]
     size = np.sqrt(np.diag(of.covariance))[free]
     matrix = of.covariance[np.ix_(free, free)] / np.outer(size, size)
-    names = [found.values.each[i].name.replace(".", "\n") for i in free]
-    side = 1.1 * len(free) + 2.5
-    figure = Figure(figsize=(side + 0.8, side), layout="constrained")
+    names = [_broken(found.values.each[i].name) for i in free]
+    side = max(COLUMN_IN, 0.5 * len(free) + 1.9)
+    figure = Figure(figsize=(side, side - 0.4), layout="constrained")
     axis = figure.subplots()
     image = axis.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    axis.set_xticks(range(len(free)), names, rotation=90, fontsize=7)
-    axis.set_yticks(range(len(free)), names, fontsize=7)
+    axis.set_xticks(range(len(free)), names, rotation=90)
+    axis.set_yticks(range(len(free)), names)
+    axis.tick_params(labelsize=LETTERS_PT)
     for (i, k), value in np.ndenumerate(matrix):
         axis.text(
             k,
             i,
-            f"{value:.2f}",
+            f"{value:.2f}".replace("-", "−"),
             ha="center",
             va="center",
-            fontsize=7,
+            fontsize=LETTERS_PT,
             color="k" if abs(value) < DARK else "w",
         )
-    figure.colorbar(image, label="correlation")
+    bar = figure.colorbar(image, shrink=0.8)
+    bar.set_label("correlation", fontsize=LETTERS_PT)
+    bar.ax.tick_params(labelsize=LETTERS_PT)
     return figure
+
+
+def _broken(name: str) -> str:
+    """A value's name in lines that a narrow figure has room for."""
+    words = name.replace(".", "_").split("_")
+    lines = [""]
+    for word in words:
+        if len(lines[-1]) + len(word) > LINE_LETTERS and lines[-1]:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(lines)
 
 
 def profile(found: TraceComparison) -> Figure:
@@ -57,8 +75,14 @@ def profile(found: TraceComparison) -> Figure:
     free = [i for i, value in told_of if value.refit_uncertainty is not None]
     if not free:
         raise BadInput("figure profile: no value but friction was fitted; fix fewer of them")
-    figure = Figure(figsize=(3.4 * len(free), 3.0), layout="constrained")
-    axes = figure.subplots(1, len(free), squeeze=False)[0]
+    across = min(len(free), MOST_ACROSS)
+    down = -(-len(free) // across)
+    width = COLUMN_IN if across == 1 else PAGE_IN
+    figure = Figure(figsize=(width, 2.5 * down), layout="constrained")
+    grid = figure.subplots(down, across, squeeze=False, sharey=True).ravel()
+    axes = grid[: len(free)]
+    for empty in grid[len(free) :]:
+        empty.set_visible(False)
     centre, size = of.vector.shared, np.sqrt(np.diag(of.covariance))
     for axis, i in zip(axes, free, strict=True):
         told = []
@@ -68,11 +92,14 @@ def profile(found: TraceComparison) -> Figure:
             if held is not None:
                 told.append((in_file_units(of.parameters, at)[i], held.objective - of.objective, sigmas))
         value, risen, away = np.array(told).T
-        axis.plot(value, risen, "o-", ms=3, lw=1.0, color="tab:red", label="profile")
+        axis.plot(value, risen, "o-", ms=3, lw=1.0, color=COLOURS[1], label="profile")
         axis.plot(value, away**2, ":", lw=1.0, color="0.3", label="as ± tells")
         axis.axhline(SIGMAS_95**2, color="0.8", lw=0.8)
-        axis.set_xlabel(f"{names[i]}\n/ {units[i]}", fontsize=8)
-        axis.tick_params(labelsize=7)
-    axes[0].set_ylabel("−2 log posterior over its least")
-    axes[0].legend(fontsize=7)
+        plain(axis)
+        axis.set_xlabel(f"{_broken(names[i])} / {units[i]}", fontsize=LETTERS_PT)
+        axis.xaxis.set_major_locator(MaxNLocator(3))
+        axis.ticklabel_format(axis="x", useOffset=False)
+    for axis in axes[::across]:
+        axis.set_ylabel("−2 log posterior over its least", fontsize=LETTERS_PT)
+    above(figure, axes[0])
     return figure

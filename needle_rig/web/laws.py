@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from needle_rig.errors import BadInput
-from needle_rig.model import effect_directories, load_model
+from needle_rig.model import effect_directories, load_saved
 from needle_rig.numerics import Array
 from needle_rig.physics.library import find_effects
 from needle_rig.web.models import finite, kept_document
@@ -39,7 +39,7 @@ def learn(
     found = learn_laws(
         observed.data,
         find_effects(effect_directories(tuple(effects))),
-        load_model(model, effects=effects).model if model else None,
+        load_saved(model, effects=effects).model if model else None,
         origin=Origin(observed.name, observed.sha256(), today),
         workers=lambda: workers(jobs, None, voice.progress),
         say=voice.step,
@@ -63,7 +63,7 @@ def adopt_law(
     """The model with the effect `law` of the folder `drafts`, refitted, and the ladder of its errors."""
     voice.step("fitting the model with the law")
     folders = [*effects, drafts]
-    saved = load_model(model, effects=folders) if model else None
+    saved = load_saved(model, effects=folders) if model else None
     library = find_effects(effect_directories(tuple(folders)))
     adopted = adopt(read_observations(data), law, library, saved, name=None if saved else "learnt")
     return kept_document(adopted, out)

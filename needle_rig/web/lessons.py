@@ -49,20 +49,24 @@ _UNIT = re.compile(r"_(nmms?_per_rad(_per_100mm)?|nmm_per_100mm|nmm_per_min|nmm|
 Document = dict[str, Any]
 
 
-def effects_document(directories: Sequence[Path]) -> list[Document]:
-    """Every effect of the library: law, source and parameters with their ranges."""
-    return [
-        {
-            "name": name,
-            "text": inspect.getdoc(sys.modules[effect.__module__]) or "",
-            "first": (inspect.getdoc(sys.modules[effect.__module__]) or name).splitlines()[0],
-            "parameters": [_parameter(field, info) for field, info in effect.parameters().items()],
-            "relatives": list(effect.relatives),
-            "redundant_with": list(effect.redundant_with),
-            "hooks": [hook for hook in ("drive", "shape", "torque", "observe") if effect.has(hook)],
-        }
-        for name, effect in find_effects(directories).items()
-    ]
+def effects_document(directories: Sequence[Path]) -> Document:
+    """Every effect of the library: law, source and parameters with their ranges; and what cannot be used."""
+    library = find_effects(directories)
+    return {
+        "effects": [
+            {
+                "name": name,
+                "text": inspect.getdoc(sys.modules[effect.__module__]) or "",
+                "first": (inspect.getdoc(sys.modules[effect.__module__]) or name).splitlines()[0],
+                "parameters": [_parameter(field, info) for field, info in effect.parameters().items()],
+                "relatives": list(effect.relatives),
+                "redundant_with": list(effect.redundant_with),
+                "hooks": [hook for hook in ("drive", "shape", "torque", "observe") if effect.has(hook)],
+            }
+            for name, effect in library.items()
+        ],
+        "broken": [sentence for _, sentence in library.broken],
+    }
 
 
 def _parameter(field: str, info: ParameterInfo) -> Document:

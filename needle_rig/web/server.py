@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket
 from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
+from needle_rig.recording.watch_summary import read_contradiction
 from needle_rig.service.connections import Connections
 from needle_rig.service.endpoint import QUEUE
 from needle_rig.service.orders import read_order
@@ -48,6 +49,10 @@ CONNECTIONS = 256
 """Of strangers, and of those with the token: far more than pages of one person."""
 OWN_DESCRIPTORS = 256
 """Files of jobs and uploads, and connections to the daemon."""
+
+OF_A_MODEL = ("compare", "figure", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
+OF_DATA = ("compare", "figure", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
+"""Kinds of work that are given a model or none, and that are given data."""
 
 Document = dict[str, Any]
 
@@ -124,16 +129,20 @@ class Page:
         asked = as_mapping(await body(request, JOB_BYTES))
         kind, out = asked.get("kind"), self._folder / "jobs" / secrets.token_hex(8)
         given: Document = {}
-        if kind in ("compare", "diagnose", "adopt", "show", "export", "learn", "adopt_law"):
+        if kind in OF_DATA:
             given["data"] = await asyncio.to_thread(self.sources.paths, texts(asked.get("data")))
-        if kind in ("compare", "diagnose", "undo", "strategies", "learn", "adopt_law"):
-            given["model"] = self._file(asked.get("model"), MODEL)
+        if kind in OF_A_MODEL:
+            given["model"] = self._model(asked.get("model"))
         drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
-        if kind in ("compare", "diagnose", "adopt", "undo", "strategies", "learn", "adopt_law"):
+        if kind in OF_A_MODEL or kind == "adopt":
             given["effects"] = [*self._settings.effects, *drafts]
         if kind in ("diagnose", "strategies", "learn"):
             given["jobs"] = self._settings.jobs
-        if kind == "diagnose":
+        if kind in ("compare", "figure"):
+            given["held"] = held_values(asked)
+        if kind == "figure":
+            given["what"] = str(asked.get("what"))
+        elif kind == "diagnose":
             given["quick"] = asked.get("quick") is True
         elif kind == "adopt":
             given["diagnosis"] = self._file(asked.get("diagnosis"), DIAGNOSIS)
@@ -193,6 +202,12 @@ class Page:
             raise BadInput("give targets in degrees, a number of runs, and a parameter set of the list")
         return {"targets_deg": targets, "seeds": seeds, "parameters": parameters}
 
+    def _model(self, key: object) -> str | None:
+        """The model that a job made, or the name of a parameter set; None for the null model."""
+        if isinstance(key, str) and key in parameter_sets():
+            return key
+        return self._file(key, MODEL)
+
     def _file(self, key: object, name: str) -> str | None:
         """The file of this name that a job made; None for no key."""
         if key is None:
@@ -243,6 +258,11 @@ class Page:
 
         return JSONResponse({"runs": await asyncio.to_thread(listed)})
 
+    async def watch(self, _: Request) -> Response:
+        """What the newest run says against the model of the rig file; empty where it says nothing."""
+        said = await asyncio.to_thread(read_contradiction, self._settings.runs)
+        return JSONResponse({"contradiction": said})
+
     async def notes(self, request: Request) -> Response:
         """Keep tags and a note beside a run."""
         content = await body(request, NOTES_BYTES)
@@ -252,8 +272,8 @@ class Page:
     # effects
 
     async def effects(self, _: Request) -> Response:
-        """The library."""
-        return JSONResponse({"effects": await self.lessons.ask(None, {})})
+        """The library, and the sentence of each own effect that cannot be used."""
+        return JSONResponse(await self.lessons.ask(None, {}))
 
     async def lesson(self, request: Request) -> Response:
         """One effect in the standard trial."""
@@ -295,6 +315,7 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/uploads", page.begin_upload, "POST"),
             put("/api/uploads/{key}/{path:path}", page.upload, "PUT"),
             put("/api/runs", page.runs, "GET"),
+            put("/api/watch", page.watch, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),
@@ -342,6 +363,17 @@ def texts(given: object) -> list[str]:
     if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
         raise BadInput("no data was chosen; choose a dataset, or runs")
     return given
+
+
+def held_values(asked: Document) -> Document:
+    """Which values a comparison holds and which it fits; raises BadInput."""
+    fixed, free = asked.get("fixed", {}), asked.get("free", [])
+    numbers = isinstance(fixed, dict) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in fixed.values()
+    )
+    if not numbers or not isinstance(free, list) or not all(isinstance(name, str) for name in free):
+        raise BadInput("give a number for each value that is fixed, and names of those that are free")
+    return {"refit_only": asked.get("refit") is True, "fixed": fixed, "free": free}
 
 
 async def refuse(_: Request, error: Exception) -> Response:

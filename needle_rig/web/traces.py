@@ -80,7 +80,7 @@ def measured_document(dataset: Dataset, trial: DatasetTrial, decimals: list[int]
 def model_document(
     problem: Problem, fit: Fit, t: int, trial: DatasetTrial, decimals: list[int]
 ) -> list[list[float | None]]:
-    """What a fit foretells for trial `t`, by channel at the times of `measured_document`.
+    """What a fit predicts for trial `t`, by channel at the times of `measured_document`.
 
     Raises SolverError.
     """
@@ -100,7 +100,7 @@ def kept(trial: DatasetTrial) -> slice:
 
 
 def title(trial: DatasetTrial) -> str:
-    """What the rig was told, in words."""
+    """What the rig was commanded, in words."""
     command = trial.command
     if command.steps_deg:
         goal = f"{len(command.steps_deg)} steps"

@@ -13,13 +13,13 @@ from typing import Any
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.model import SavedModel, effect_directories, load_model, load_parameters
+from needle_rig.model import SavedModel, effect_directories, load_parameters, load_saved
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
-from needle_rig.web import laws, recordings, traces
+from needle_rig.web import laws, pictures, recordings, traces
 from needle_rig.web.models import finite, kept_document
 from needle_rig.web.places import DIAGNOSIS
 from needle_rig.web.worker import Voice
@@ -38,12 +38,12 @@ CANDIDATES = 8
 """Of the ranking, whose fitted traces can be laid over the measured ones."""
 
 
-def compare(voice: Voice, *, data: list[str], model: str | None, effects: list[str], out: str) -> Document:
+def compare(
+    voice: Voice, *, data: list[str], model: str | None, effects: list[str], held: Document, out: str
+) -> Document:
     """Where a model fails: traces with the noise band, and every place of the residual map."""
     del out
-    voice.step("holding the model against the data, and fitting it")
-    observed = read_observations(data)
-    found = observed.compare(_library(effects), load_model(model, effects=effects) if model else None)
+    found = pictures.held_against(voice, data, model, effects, held)
     voice.step("drawing the traces")
     headings, rows = found.rows()
     document: Document = {
@@ -54,6 +54,7 @@ def compare(voice: Voice, *, data: list[str], model: str | None, effects: list[s
         "sentences": found.sentences(),
         "places": found.places(),
         "values": found.value_sentences(),
+        **pictures.values_of(found),
         "held_out_error": finite(found.held_out_error),
         "traces": None,
     }
@@ -73,6 +74,7 @@ def _traces(found: TraceComparison) -> Document:
         trial = dataset.trials[t]
         drawn = traces.measured_document(dataset, trial, decimals)
         drawn["model"] = traces.model_document(problem, found.shown.fit, t, trial, decimals)
+        drawn["refit"] = found.held and traces.model_document(problem, found.refit.fit, t, trial, decimals)
         trials.append(drawn)
     return {"channels": told, "trials": trials, "of": len(dataset.trials)}
 
@@ -81,7 +83,7 @@ def diagnose(
     voice: Voice, *, data: list[str], model: str | None, effects: list[str], out: str, jobs: int, quick: bool
 ) -> Document:
     """Which effect is missing: the ranking, ties and verdict, and the diagnosis file that `adopt` takes."""
-    saved = load_model(model, effects=effects) if model else None
+    saved = load_saved(model, effects=effects) if model else None
     observed = read_observations(data)
     found = observed.diagnose(
         _library(effects),
@@ -106,13 +108,13 @@ def diagnose(
         if saved is not None:
             held = compared(found.baseline, saved)
             document["model_values"] = values_document(held, structure_holds=found.verdict == "none")
-        voice.step("drawing what each candidate foretells")
+        voice.step("drawing what each candidate predicts")
         document["candidates"] = _candidates(found)
     return document
 
 
 def _candidates(found: Diagnosis) -> Document:
-    """By effect: what its fit foretells for every drawn trial, by channel."""
+    """By effect: what its fit predicts for every drawn trial, by channel."""
     told = traces.channels_document(found.baseline.problem, found.baseline.dataset)
     decimals = [channel["digits"] for channel in told]
     drawn: Document = {}
@@ -154,7 +156,7 @@ def adopt(
 def undo(voice: Voice, *, model: str, effects: list[str], out: str) -> Document:
     """The model before its last step; without a step left, none."""
     voice.step("taking the last step back")
-    saved = load_model(model, effects=effects)
+    saved = load_saved(model, effects=effects)
     if len(saved.history) < 2:
         if saved.starts_from == "null":
             return {"model": None, "steps": [], "values": [], "added": []}
@@ -180,7 +182,7 @@ def strategies(
     if model is None:
         saved = SavedModel(load_parameters(parameters, effects=effects), parameters)
     else:
-        saved = load_model(model, effects=effects)
+        saved = load_saved(model, effects=effects)
     return contest(saved, targets_deg, seeds, workers(jobs, None, voice.progress), voice.step)
 
 
@@ -232,6 +234,8 @@ KINDS: Mapping[str, Callable[..., Document]] = {
     "learn": laws.learn,
     "adopt_law": laws.adopt_law,
     "compare": compare,
+    "figure": pictures.figure,
+    "take_values": pictures.take_values,
     "diagnose": diagnose,
     "adopt": adopt,
     "undo": undo,

@@ -1,5 +1,5 @@
 // The frame: which page is shown, the connection, and a stop that is always in reach.
-import { Live, connected, rig, said, open } from "./live.js";
+import { Live, connected, open, rig, said, watch } from "./live.js";
 import { Stopped, stop } from "./stop.js";
 import { Workbench } from "./workbench.js";
 import { Runs } from "./runs.js";
@@ -70,5 +70,8 @@ addEventListener(
 const inMotion = () => Boolean(rig.value && (rig.value.run || rig.value.moving));
 
 follow();
-if (token) open();
+if (token) {
+  open();
+  watch();
+}
 render(html`<${App} />`, /** @type {HTMLElement} */ (document.getElementById("app")));

@@ -6,6 +6,8 @@ import { batch, html, signal, significant, number, useEffect, words } from "./ui
 
 /** @type {{value: any[] | null}} */
 const effects = signal(null);
+/** Why an effect of one's own cannot be used, a sentence each. @type {{value: string[]}} */
+const broken = signal([]);
 const name = signal("");
 /** @type {{value: Record<string, number>}} */
 const values = signal({});
@@ -74,13 +76,14 @@ export function Learn() {
   useEffect(() => {
     if (!about.value) ask("GET", "about").then((found) => (about.value = found), () => null);
     if (effects.value) return;
-    ask("GET", "effects").then((found) => { effects.value = found.effects; choose(found.effects[0]); }, (error) => (refused.value = error.message));
+    ask("GET", "effects").then((found) => { effects.value = found.effects; broken.value = found.broken; choose(found.effects[0]); }, (error) => (refused.value = error.message));
   }, []);
   const effect = effects.value?.find((e) => e.name === name.value);
   return html`<h1>Learn</h1>
     ${refused.value ? html`<p class="refusal" role="alert">${refused.value}</p>` : null}
     <div class="side"><section class="card"><h2>Effects</h2>
-      ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><button aria-pressed=${e.name === name.value} title=${e.first} onClick=${() => choose(e)}>${words(e.name)}</button></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}</section>
+      ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><button aria-pressed=${e.name === name.value} title=${e.first} onClick=${() => choose(e)}>${words(e.name)}</button></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}
+      ${broken.value.length ? html`<div role="alert"><p class="lacks">Cannot be used, until mended:</p><ul aria-label="Broken effects">${broken.value.map((text) => html`<li>${text}</li>`)}</ul></div>` : null}</section>
     ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2><pre class="law">${effect.text}</pre>
       ${effect.relatives.length ? html`<p class="quiet">Looks like: ${effect.relatives.map(words).join(", ")}.</p>` : null}
       ${effect.redundant_with.length ? html`<p class="quiet">Cannot be told apart from: ${effect.redundant_with.map(words).join(", ")}.</p>` : null}

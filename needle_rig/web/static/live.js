@@ -9,6 +9,8 @@ const SILENT_MS = 800;
 const AGAIN_MS = 300;
 const SHOWN_S = 40;
 const DRAW_MS = 1000 / 30;
+/** The watch looks at a run in a quarter of a minute. */
+const WATCH_MS = 15_000;
 
 /** The daemon's newest state; kept, greyed, when the connection is lost. @type {{value: any}} */
 export const rig = signal(null);
@@ -21,6 +23,8 @@ const why = signal("connecting …");
 const estimate = signal(null);
 /** @type {{value: any}} */
 const ended = signal(null);
+/** What the newest run says against the model of the rig file. */
+const contradiction = signal("");
 /** Traces: time, base, each Hall angle; time, torque. @type {{value: {angles: any[], torque: any[]}}} */
 const traces = signal({ angles: [[]], torque: [[], []] });
 /** @type {number[][]} */
@@ -48,6 +52,12 @@ export function open() {
     lose("the page's server does not answer; start it again: needle-rig web");
     setTimeout(open, AGAIN_MS);
   };
+}
+
+/** Ask what the watch over the runs says of the rig's model; again while this page is looked at. */
+export async function watch() {
+  if (!document.hidden) contradiction.value = await ask("GET", "watch").then((found) => found.contradiction, () => contradiction.value);
+  setTimeout(watch, WATCH_MS);
 }
 
 setInterval(() => {
@@ -141,7 +151,7 @@ function Faults({ state }) {
     next.push("The drive's zero is not known. Home it: by Hall sensor, or set an angle here.");
   if (state.latched) next.push("This fault stays until a person has looked: mend its cause, then Clear.");
   if (state.released) next.push("The base is released. Clear, or any motion, takes it again.");
-  const told = [...(state.fault ? [state.fault] : []), ...next, ...state.warnings];
+  const told = [...(state.fault ? [state.fault] : []), ...next, ...state.warnings, ...(contradiction.value ? [contradiction.value] : [])];
   if (!told.length) return null;
   return html`<section class="card wide fault" role="alert"><h2>${state.fault ? "Fault" : "To do"}</h2>
     <ul>${told.map((text) => html`<li>${text}</li>`)}</ul></section>`;
@@ -207,9 +217,9 @@ function Orders({ state }) {
 function Settled({ state }) {
   if (!state.settled.length) return null;
   const halls = state.rig.hall_positions_mm.length;
-  return html`<section class="card wide"><h2>Motions: foretold and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
+  return html`<section class="card wide"><h2>Motions: predicted and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
     <thead><tr><th>motion</th><th>waypoint / °</th><th>base / °</th><th>torque / N·mm</th>
-      <th>foretold lag / °</th><th>measured lag / °</th><th>difference / °</th>
+      <th>predicted lag / °</th><th>measured lag / °</th><th>difference / °</th>
       ${Array.from({ length: halls }, (_, k) => html`<th>hall ${k + 1} / °</th>`)}</tr></thead>
     <tbody>${state.settled.map((/** @type {any} */ m) => html`<tr><th scope="row">${words(m.phase)}</th>
       <td>${number(m.waypoint_deg, 1)}</td><td>${number(m.base_deg, 2)}</td><td>${number(m.torque_nmm, 4)}</td>

@@ -26,13 +26,19 @@ export async function ask(method, path, content) {
   return answer;
 }
 
+/** Address of a file that the server made, as this page may show it; to be revoked.
+ * @param {string} path */
+export async function picture(path) {
+  const response = await fetch(`/api/${path}`, { headers: { Authorization: `Bearer ${token}` } });
+  if (!response.ok) throw new Error((await response.json()).error);
+  return URL.createObjectURL(await response.blob());
+}
+
 /** Save a file that the server made.
  * @param {string} path @param {string} name */
 export async function save(path, name) {
-  const response = await fetch(`/api/${path}`, { headers: { Authorization: `Bearer ${token}` } });
-  if (!response.ok) throw new Error((await response.json()).error);
   const link = document.createElement("a");
-  link.href = URL.createObjectURL(await response.blob());
+  link.href = await picture(path);
   link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);

@@ -1,5 +1,6 @@
 // The circle by clicks: data, where the model fails, what is missing, add it, the error falls.
 import { ask, compute, save } from "./net.js";
+import { Errors, Figures, More, Values, forgetFigures, held, holdAll } from "./compared.js";
 import { LearntLaws } from "./law.js";
 import { WhatIsWhat, asConfirmed, proposal, propose, shaft } from "./mapping.js";
 import { Plot, dots, line } from "./plot.js";
@@ -33,7 +34,12 @@ const over = signal("");
 const everyRow = signal(false);
 const SHOWN_ROWS = 6;
 
-const model = () => models.value.at(-1) ?? null;
+/** Models that were learnt on this page; each can be held against other data. @type {{value: any[]}} */
+const made = signal([]);
+/** Where models start: a parameter set or a learnt model; empty for the null model. */
+const start = signal("");
+
+const model = () => models.value.at(-1)?.key ?? (start.value || null);
 
 /** @param {any} request @returns {Promise<any>} */
 async function run(request) {
@@ -48,41 +54,62 @@ async function run(request) {
   }
 }
 
-export async function compareChosen() {
-  diagnosed.value = compared.value = learnt.value = null;
+async function compareAgain() {
+  diagnosed.value = learnt.value = null;
   over.value = cell.value = "";
   stretch.value = null;
-  trial.value = 0;
-  const found = await run({ kind: "compare", data: chosen.value, model: model()?.key ?? null });
-  if (found) compared.value = found;
+  forgetFigures();
+  const found = await run({ kind: "compare", data: chosen.value, model: model(), ...held.value });
+  if (!found) return;
+  compared.value = found;
+  trial.value = worstTrial(found);
+}
+
+/** Compare with other data, or with another model: nothing of the form holds any more. */
+export async function compareChosen() {
+  compared.value = null;
+  holdAll();
+  await compareAgain();
+}
+
+/** Place of the drawn trial with the worst place. @param {any} found */
+function worstTrial(found) {
+  const drawn = (found.traces?.trials ?? []).map((/** @type {any} */ t) => t.file);
+  const places = found.places.filter((/** @type {any} */ p) => drawn.includes(p.trial));
+  const worst = places.reduce((/** @type {any} */ a, /** @type {any} */ b) => ((a?.sigmas ?? -1) >= (b.sigmas ?? -1) ? a : b), null);
+  return Math.max(drawn.indexOf(worst?.trial), 0);
+}
+
+/** Take a model that was learnt, and compare with it. @param {any} found */
+async function goOnWith(found) {
+  if (!found) return;
+  models.value = [...models.value, found];
+  made.value = [...made.value, found];
+  await compareChosen();
 }
 
 /** @param {boolean} quick for one effect alone */
 async function diagnose(quick) {
   diagnosed.value = learnt.value = null;
-  const found = await run({ kind: "diagnose", data: chosen.value, model: model()?.key ?? null, quick });
+  const found = await run({ kind: "diagnose", data: chosen.value, model: model(), quick });
   if (found) diagnosed.value = found;
 }
 
 /** @param {string[]} effects */
 async function adopt(effects) {
   const found = await run({ kind: "adopt", data: chosen.value, diagnosis: diagnosed.value.key, chosen: effects });
-  if (!found) return;
-  models.value = [...models.value, found];
-  await compareChosen();
+  await goOnWith(found);
 }
 
 async function learn() {
-  const found = await run({ kind: "learn", data: chosen.value, model: model()?.key ?? null });
+  const found = await run({ kind: "learn", data: chosen.value, model: model() });
   if (found) learnt.value = found;
 }
 
 /** @param {string} law */
 async function adoptLaw(law) {
-  const found = await run({ kind: "adopt_law", data: chosen.value, model: model()?.key ?? null, learnt: learnt.value.key, law });
-  if (!found) return;
-  models.value = [...models.value, found];
-  await compareChosen();
+  const found = await run({ kind: "adopt_law", data: chosen.value, model: model(), learnt: learnt.value.key, law });
+  await goOnWith(found);
 }
 
 /** Ask what is what in dropped recordings. @param {string} upload */
@@ -106,6 +133,17 @@ async function importProposed() {
 async function undo() {
   models.value = models.value.slice(0, -1);
   await compareChosen();
+}
+
+async function takeValues() {
+  await goOnWith(await run({ kind: "take_values", data: chosen.value, model: model() }));
+}
+
+/** @param {string} key */
+async function startFrom(key) {
+  models.value = [];
+  start.value = key;
+  if (chosen.value.length) await compareChosen();
 }
 
 async function cancel() {
@@ -197,7 +235,11 @@ function Choose() {
         ${runs.length ? html`<li><strong>${runs.length} recorded ${runs.length === 1 ? "run" : "runs"}</strong></li>` : null}</ul>
       <p>Drop a dataset here, as a folder or a ZIP, run files, or recordings of any kind (CSV, XLSX, MATLAB, HDF5, MCAP, ROS bags, NumPy); or${" "}
         <label class="row">choose files <input type="file" multiple onChange=${(/** @type {any} */ e) => take(e.target.files)} /></label></p>
-    </div></section>`;
+    </div>
+    <p><label>Model to hold against them <select value=${model() ?? ""} onChange=${(/** @type {any} */ e) => startFrom(e.target.value)}>
+      <option value="">rigid tissue and uniform friction, both fitted</option>
+      ${made.value.map((m) => html`<option value=${m.key}>${words(m.model)}, learnt here: ${m.added.map(words).join(", ")}</option>`)}
+      ${(about.value?.parameters ?? []).map((/** @type {string} */ p) => html`<option value=${p}>${words(p)}</option>`)}</select></label></p></section>`;
 }
 
 function Running() {
@@ -211,6 +253,7 @@ function Running() {
 }
 
 const LEVELS = [2, 3, 6, 15, 50];
+const LEVEL_NAMES = ["below 2", "2", "3, the limit", "6", "15", "50 and more"];
 /** @param {number} sigmas */
 const heat = (sigmas) => `h${LEVELS.filter((limit) => sigmas >= limit).length}`;
 const ARROWS = /** @type {Record<string, string>} */ ({ up: " ↑", down: " ↓" });
@@ -220,14 +263,18 @@ function Compared() {
   if (!found) return null;
   return html`<section class="card wide"><h2>2 · Where it fails</h2>
       <p><strong>${found.name}</strong> ${found.sentence}</p>
+      <${Errors} found=${found} />
       <${ResidualMap} found=${found} />
-      ${found.traces && found.values.length ? html`<ul aria-label="Values">${found.values.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
+      <${Values} found=${found} />
+      <${More} found=${found} own=${model() !== null} busy=${Boolean(job.value)} again=${compareAgain} />
       ${found.traces && found.sentences.length ? html`<details><summary>The worst places in words</summary><ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
-      ${found.traces ? null : html`<ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>`}
-      ${found.notes?.length ? html`<details><summary>${found.notes.length} notes on the data</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
+      ${found.notes?.length ? html`<details><summary>${found.notes.length} ${found.notes.length === 1 ? "note" : "notes"} on the data</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
     </section>
-    ${found.traces ? html`<${Traces} found=${found} />` : null}`;
+    ${found.traces ? html`<${Traces} found=${found} /><${Figures} busy=${Boolean(job.value)} draw=${draw} refuse=${(/** @type {Error} */ e) => (refused.value = e.message)} />` : null}`;
 }
+
+/** @param {string} what */
+const draw = (what) => run({ kind: "figure", data: chosen.value, model: model(), what, ...held.value });
 
 /** @param {{found: any}} props */
 function ResidualMap({ found }) {
@@ -248,7 +295,9 @@ function ResidualMap({ found }) {
     stretch.value = motion ? [Math.max(0, motion.start_s - 0.5), motion.end_s + 0.5] : null;
     document.getElementById(`trace-${place.channel}`)?.scrollIntoView({ block: "center" });
   };
-  return html`<div class="scroll" tabindex="0" role="group" aria-label="Residual map"><table class="map"><caption class="quiet">Error in units of the noise, channel by phase. Click a cell to see the place in the traces.</caption>
+  return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}
+      <span class="levels">${LEVEL_NAMES.map((name, k) => html`<span class=${`h${k}${k === 2 ? " limit" : ""}`}>${name}</span>`)}</span></p>
+    <div class="scroll" tabindex="0" role="group" aria-label="Residual map"><table class="map">
     <thead><tr><td></td>${[...columns.values()].map((p) => html`<th scope="col"><span>${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}</span></th>`)}</tr></thead>
     <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${[...columns.keys()].map((column) => {
       const key = `${channel}|${column}`;
@@ -271,19 +320,19 @@ function Traces({ found }) {
       onClick=${() => { trial.value = i; stretch.value = null; }}>${i + 1} · ${t.title}</button>`)}
       ${stretch.value ? html`<button onClick=${() => (stretch.value = null)}>Whole trial</button>` : null}</div>
     ${trials.length < of ? html`<p class="quiet">${trials.length} of ${of} trials are drawn.</p>` : null}
-    ${over.value ? html`<p>Laid over: what <strong>${words(over.value)}</strong> foretells, fitted.</p>` : null}
+    ${over.value ? html`<p>Laid over: what <strong>${words(over.value)}</strong> predicts, fitted.</p>` : null}
     <div class="grid2">${channels.map((/** @type {any} */ channel, /** @type {number} */ c) => {
       const noise = 2 * channel.noise;
       const expected = shown.model[c];
       const data = [shown.time_s, shown.measured[c], expected,
         expected.map((/** @type {number|null} */ v) => (v === null ? null : v + noise)),
         expected.map((/** @type {number|null} */ v) => (v === null ? null : v - noise)),
-        ...(candidate ? [candidate[c]] : [])];
+        ...(shown.refit ? [shown.refit[c]] : []), ...(candidate ? [candidate[c]] : [])];
       return html`<div id=${`trace-${channel.name}`}><h3>${words(channel.name)} <span class="quiet">noise ${significant(channel.noise)} ${channel.unit}</span></h3>
         <${Plot} label=${`${channel.name} over time, measured and model`} unit=${`${words(channel.name)} / ${channel.unit}`} height=${200} band=${true} cursor="traces"
           range=${stretch.value} marks=${shown.motions}
-          series=${[dots("measured", "--quiet"), line("model", "--model"), line("noise +2σ", "--band", { width: 0.5 }), line("noise −2σ", "--band", { width: 0.5 }),
-            ...(candidate ? [line(`with ${words(over.value)}`, "--other", { width: 2 })] : [])]}
+          series=${[dots("measured", "--quiet"), line(shown.refit ? "as it stands" : "model", "--model"), line("noise +2σ", "--band", { width: 0.5 }), line("noise −2σ", "--band", { width: 0.5 }),
+            ...(shown.refit ? [line("refitted", "--c1", { dash: [5, 4] })] : []), ...(candidate ? [line(`with ${words(over.value)}`, "--other", { width: 2 })] : [])]}
           data=${data} /></div>`;
     })}</div></section>`;
 }
@@ -301,8 +350,11 @@ function Missing() {
 /** @param {{found: any}} props */
 function Verdict({ found }) {
   const choices = found.verdict !== "effect" ? [] : found.ties.length ? [...found.effects, ...found.ties] : [""];
-  return html`<p class="verdict">${found.sentence.charAt(0).toUpperCase() + words(found.sentence.slice(1))}</p>
-    ${found.model_values ? html`<p>Values: ${found.model_values.sentences[0]}</p>` : null}
+  const values = found.model_values;
+  return html`${values ? html`<h3>Its values</h3><ul aria-label="Its values">${values.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>
+      ${values.contradict ? html`<p><button class=${found.verdict === "none" ? "go" : ""} disabled=${Boolean(job.value)} onClick=${takeValues}>Take these values over</button>
+        ${found.verdict === "none" ? "" : html` <span class="quiet"> of this structure, which lacks something</span>`}</p>` : null}<h3>Its structure</h3>` : null}
+    <p class="verdict">${found.sentence.charAt(0).toUpperCase() + words(found.sentence.slice(1))}</p>
     <p>${found.errors_sentence}</p>
     ${found.quick ? html`<p>One effect alone was looked for. <button disabled=${Boolean(job.value)} onClick=${() => diagnose(false)}>Look for several</button></p>` : null}
     ${found.reasons.length ? html`<ul>${found.reasons.map((/** @type {any} */ r) => html`<li>${r.sentence ?? r.text ?? words(String(r.rule ?? r.name ?? ""))}</li>`)}</ul>` : null}
@@ -326,13 +378,14 @@ function Verdict({ found }) {
 }
 
 function Falls() {
-  const now = model();
+  const now = models.value.at(-1);
   if (!now) return null;
   const steps = now.steps;
   const most = Math.max(...steps.map((/** @type {any} */ s) => s.held_out_error ?? s.training_error ?? 0), 1);
   const names = Object.keys(steps.at(-1)?.channels ?? {});
-  return html`<section class="card wide"><h2>4 · The error falls</h2>
-    <p>Error on commands left out, in units of the noise; the line is the noise.</p>
+  const known = steps.some((/** @type {any} */ s) => (s.held_out_error ?? s.training_error) !== null);
+  return html`<section class="card wide"><h2>4 · ${known ? "The error falls" : "The model"}</h2>
+    ${known ? html`<p>Error on commands left out, in units of the noise; the line is the noise.</p>
     <div class="bars">${steps.map((/** @type {any} */ step, /** @type {number} */ k) => {
       const error = step.held_out_error ?? step.training_error;
       return html`<span>${words(step.step)}</span>
@@ -342,7 +395,7 @@ function Falls() {
     <div class="scroll" tabindex="0" role="group" aria-label="Errors by channel"><table><thead><tr><th>channel</th>${steps.map((/** @type {any} */ s) => html`<th>${words(s.step)}</th>`)}<th>noise floor</th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${words(name.replace(/_(nmm|deg)$/, ""))} / ${name.endsWith("_nmm") ? "N·mm" : "°"}</th>
         ${steps.map((/** @type {any} */ s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
-        <td>${significant(steps.at(-1).channels[name]?.floor)}</td></tr>`)}</tbody></table></div>
+        <td>${significant(steps.at(-1).channels[name]?.floor)}</td></tr>`)}</tbody></table></div>` : null}
     <h3>Model ${now.model}</h3>
     <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${measured(v.value, v.uncertainty)} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>
     <p><button onClick=${undo} disabled=${Boolean(job.value)}>Undo</button>

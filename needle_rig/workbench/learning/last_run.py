@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from scipy.special import chdtrc
 
 from needle_rig.model import SavedModel
-from needle_rig.workbench.learning.watch import WatchedRun, kept_runs
 from needle_rig.workbench.selection.values import CONTRADICTS, with_uncertainty
 
+if TYPE_CHECKING:
+    from needle_rig.workbench.learning.watch import WatchedRun
 
-def contradiction(directory: Path, saved: SavedModel) -> str:
-    """What the newest judged run in `directory` says against the model, in words; empty where nothing does.
+
+def contradiction(runs: Sequence[WatchedRun], saved: SavedModel, named: str) -> str:
+    """What the newest judged run says against the model that a person calls `named`, and what to do; empty
+    where it says nothing.
 
     Values are compared as independent ones, which a single run does not tell better.
     """
-    judged = [run for run in kept_runs(directory) if not run.not_judged]
-    return against(judged[-1], saved) if judged else ""
+    judged = [run for run in runs if not run.not_judged]
+    said = against(judged[-1], saved) if judged else ""
+    return f"{said}; find out which is true: needle-rig compare last --model {named}" if said else ""
 
 
 def against(run: WatchedRun, saved: SavedModel) -> str:

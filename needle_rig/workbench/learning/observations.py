@@ -36,6 +36,7 @@ from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.documents import ChannelError, CompareDocument, PlaceError
 from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, explanation, training_errors
+from needle_rig.workbench.selection.values import ComparedValues
 
 Library = Mapping[str, type[Effect]]
 
@@ -60,8 +61,12 @@ class Comparison(Protocol):
     def sentences(self) -> list[str]:
         """Sentences below the table of `rows`."""
 
+    @property
+    def values(self) -> ComparedValues:
+        """Values of the model beside those of the refit."""
+
     def value_sentences(self) -> list[str]:
-        """Of these, those on the values of model and refit."""
+        """Of these, those on `values`, and what is estimated beside them."""
 
     def places(self) -> list[PlaceError]:
         """All that was compared: channel, motion, state, direction, model, measured, error, noise, unit."""

@@ -29,7 +29,7 @@ from needle_rig.config.schema import Section, WatchSection
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.samples import AT_REST_DEG
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.model import load_parameters
+from needle_rig.model import load_parameters, load_saved
 from needle_rig.model.schema import Number
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
@@ -41,6 +41,7 @@ from needle_rig.units import nm, rad
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.control_chart import shift
 from needle_rig.workbench.learning.identify import Identification, identify
+from needle_rig.workbench.learning.last_run import contradiction
 from needle_rig.workbench.observations.earlier_path import after_earlier_runs
 from needle_rig.workbench.observations.runs import BEGIN_S, runs_as_dataset
 
@@ -115,6 +116,8 @@ class Watch:
     not_judged: int
     reference: int
     sentences: tuple[str, ...]
+    contradiction: str = ""
+    """What the newest run says against the model that is watched with; empty where it says nothing."""
 
     def as_json(self) -> JsonObject:
         """As it stands in the JSON answer and beside the runs."""
@@ -147,9 +150,22 @@ def look(directory: Path, library: Mapping[str, type[Effect]], section: WatchSec
 
 def _tell(directory: Path, section: WatchSection | None) -> None:
     """Write what all runs that were looked at say together."""
+    _write(directory / WATCH_FOLDER / SUMMARY, said_of(directory, section).as_json())
+
+
+def said_of(directory: Path, section: WatchSection | None = None) -> Watch:
+    """What the runs that were looked at say together, and the newest of them against the watched model.
+
+    `section` (default: that of the rig file in the newest run) says with which model.
+    """
     runs = kept_runs(directory)
-    summary = judge(runs, reference_of(directory, runs, section)).as_json()
-    _write(directory / WATCH_FOLDER / SUMMARY, summary)
+    section = section or section_of(directory, runs)
+    found, said = judge(runs, section.reference_runs), ""
+    if section.model is not None:
+        with suppress(NeedleRigError):  # each run says why a model cannot be read
+            said = contradiction(runs, load_saved(section.model), section.model)
+    told = (*found.sentences, said) if said else found.sentences
+    return dataclasses.replace(found, sentences=told, contradiction=said)
 
 
 def kept_runs(directory: Path) -> list[WatchedRun]:
@@ -170,16 +186,12 @@ def restart(directory: Path) -> None:
     (directory / WATCH_FOLDER / SUMMARY).unlink(missing_ok=True)
 
 
-def reference_of(directory: Path, runs: Sequence[WatchedRun], section: WatchSection | None = None) -> int:
-    """Length of the reference period: of `section`, or as the rig file in the newest run says."""
-    if section is not None:
-        return section.reference_runs
+def section_of(directory: Path, runs: Sequence[WatchedRun]) -> WatchSection:
+    """What the rig file in the newest run says of the watch."""
     for run in reversed(runs):
         with suppress(NeedleRigError):
-            return (
-                RunFile(directory / f"{run.run}.h5").config.recording.watch or WatchSection()
-            ).reference_runs
-    return WatchSection().reference_runs
+            return RunFile(directory / f"{run.run}.h5").config.recording.watch or WatchSection()
+    return WatchSection()
 
 
 def judge(runs: Sequence[WatchedRun], reference: int) -> Watch:

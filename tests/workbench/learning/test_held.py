@@ -188,6 +188,8 @@ def test_the_trial_with_the_worst_place_is_drawn_first_and_those_left_out_are_co
     assert found.held is not None
     figure = traces(found)
     assert figure.axes[0].get_title().startswith(Path(found.held.worst[0].trial).name)
+    told = [float(axis.get_title().split("worst place ")[1].split(" σ")[0]) for axis in figure.axes[:2]]
+    assert told[0] == round(found.held.worst[0].sigmas) >= told[1]
     assert figure.get_suptitle().endswith("4 of 5 trials, those of the worst places first; 1 left out")
 
 

@@ -12,7 +12,7 @@ from needle_rig.config.schema import WatchSection
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
-from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_summary
+from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_contradiction, read_summary
 from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.learning import watch
 from needle_rig.workbench.learning.watch import Watch, WatchedRun, as_it_began, judge, look_at
@@ -210,7 +210,10 @@ def test_two_processes_do_not_look_at_once(tmp_path: Path) -> None:
 def test_a_damaged_summary_and_a_damaged_file_say_nothing(tmp_path: Path) -> None:
     assert read_summary(tmp_path) == []
     (tmp_path / WATCH_FOLDER).mkdir()
-    (tmp_path / WATCH_FOLDER / SUMMARY).write_text("{")
+    for damaged in ("{", "[]", '{"sentences": 3}'):
+        (tmp_path / WATCH_FOLDER / SUMMARY).write_text(damaged)
+        assert read_summary(tmp_path) == []
+        assert read_contradiction(tmp_path) == ""
     (tmp_path / WATCH_FOLDER / "one.json").write_text("[1, 2]")
     assert read_summary(tmp_path) == []
     assert watch.kept_runs(tmp_path) == []
@@ -230,6 +233,7 @@ def test_the_command_shows_what_every_run_said_and_begins_anew(
     assert "--dir" in capsys.readouterr().err
 
 
-def test_the_reference_period_is_as_long_as_the_rig_file_says() -> None:
-    assert watch.reference_of(Path(), [], WatchSection(reference_runs=12)) == 12
-    assert watch.reference_of(Path(), []) == 20
+def test_the_reference_period_is_as_long_as_the_rig_file_says(tmp_path: Path) -> None:
+    said = watch.said_of(tmp_path, WatchSection(reference_runs=12)).sentences
+    assert "0 of 12 runs" in said[0]
+    assert watch.section_of(tmp_path, []).reference_runs == 20
