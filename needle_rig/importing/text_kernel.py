@@ -52,7 +52,7 @@ def padded(words: tuple[str, ...]) -> Any:
 
 @kept(nogil=True)
 def parsed(text, delimiter, point, is_word, nulls, powers, numbers, spans):
-    """Number of rows in `text`, or UNSURE; numbers (rows, columns) and where words begin and end are filled.
+    """Number of rows in `text`, or UNSURE; numbers (columns, rows) and where words begin and end are filled.
 
     Blank lines are no rows. A field that is empty or stands in `nulls` (n, length) is NaN.
     """
@@ -81,7 +81,7 @@ def parsed(text, delimiter, point, is_word, nulls, powers, numbers, spans):
                     if not _is_null(text, begin, end, nulls):
                         return UNSURE
                     value = np.nan
-                numbers[row, number] = value
+                numbers[number, row] = value
                 number += 1
             column += 1
             if at >= size or text[at] == _LINE:

@@ -60,12 +60,12 @@ class Shape:
         return _CODECS.get(self.encoding, self.encoding)
 
 
-def read_rows(path: Path, shape: Shape) -> tuple[Array, dict[int, list[Words]]]:
-    """Numbers (rows, columns without words), NaN where there is none; words by column, in parts.
+def read_rows(path: Path, shape: Shape) -> tuple[list[Array], dict[int, list[Words]]]:
+    """Numbers (rows,) of each column without words, NaN where there is none; words by column, in parts.
 
     Rows without a value are left out, and one that is cut off at the end. Raises BadInput with file and line.
     """
-    parts: list[Array] = []
+    parts: list[list[Array]] = [[] for has in shape.words if not has]
     words: dict[int, list[Words]] = {k: [] for k, has in enumerate(shape.words) if has}
     with _opened(path, shape) as file:
         for _ in range(shape.first_line):
@@ -75,17 +75,22 @@ def read_rows(path: Path, shape: Shape) -> tuple[Array, dict[int, list[Words]]]:
             raw += file.readline()
             begin, line = line, line + raw.count(b"\n")
             numbers, texts = _at_once(raw, shape) or _cell_by_cell(raw, begin, shape)
-            empty = np.isnan(numbers).all(axis=1)
+            empty = np.logical_and.reduce([np.isnan(column) for column in numbers])
             for column in texts.values():
                 empty &= column == b""
             there = ~empty if empty.any() else slice(None)
-            parts.append(numbers[there])
+            for part, numeric in zip(parts, numbers, strict=True):
+                part.append(numeric[there].copy())  # else all that was allotted to the chunk stays
             for k, column in texts.items():
                 words[k].append(column[there])
-    values = np.concatenate(parts) if parts else np.empty((0, 0))
-    if not len(values):
+    values = []
+    for part in parts:
+        values.append(np.concatenate(part) if part else np.empty(0))
+        part.clear()  # a long recording stands in memory once
+        values[-1][np.isinf(values[-1])] = math.nan
+    if not values[0].size:
         raise BadInput(f"{shape.shown}: the table has no values")
-    return np.where(np.isinf(values), math.nan, values) if np.isinf(values).any() else values, words
+    return values, words
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -113,7 +118,7 @@ def _at_once(raw: bytes, shape: Shape) -> tuple[Array, dict[int, Words]] | None:
     is_word = np.array(shape.words)
     places = np.flatnonzero(is_word)
     most = raw.count(b"\n") + 1
-    numbers = np.empty((most, is_word.size - places.size))
+    numbers = np.empty((is_word.size - places.size, most))
     spans = np.empty((most, places.size, 2), dtype=np.int64)
     delimiter = SPACES if shape.delimiter == " " else ord(shape.delimiter)
     point = ord("," if shape.comma else ".")
@@ -124,7 +129,7 @@ def _at_once(raw: bytes, shape: Shape) -> tuple[Array, dict[int, Words]] | None:
         int(k): np.array([raw[begin:end] for begin, end in spans[:rows, word].tolist()])
         for word, k in enumerate(places)
     }
-    return numbers[:rows], texts
+    return numbers[:, :rows], texts
 
 
 def _cell_by_cell(raw: bytes, begin: int, shape: Shape) -> tuple[Array, dict[int, Words]]:
@@ -137,7 +142,7 @@ def _cell_by_cell(raw: bytes, begin: int, shape: Shape) -> tuple[Array, dict[int
         for k, column in texts.items():
             column.append(row[k].strip(' "').encode(shape.codec, "replace"))
     values = np.array(numbers, dtype=np.float64).reshape(len(numbers), len(numeric))
-    return values, {k: np.array(column, dtype=np.bytes_) for k, column in texts.items()}
+    return values.T, {k: np.array(column, dtype=np.bytes_) for k, column in texts.items()}
 
 
 def _whole_rows(rows: Sequence[bytes], begin: int, shape: Shape) -> Iterator[tuple[int, list[str]]]:

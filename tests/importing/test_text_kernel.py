@@ -19,7 +19,7 @@ NULLS = padded(text_rows.NULLS)
 
 def read(text: str) -> float | None:
     """The number in a table of one cell; None where the kernel leaves it to others."""
-    numbers, spans = np.empty((2, 1)), np.empty((2, 0, 2), dtype=np.int64)
+    numbers, spans = np.empty((1, 2)), np.empty((2, 0, 2), dtype=np.int64)
     raw = np.frombuffer(text.encode() + b"\n", np.uint8)
     rows = parsed(raw, ord(";"), ord("."), np.zeros(1, dtype=bool), NULLS, POWERS, numbers, spans)
     assert rows in (1, UNSURE)
@@ -81,7 +81,7 @@ def test_plain_rows_are_not_read_cell_by_cell(
     slow = text_rows._cell_by_cell(rows.encode(), 1, shape)
     monkeypatch.delattr(text_rows, "_cell_by_cell")
     values, words = text_rows.read_rows(path, shape)
-    np.testing.assert_array_equal(values, [[1.0, 2.5, np.nan], [2.0, 3.0, np.nan]])
+    np.testing.assert_array_equal(values, [[1.0, 2.0], [2.5, 3.0], [np.nan, np.nan]])
     np.testing.assert_array_equal(values, slow[0])
     assert np.concatenate(words[3]).tolist() == [b"run", b"a,b"] == slow[1][3].tolist()
 
@@ -90,4 +90,4 @@ def test_a_tab_at_the_beginning_is_an_empty_field(tmp_path: Path) -> None:
     shape = Shape("\t", False, 0, 2, (False, False), ("a", "b"), "utf-8", "log.csv")
     path = tmp_path / "log.csv"
     path.write_text("1\t2\n\t3\n \t \n4\t5\n")
-    np.testing.assert_array_equal(text_rows.read_rows(path, shape)[0], [[1, 2], [np.nan, 3], [4, 5]])
+    np.testing.assert_array_equal(text_rows.read_rows(path, shape)[0], [[1, np.nan, 4], [2, 3, 5]])
