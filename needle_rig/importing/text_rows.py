@@ -65,9 +65,11 @@ def read_rows(path: Path, shape: Shape) -> tuple[list[Array], dict[int, list[Wor
 
     Rows without a value are left out, and one that is cut off at the end. Raises BadInput with file and line.
     """
-    parts: list[list[Array]] = [[] for has in shape.words if not has]
     words: dict[int, list[Words]] = {k: [] for k, has in enumerate(shape.words) if has}
+    filled = 0
     with _opened(path, shape) as file:
+        # allotted once: parts that are joined at the end would take the memory twice
+        values = np.empty((shape.width - len(words), _lines(file)))
         for _ in range(shape.first_line):
             file.readline()
         line = shape.first_line + 1
@@ -75,22 +77,29 @@ def read_rows(path: Path, shape: Shape) -> tuple[list[Array], dict[int, list[Wor
             raw += file.readline()
             begin, line = line, line + raw.count(b"\n")
             numbers, texts = _at_once(raw, shape) or _cell_by_cell(raw, begin, shape)
-            empty = np.logical_and.reduce([np.isnan(column) for column in numbers])
+            empty = np.logical_and.reduce(np.isnan(numbers), axis=0)
             for column in texts.values():
                 empty &= column == b""
             there = ~empty if empty.any() else slice(None)
-            for part, numeric in zip(parts, numbers, strict=True):
-                part.append(numeric[there].copy())  # else all that was allotted to the chunk stays
+            numbers = numbers[:, there]
+            values[:, filled : filled + numbers.shape[1]] = numbers
+            filled += numbers.shape[1]
             for k, column in texts.items():
                 words[k].append(column[there])
-    values = []
-    for part in parts:
-        values.append(np.concatenate(part) if part else np.empty(0))
-        part.clear()  # a long recording stands in memory once
-        values[-1][np.isinf(values[-1])] = math.nan
-    if not values[0].size:
+    if not filled:
         raise BadInput(f"{shape.shown}: the table has no values")
-    return values, words
+    values = values[:, :filled]
+    values[np.isinf(values)] = math.nan
+    return list(values), words
+
+
+def _lines(file: BinaryIO) -> int:
+    """How many lines there are at most. The file is at its beginning, before and after."""
+    count = 1
+    while raw := file.read(CHUNK_BYTES):
+        count += raw.count(b"\n")
+    file.seek(0)
+    return count
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
