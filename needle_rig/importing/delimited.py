@@ -60,12 +60,12 @@ def read_delimited(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dic
     names, units = dialect.header.names, dialect.header.units
     shape = dialect.shape(encoding, shown)
     values, words = read_rows(path, shape)
-    columns, numeric = [], iter(values.T)
+    columns, numeric = [], iter(values)
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         if k in words:
             columns.append(words_column(name, unit, words[k], shape.codec))
         else:
-            columns.append(Column(name, unit, np.ascontiguousarray(next(numeric))))
+            columns.append(Column(name, unit, next(numeric)))
     columns = [c for c in columns if c.labels or np.isfinite(c.values).any()]
     rates = {} if dialect.header.rate_hz is None else {"": dialect.header.rate_hz}
     return dialect.told(encoding), tuple(columns), rates

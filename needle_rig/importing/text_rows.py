@@ -15,12 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from needle_rig.errors import BadInput
+from needle_rig.importing.text_kernel import POWERS, SPACES, UNSURE, padded, parsed
 from needle_rig.numerics import Array
 
 RECODED_BYTES = 1_000_000_000
 """Text in UTF-16 is rewritten in memory before it is read."""
 CHUNK_BYTES = 1 << 24
-"""Rows that are looked at together; as lines they take twice that."""
+"""Rows that are looked at together."""
 
 POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
@@ -28,7 +29,7 @@ NULLS = (
     *("", "NaN", "nan", "NAN", "-NaN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--"),
     *("1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF", "inf", "-inf", "Inf", "-Inf", "INF", "-INF"),
 )
-_COMMA_IS_POINT = bytes.maketrans(b",.", b".,")
+_NULLS = padded(NULLS)
 _CODECS = {"Windows-1252": "cp1252", "utf-16": "utf-8"}
 
 Words = npt.NDArray[np.bytes_]
@@ -59,30 +60,46 @@ class Shape:
         return _CODECS.get(self.encoding, self.encoding)
 
 
-def read_rows(path: Path, shape: Shape) -> tuple[Array, dict[int, list[Words]]]:
-    """Numbers (rows, columns without words), NaN where there is none; words by column, in parts.
+def read_rows(path: Path, shape: Shape) -> tuple[list[Array], dict[int, list[Words]]]:
+    """Numbers (rows,) of each column without words, NaN where there is none; words by column, in parts.
 
     Rows without a value are left out, and one that is cut off at the end. Raises BadInput with file and line.
     """
-    parts: list[Array] = []
     words: dict[int, list[Words]] = {k: [] for k, has in enumerate(shape.words) if has}
+    filled = 0
     with _opened(path, shape) as file:
+        # allotted once: parts that are joined at the end would take the memory twice
+        values = np.empty((shape.width - len(words), _lines(file)))
         for _ in range(shape.first_line):
             file.readline()
         line = shape.first_line + 1
-        while rows := file.readlines(CHUNK_BYTES):
-            begin, line = line, line + len(rows)
-            numbers, texts = _plain(rows, shape) or _cell_by_cell(rows, begin, shape)
-            empty = np.isnan(numbers).all(axis=1)
+        while raw := file.read(CHUNK_BYTES):
+            raw += file.readline()
+            begin, line = line, line + raw.count(b"\n")
+            numbers, texts = _at_once(raw, shape) or _cell_by_cell(raw, begin, shape)
+            empty = np.logical_and.reduce(np.isnan(numbers), axis=0)
             for column in texts.values():
                 empty &= column == b""
-            parts.append(numbers[~empty])
+            there = ~empty if empty.any() else slice(None)
+            numbers = numbers[:, there]
+            values[:, filled : filled + numbers.shape[1]] = numbers
+            filled += numbers.shape[1]
             for k, column in texts.items():
-                words[k].append(column[~empty])
-    values = np.concatenate(parts) if parts else np.empty((0, 0))
-    if not len(values):
+                words[k].append(column[there])
+    if not filled:
         raise BadInput(f"{shape.shown}: the table has no values")
-    return np.where(np.isinf(values), math.nan, values) if np.isinf(values).any() else values, words
+    values = values[:, :filled]
+    values[np.isinf(values)] = math.nan
+    return list(values), words
+
+
+def _lines(file: BinaryIO) -> int:
+    """How many lines there are at most. The file is at its beginning, before and after."""
+    count = 1
+    while raw := file.read(CHUNK_BYTES):
+        count += raw.count(b"\n")
+    file.seek(0)
+    return count
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -105,70 +122,36 @@ def _opened(path: Path, shape: Shape) -> BinaryIO:
     return io.BytesIO(path.read_bytes().decode("utf-16", "replace").encode())
 
 
-def _plain(rows: list[bytes], shape: Shape) -> tuple[Array, dict[int, Words]] | None:
+def _at_once(raw: bytes, shape: Shape) -> tuple[Array, dict[int, Words]] | None:
     """The rows where every one has all fields and every number is one, or nothing; None otherwise."""
-    if not any(map(bytes.strip, rows)):
+    is_word = np.array(shape.words)
+    places = np.flatnonzero(is_word)
+    most = raw.count(b"\n") + 1
+    numbers = np.empty((is_word.size - places.size, most))
+    spans = np.empty((most, places.size, 2), dtype=np.int64)
+    delimiter = SPACES if shape.delimiter == " " else ord(shape.delimiter)
+    point = ord("," if shape.comma else ".")
+    rows = parsed(np.frombuffer(raw, np.uint8), delimiter, point, is_word, _NULLS, POWERS, numbers, spans)
+    if rows in (UNSURE, 0):
         return None
-    split = shape.delimiter.encode() if shape.delimiter != " " else None
-    if not any(shape.words):
-        numbers = _loaded(rows, split, shape)
-        if numbers is not None:
-            return numbers, {}
-    if split is None:
-        counts = {len(row.split()) for row in rows}
-    else:
-        counts = {row.count(split) + 1 for row in rows}
-        if any(b'"' in row for row in rows):  # which may hold a delimiter
-            counts |= {len(cells_of(row.decode("latin1"), shape.delimiter)) for row in rows}
-            rows = [row.replace(b'"', b"") for row in rows]
-    if counts != {shape.width}:
-        return None
-    texts = {}
-    for k, has in enumerate(shape.words):
-        if has:
-            last = k + 1 if split else -1
-            texts[k] = np.array([row.split(split, last)[k].strip() for row in rows])
-    numbers = _loaded(rows, split, shape) if texts else None
-    if numbers is None and split is not None:
-        numbers = _loaded([_filled(row, split) for row in rows], split, shape)
-    return None if numbers is None else (numbers, texts)
+    texts = {
+        int(k): np.array([raw[begin:end] for begin, end in spans[:rows, word].tolist()])
+        for word, k in enumerate(places)
+    }
+    return numbers[:, :rows], texts
 
 
-def _loaded(rows: list[bytes], split: bytes | None, shape: Shape) -> Array | None:
-    """The numbers of rows that all have as many fields; None where one has not, or a field is no number."""
-    numeric = [k for k, has in enumerate(shape.words) if not has]
-    if shape.comma:
-        rows = [row.translate(_COMMA_IS_POINT) for row in rows]
-    try:
-        found = np.loadtxt(
-            rows,
-            delimiter=split.decode() if split else None,
-            usecols=numeric if any(shape.words) else None,
-            comments=None,
-            ndmin=2,
-            encoding="latin1",
-        )
-    except ValueError:
-        return None
-    return found if found.shape[1] == len(numeric) else None
-
-
-def _filled(row: bytes, split: bytes) -> bytes:
-    """The row with a word where a field is empty."""
-    return split.join([field if field.strip() else b"nan" for field in row.split(split)])
-
-
-def _cell_by_cell(rows: Sequence[bytes], begin: int, shape: Shape) -> tuple[Array, dict[int, Words]]:
+def _cell_by_cell(raw: bytes, begin: int, shape: Shape) -> tuple[Array, dict[int, Words]]:
     """The rows, the first at the line `begin`, some of which are unlike the others. Raises BadInput."""
     numeric = [k for k, has in enumerate(shape.words) if not has]
     numbers: list[list[float]] = []
     texts: dict[int, list[bytes]] = {k: [] for k, has in enumerate(shape.words) if has}
-    for line, row in _whole_rows(rows, begin, shape):
+    for line, row in _whole_rows(io.BytesIO(raw).readlines(), begin, shape):
         numbers.append([_number(row[k], line, k, shape) for k in numeric])
         for k, column in texts.items():
             column.append(row[k].strip(' "').encode(shape.codec, "replace"))
     values = np.array(numbers, dtype=np.float64).reshape(len(numbers), len(numeric))
-    return values, {k: np.array(column, dtype=np.bytes_) for k, column in texts.items()}
+    return values.T, {k: np.array(column, dtype=np.bytes_) for k, column in texts.items()}
 
 
 def _whole_rows(rows: Sequence[bytes], begin: int, shape: Shape) -> Iterator[tuple[int, list[str]]]:

@@ -91,7 +91,7 @@ def test_where_no_folder_can_be_written_it_compiles_and_says_so_once(ask: Ask, t
         text=True,
     )
     assert (done.returncode, sorted(done.stdout.split())) == (0, ["2.0", "2.0"]), done.stderr
-    assert done.stderr.count("the compiled solver cannot be kept") == 1
+    assert done.stderr.count("compiled code cannot be kept") == 1
     assert "set NUMBA_CACHE_DIR to a folder that you can write" in done.stderr
 
 

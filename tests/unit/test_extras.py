@@ -71,6 +71,13 @@ def test_every_printed_command_is_of_a_clone_and_names_an_extra_there_is() -> No
         assert of["extra"] is None or of["extra"] in EXTRAS, command
 
 
+def test_every_package_that_is_named_is_pinned() -> None:
+    pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(encoding="utf-8")))
+    named = [*PROJECT["dependencies"], *(p for e in EXTRAS for p in PROJECT["optional-dependencies"][e])]
+    names = {re.split(r"[\[>=;]", name)[0].strip().lower() for name in named} - {extras.NAME}
+    assert names <= pinned, names - pinned
+
+
 def test_nobody_is_sent_to_an_index_for_this_project() -> None:
     for path in [*PAGES, *SOURCES]:
         assert not re.search(r"install[^\n]*['\" ]needle-rig\[", path.read_text(encoding="utf-8")), path

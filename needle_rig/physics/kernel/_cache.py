@@ -84,9 +84,9 @@ def _can_be_kept(function: Any) -> bool:
         if TOLD not in os.environ:
             os.environ[TOLD] = "1"  # the processes that this one starts are of the same use
             sys.stderr.write(
-                "the compiled solver cannot be kept: no folder can be written for it, neither"
-                " NUMBA_CACHE_DIR nor the package's nor the user's. Each process compiles it anew, a quarter"
-                " of a minute; set NUMBA_CACHE_DIR to a folder that you can write.\n"
+                "compiled code cannot be kept: no folder can be written for it, neither"
+                " NUMBA_CACHE_DIR nor the package's nor the user's. Each process compiles it anew, up to a"
+                " quarter of a minute; set NUMBA_CACHE_DIR to a folder that you can write.\n"
             )
         return False
     return True

@@ -109,7 +109,11 @@ class TraceComparison:
         for name in self.refit.channels:
             told = [of.channels[name] for of in columns]
             cells = [
-                (f"{of['rmse']} {of['unit']}", f"{of['noise']} {of['unit']}", ratio(of["in_noise_units"]))
+                (
+                    f"{of['rmse']:.4g} {of['unit']}",
+                    f"{of['noise']:.4g} {of['unit']}",
+                    ratio(of["in_noise_units"]),
+                )
                 for of in told
             ]
             rows.append((name, *(cell for each in cells for cell in each)))
@@ -167,9 +171,9 @@ class TraceComparison:
         """What the refit found, by name."""
         free = self.values.fitted()
         free["friction_scatter"] = {
-            "value": float(f"{self.baseline.current.scatter:.3g}"),
+            "value": self.baseline.current.scatter,
             "unit": "1",
-            "uncertainty": float(f"{self._scatter_uncertainty:.3g}"),
+            "uncertainty": self._scatter_uncertainty,
         }
         return free
 

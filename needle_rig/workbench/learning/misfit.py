@@ -77,8 +77,8 @@ def modelled(problem: Problem, fit: Fit, trial: int) -> Array:
 
 
 def finite(value: float) -> float | None:
-    """Six digits; None for what JSON has no number for."""
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+    """None for what JSON has no number for."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _channels(
@@ -105,17 +105,17 @@ def _channels(
             if p.channel == name:
                 key = p.motion if not p.direction else f"{p.motion} {p.direction}"
                 phases.setdefault(key, {})[p.state] = {
-                    "error": round(p.error, 5),
-                    "noise": round(p.noise, 5),
-                    "sigmas": round(p.sigmas, 2),
+                    "error": p.error,
+                    "noise": p.noise,
+                    "sigmas": p.sigmas,
                 }
         whitened = np.concatenate(
             [r[w.channel == c] for r, w in zip(found.residuals, problem.whiteners, strict=True)]
         )
         told[name] = {
-            "rmse": float(f"{rmse:.4g}"),
-            "noise": float(f"{noise:.4g}"),
-            "in_noise_units": float(f"{rmse / noise:.4g}") if noise > 0.0 else None,
+            "rmse": float(rmse),
+            "noise": float(noise),
+            "in_noise_units": float(rmse / noise) if noise > 0.0 else None,
             "unit": unit,
             "whitened": finite(float(np.sqrt(np.mean(whitened**2)))) if whitened.size else None,
             "by_phase": phases,

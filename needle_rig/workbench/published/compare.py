@@ -55,11 +55,11 @@ class Compared:
             "channel": of.quantity,
             "motion": of.motion,
             "state": "settled",
-            "model": round(self.model, 5),
+            "model": self.model,
             "measured": self.measured.value,
-            "error": round(abs(self.measured.value - self.model), 5),
+            "error": abs(self.measured.value - self.model),
             "noise": self.measured.standard_error,
-            "sigmas": None if self.sigmas is None else round(self.sigmas, 2),
+            "sigmas": self.sigmas,
             "unit": of.unit,
             "words": self.words,
         }
@@ -100,15 +100,13 @@ class SettledMisfit:
             rmse = _rms([r.measured.value - r.model for r in weighed or every])
             noise = _rms([r.measured.standard_error or 0.0 for r in weighed]) if weighed else None
             found[name] = {
-                "rmse": round(rmse, 5),
-                "noise": None if noise is None else round(noise, 5),
-                "in_noise_units": None if noise is None else round(rmse / noise, 3),
+                "rmse": rmse,
+                "noise": noise,
+                "in_noise_units": None if noise is None else rmse / noise,
                 "unit": every[0].measured.of.unit,
-                "whitened": round(_rms([r.sigmas or 0.0 for r in weighed]), 3) if weighed else None,
+                "whitened": _rms([r.sigmas or 0.0 for r in weighed]) if weighed else None,
                 "by_phase": {
-                    m: round(
-                        _rms([r.measured.value - r.model for r in every if r.measured.of.motion == m]), 5
-                    )
+                    m: _rms([r.measured.value - r.model for r in every if r.measured.of.motion == m])
                     for m in dict.fromkeys(r.measured.of.motion for r in every)
                 },
             }
@@ -117,8 +115,8 @@ class SettledMisfit:
     def as_json(self) -> MisfitDocument:
         """As it stands in the JSON answer."""
         return {
-            "error": round(self.error, 4),
-            "reduced_chi2": round(self.reduced_chi2, 4),
+            "error": self.error,
+            "reduced_chi2": self.reduced_chi2,
             "channels": self.channels,
             "worst": [r.as_json() for r in self.worst],
         }
@@ -202,7 +200,7 @@ class SettledComparison:
             "parameters": [value.as_json() for value in self.values.each],
             "contradiction_p": self.values.p,
             "free_parameters": self.values.fitted(),
-            "held_out_error": round(self.held_out_error, 4) if np.isfinite(self.held_out_error) else None,
+            "held_out_error": self.held_out_error if np.isfinite(self.held_out_error) else None,
             "noise_floor": 1.0,
             "reduced_chi2": shown["reduced_chi2"],
             "channels": shown["channels"],

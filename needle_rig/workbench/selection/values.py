@@ -112,12 +112,12 @@ class ComparedValues:
         free: dict[str, FittedNumber] = {}
         for value in self.each:
             free[value.name] = {
-                "value": float(f"{value.refit:.6g}"),
+                "value": value.refit,
                 "unit": value.unit,
                 "uncertainty": _plain(value.refit_uncertainty),
             }
             if value.pull_sigma is not None:
-                free[value.name]["pull_sigma"] = round(value.pull_sigma, 2)
+                free[value.name]["pull_sigma"] = value.pull_sigma
         return free
 
 
@@ -185,4 +185,4 @@ def _told(parameters: Sequence[FreeParameter], of: Gaussian) -> tuple[Array, Arr
 def _plain(value: float | None) -> float | str | None:
     if value is None or math.isnan(value):
         return None
-    return float(f"{value:.6g}") if math.isfinite(value) else str(value)
+    return value if math.isfinite(value) else str(value)

@@ -42,7 +42,7 @@ def test_a_good_model_has_no_bad_place() -> None:
         assert known(values["noise"]) > 0, name
         assert 0.8 < known(values["whitened"]) < 1.2
         assert 0.7 < known(values["in_noise_units"]) < 1.2
-        assert values["rmse"] / known(values["noise"]) == pytest.approx(values["in_noise_units"], rel=2e-3)
+        assert values["rmse"] / known(values["noise"]) == pytest.approx(values["in_noise_units"], rel=1e-9)
 
 
 def test_the_command_prints_the_stated_json(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_error_and_noise_of_each_column_divide_to_its_ratio() -> None:
         assert column is not None
         for of in column.channels.values():
             assert of["noise"] is not None
-            assert of["rmse"] / of["noise"] == pytest.approx(of["in_noise_units"], rel=2e-3)
+            assert of["rmse"] / of["noise"] == pytest.approx(of["in_noise_units"], rel=1e-9)
 
 
 def test_a_shift_of_all_trials_friction_is_not_their_own() -> None:
@@ -173,7 +173,7 @@ def test_python_holds_a_set_by_its_name() -> None:
     assert np.isnan(rows["model_sigma"]).all()
     assert rows["model"].tolist() == pytest.approx([0.0996, 62.56], rel=0.01)
     assert found.table()["rmse"] / found.table()["noise"] == pytest.approx(
-        found.table()["in_noise_units"], rel=2e-3
+        found.table()["in_noise_units"], rel=1e-9
     )
 
 
