@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from needle_rig.errors import BadInput
+from needle_rig.figures.figure import Figure
 from needle_rig.physics.needle_model import FRICTION
 from needle_rig.workbench.estimation.file_units import in_file_units, shared_units, within_bounds
 from needle_rig.workbench.estimation.map_fit import fit
