@@ -1,4 +1,4 @@
-"""Pictures of a calibration: what is left after the fit."""
+"""Pictures of a calibration: the residual of the fit."""
 
 from __future__ import annotations
 

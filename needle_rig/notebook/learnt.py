@@ -85,7 +85,7 @@ class Strategies(Shown):
         return None if self.found.saved is None else Model(self.found.saved)
 
     def headline(self) -> str:
-        """The rig, and what is foretold of planned."""
+        """The rig, and what is predicted of planned."""
         told = self.found.foretold
         return self.title if told is None else f"{self.title}: {told.sentence}"
 
