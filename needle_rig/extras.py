@@ -45,7 +45,7 @@ def install_arguments(extra: str = "") -> str:
     """What pip is given to install needle-rig with an extra.
 
     From a clone that is the clone with its extra. A wheel may be of a name that nobody holds on an index, so
-    that its extra is told by the packages that are in it.
+    that its extra is named by the packages that are in it.
     """
     place, editable = _origin()
     if place is None or not place.is_dir():

@@ -94,7 +94,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the drive is told each tick. `enable` False stops.
+    """What the drive is sent each tick. `enable` False stops.
 
     `clear` leaves SILENT, and FAULT when all of its reasons are `TEMPORARY`; with `acknowledge`, which a
     person alone gives, also a FAULT that latches, unless a cause came after what the drive said `sight_s`

@@ -1,6 +1,6 @@
-"""What foretells commands left out beside `learn`: SINDy, symbolic regression, a discrepancy.
+"""What predicts commands left out beside `learn`: SINDy, symbolic regression, a discrepancy.
 
-Each peer is fitted to the trials of all commands but one, and foretells the readings of that one from its
+Each peer is fitted to the trials of all commands but one, and predicts the readings of that one from its
 command alone, in the bins that a diagnosis uses. Angles in rad, torques in N·m, times in s.
 """
 
@@ -28,7 +28,7 @@ TORQUE_UNIT_NM = 1e-4
 
 
 class Peer(Protocol):
-    """A way of foretelling; fitted once for every command that is left out, and once to all."""
+    """A way of predicting; fitted once for every command that is left out, and once to all."""
 
     @property
     def name(self) -> str:
@@ -38,11 +38,11 @@ class Peer(Protocol):
     def settings(self) -> str:
         """How it was asked, in words."""
 
-    def fitted(self, trials: Sequence[int]) -> Foretelling:
+    def fitted(self, trials: Sequence[int]) -> Predictor:
         """Fitted to trials (their places)."""
 
 
-class Foretelling(Protocol):
+class Predictor(Protocol):
     """A fitted peer."""
 
     def readings(self, trial: int) -> Array:
@@ -98,7 +98,7 @@ class Data:
         return self.baseline.problem.whiteners
 
     def error(self, left: Sequence[Array]) -> float:
-        """Root mean square of data minus foretold (C, K), a trial each, in units of the noise.
+        """Root mean square of data minus predicted (C, K), a trial each, in units of the noise.
 
         The trial's own friction is unknown: what it changes of the readings, as the null model has it, is
         taken out as far as its scatter allows, as in the project's cross-validation.
@@ -112,7 +112,7 @@ class Data:
 
 
 def left_out_error(data: Data, peer: Peer) -> float:
-    """Every command left out in turn and foretold."""
+    """Every command left out in turn and predicted."""
     left: list[Array] = [np.zeros(0)] * len(data.binned)
     for group in data.baseline.problem.groups:
         others = [t for t in range(len(data.binned)) if t not in group]
@@ -152,13 +152,13 @@ class Sindy:
         "states: torque and Hall angles at 50 Hz; inputs: base angle, rate, |rate|; derivatives by smoothed"
         " finite differences; terms: linear, products of two, or these with sines and cosines of once to"
         " three times each variable; STLSQ with a threshold of 0.003 … 0.3; terms and threshold are those"
-        " that, from each half of the commands given, foretell the other best; then fitted to all given;"
+        " that, from each half of the commands given, predict the other best; then fitted to all given;"
         " simulated from rest by Heun's method"
     )
 
     THRESHOLDS = (0.003, 0.01, 0.03, 0.1, 0.3)
 
-    def fitted(self, trials: Sequence[int]) -> Foretelling:
+    def fitted(self, trials: Sequence[int]) -> Predictor:
         groups = [[t for t in group if t in trials] for group in self.data.baseline.problem.groups]
         groups = [group for group in groups if group]
         halves = [[t for group in groups[k::2] for t in group] for k in (0, 1)]
@@ -303,7 +303,7 @@ class Symbolic:
     beside: bool = False
     """Whether a channel is also given all the others and their derivatives, which no command tells."""
 
-    def fitted(self, trials: Sequence[int]) -> Foretelling:
+    def fitted(self, trials: Sequence[int]) -> Predictor:
         models = []
         for channel in range(len(self.data.channels)):
             given = [self.inputs(t, channel) for t in trials]
@@ -382,7 +382,7 @@ class Discrepancy:
     THIN = 3
     """Of so many bins one serves for the likelihood of a process; its mean is that of all."""
 
-    def fitted(self, trials: Sequence[int]) -> Foretelling:
+    def fitted(self, trials: Sequence[int]) -> Predictor:
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 

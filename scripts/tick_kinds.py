@@ -1,6 +1,6 @@
 """Times one tick of the brain at 1 kHz for `scripts/bench tick`: `KIND TIMES` in, seconds and a digest out.
 
-The readings are recorded once, from a base that does what it is told; then a new brain judges them again and
+The readings are recorded once, from a base that does what is ordered; then a new brain judges them again and
 again, so that the time is the brain's alone. The digest is of everything that it told the drive.
 """
 

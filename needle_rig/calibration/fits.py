@@ -21,7 +21,7 @@ class HallFit:
     """One sensor: offsets in counts from mid-scale, amplitudes in counts, angles in rad.
 
     angle = raw − zero − Σ amplitude_k·sin(k·raw + phase_k), k = 1, 2, with raw of the corrected pair.
-    `residual_rad` (samples,) is what is left, at `angle_rad`.
+    `residual_rad` (samples,) is the residual, at `angle_rad`.
     """
 
     sine_offset: float
@@ -93,7 +93,7 @@ def fit_hall(base_rad: Array, raw_rad: Array, field: Array) -> HallFit:
 
 @dataclass(frozen=True)
 class LineFit:
-    """y = offset + slope · x, and what is left of each point."""
+    """y = offset + slope · x, and the residual of each point."""
 
     offset: float
     slope: float

@@ -119,7 +119,7 @@ def library(
     folders: Iterable[str | Path],
     made: Callable[[ModuleType, Path], Thing],
 ) -> Library[Thing]:
-    """The shipped things and one's own. What is broken, or takes a name, is told and leaves the others."""
+    """The shipped things and one's own. What is broken, or takes a name, is named and leaves the others."""
     found = Library(shipped)
     origin = dict.fromkeys(shipped, f"a built-in {SINGULAR[kind]}")
     for source in sources(kind, folders):

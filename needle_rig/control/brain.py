@@ -171,7 +171,7 @@ class Brain:
         return STOP
 
     def clear(self) -> None:
-        """Leave a fault, an abort or a finished run; the drive is told to clear its own faults too.
+        """Leave a fault, an abort or a finished run; the drive is ordered to clear its own faults too.
 
         Raises BadInput while a sequence runs. A cause that is still there brings its fault back.
         """
@@ -186,7 +186,7 @@ class Brain:
         self._clearing.acknowledge(faults, age_s)
 
     def step(self, measurement: Measurement, dt_s: float) -> tuple[Command, Sample]:
-        """One tick, `dt_s` after the last: what the drive is told, and the row for the record."""
+        """One tick, `dt_s` after the last: what the drive is sent, and the row for the record."""
         self._measurement = measurement
         judged = self._listening.judged(measurement, dt_s)
         heard, found = self._look(measurement, judged, dt_s)
@@ -392,7 +392,7 @@ class Brain:
         if self._supervision.reference.wanted_rad is not None:
             return Command(reference_rad=self._supervision.reference.wanted_rad)
         if self._released or self._standing:
-            # silence opens the supply; in mid-motion it is a fault to the drive, which is told to stop first
+            # silence opens the supply; in mid-motion it is a fault to the drive, so a stop goes first
             self._letting_go_s += dt_s
             moving = measurement.drive_state is DriveState.RUNNING and "drive" in heard
             in_time = self._letting_go_s < STOPS_WITHIN_S

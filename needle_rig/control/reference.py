@@ -1,4 +1,4 @@
-"""Whether the drive knows its zero, and how it is told: by a person, the Hall angles or an index mark.
+"""Whether the drive knows its zero, and what gives it: by a person, the Hall angles or an index mark.
 
 A drive node counts from where it stood when it was switched on. At the first look its zero is confirmed when
 encoder and Hall angles agree; a node that starts again later has lost it, and says so.

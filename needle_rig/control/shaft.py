@@ -127,7 +127,7 @@ class ShaftWatch:
         self.motion()
 
     def motion(self) -> None:
-        """The next motion starts: what a fault says is told from here on. No limit counts from here."""
+        """The next motion starts: what a fault says is measured from here on. No limit counts from here."""
         self._motion_start = None
 
     def step(self, now: Measurement, dt_s: float) -> Fault | None:

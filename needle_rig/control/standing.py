@@ -30,7 +30,7 @@ class StandingFaults:
 
     @property
     def first(self) -> Fault | None:
-        """The one that a person is told first: the oldest latched one, else the passing one."""
+        """The one that a person sees first: the oldest latched one, else the passing one."""
         return next(iter(self.all), None)
 
     @property

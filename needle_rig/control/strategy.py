@@ -82,7 +82,7 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Trust:
-    """What a model file says of its own model: uncertainties by parameter, and how well it foretold.
+    """What a model file says of its own model: uncertainties by parameter, and how well it predicted.
 
     `error_over_floor` is the largest error on runs that were held out of its fit, over the floor that
     noise sets; None where the file tells of none.

@@ -160,7 +160,7 @@ def layout_of(rig: RigPart, places: Places) -> Layout:
 
 
 def _check_needle(part: NeedlePart, places: Places) -> None:
-    """Raises BadInput where a rigidity is told twice, or only by half."""
+    """Raises BadInput where a rigidity is given twice, or only by half."""
     constants = [part.diameter_mm, part.shear_modulus_gpa]
     told = sum(x is not None for x in constants)
     if part.torsional_rigidity_nmm2 is None and told < 2:
@@ -199,7 +199,7 @@ def _segment(rig: RigPart, number: int, places: Places) -> tuple[float, float, f
         )
     if needle.torsional_rigidity_nmm2 == "unknown":
         raise places.error(
-            path, "its rigidity is told, the needle's is unknown: write a rough one, with uncertainty_percent"
+            path, "its rigidity is given, the needle's unknown: write a rough one, with uncertainty_percent"
         )
     relative = rigidity_nmm2 * 1e-6 / needle_of(needle).torsional_rigidity_nm2
     return part.from_mm / 1e3, part.to_mm / 1e3, relative

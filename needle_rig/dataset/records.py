@@ -39,7 +39,7 @@ class Needle:
 
     @classmethod
     def of_rigidity(cls, torsional_rigidity_nm2: float, rigidity_sigma: float = 0.02) -> Needle:
-        """A shaft that is told by its torsional rigidity alone, as a wire of 1 mm with that rigidity."""
+        """A shaft that is known by its torsional rigidity alone, as a wire of 1 mm with that rigidity."""
         return cls(1e-3, torsional_rigidity_nm2 * 32.0 / (math.pi * 1e-12), 6450.0, rigidity_sigma)
 
     @property

@@ -82,7 +82,7 @@ class Bench:
             self.host.bring(frame_id, data)
 
     def tick(self, command: Command = STOP, ticks: int = 1) -> None:
-        """A drive is told its command each tick."""
+        """A drive is sent its command each tick."""
         for _ in range(ticks):
             if isinstance(self.device, Drive):
                 self.device.command(command)

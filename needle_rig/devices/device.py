@@ -1,6 +1,6 @@
 """What a device of a rig is: bytes of its link in, values with their ages out. One file each.
 
-A device opens no port. It asks its `Host` for links when it is made and is told what they bring; so it runs
+A device opens no port. It asks its `Host` for links when it is made and is handed what they bring; so it runs
 behind real ports, behind a simulated device, and in the contract test alike.
 """
 

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: what is left after the fit."""
+"""Pictures of a calibration: the residual of the fit."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.numerics import Array
 
 _BINS = 72

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
 from needle_rig.figures.style import COLOURS, HELD, LETTERS_PT, REFIT, SAMPLES, above, column, spelt, titled
 from needle_rig.workbench.learning.compare import TraceComparison

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.figures.figure import Figure
 from needle_rig.units import deg, nmm
 
 MOST_NAMED = 10

@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.figures.laws import draw_curve
 from needle_rig.figures.plan import base_path
 from needle_rig.units import mm

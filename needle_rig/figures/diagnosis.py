@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.workbench.selection.answer import Answer
 
 SHOWN = 12

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.numerics import Array
 
 MOST_POINTS = 4000

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
+from needle_rig.figures.figure import Figure
 from needle_rig.model import ChannelErrors, SavedModel
 from needle_rig.workbench.learning.history import ladder
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.numerics import Array
 from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import formula_text

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.physics.rod import Layout
 from needle_rig.units import mm
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matplotlib.figure import Figure as Figure  # also for those who only name the type
+from needle_rig.figures.figure import Figure as Figure  # also for those who only name the type
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222;

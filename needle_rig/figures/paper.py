@@ -9,8 +9,8 @@ from typing import TypedDict
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.figures.page import Picture, paragraph, png, row, shown, table, write_page
 from needle_rig.figures.style import COLOURS
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT

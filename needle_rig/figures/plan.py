@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.units import deg, mm
 from needle_rig.workbench.contest.strategies_table import SPEED_DEG_S
 from needle_rig.workbench.virtual.settled_run import SettledRun

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from needle_rig.figures.figure import Figure
 from needle_rig.figures.page import png
 from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from needle_rig.errors import BadInput
+from needle_rig.figures.figure import Figure
 from needle_rig.figures.style import COLOURS, COLUMN_IN, LETTERS_PT, PAGE_IN, above, plain
 from needle_rig.physics.needle_model import FRICTION
 from needle_rig.workbench.estimation.file_units import in_file_units, shared_units, within_bounds

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.special import betaincinv, ndtri
 
 from needle_rig.errors import BadInput
 from needle_rig.figures.comparison import pulls, residual_map, traces, trial_title, worst_trials
+from needle_rig.figures.figure import Figure
 from needle_rig.figures.refit import correlation, profile
 from needle_rig.figures.style import (
     COLOURS,

@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, NeedleRigError
+from needle_rig.figures.figure import Figure
 from needle_rig.numerics import Array
 from needle_rig.recording import RunFile
 from needle_rig.recording.tables import Rows

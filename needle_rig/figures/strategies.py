@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from needle_rig.figures.figure import Figure
 from needle_rig.workbench.contest.strategies_table import Table
 
 

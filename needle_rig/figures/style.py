@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+
+from needle_rig.figures.figure import Figure
 
 COLUMN_IN = 85.0 / 25.4
 """One column of a journal with two."""

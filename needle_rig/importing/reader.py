@@ -1,4 +1,4 @@
-"""Files of any format to recordings: the format is told by the first bytes, not by the name."""
+"""Files of any format to recordings: the format is known by the first bytes, not by the name."""
 
 from __future__ import annotations
 

@@ -20,7 +20,6 @@ from needle_rig.notebook.questions import (
     plan,
     strategies,
 )
-from needle_rig.notebook.shown import show_figures
 from needle_rig.notebook.sources import (
     export,
     import_recording,
@@ -53,5 +52,3 @@ __all__ = [
     "simulate",
     "strategies",
 ]
-
-show_figures()

@@ -14,6 +14,7 @@ from needle_rig.notebook.model import Model
 from needle_rig.notebook.params import Param, Params, correl_of
 from needle_rig.notebook.tables import Table, or_nan, table_of
 from needle_rig.notebook.traced import Traced
+from needle_rig.notebook.wording import all_as_python
 from needle_rig.workbench.learning.compare import TraceComparison, compared
 from needle_rig.workbench.learning.fit_effects import correlations, fitted_model, intervals
 from needle_rig.workbench.learning.identify import Identification as _Identified
@@ -74,7 +75,7 @@ class Fit(Traced):
     @property
     def notes(self) -> tuple[str, ...]:
         """What else is to be known of the data and of the fit."""
-        return self.found.notes
+        return all_as_python(self.found.notes)
 
     @property
     def model(self) -> Model:
@@ -175,7 +176,7 @@ class Identification(Traced):
 
     def report(self) -> str:
         """Every constant in a sentence, and notes."""
-        return "\n".join(self.found.sentences())
+        return "\n".join(all_as_python(self.found.sentences()))
 
     def model(self, name: str = "identified") -> Model:
         """The model with these values; those not identified stay as they were known before."""

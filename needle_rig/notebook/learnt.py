@@ -11,6 +11,7 @@ from needle_rig.errors import BadInput
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, or_nan, table_of
+from needle_rig.notebook.wording import as_python
 from needle_rig.simulation.protocol import Protocol
 from needle_rig.workbench.contest.contest import Contest
 from needle_rig.workbench.laws.learnt import Learnt
@@ -43,7 +44,9 @@ class Laws(Shown):
 
     def headline(self) -> str:
         """The verdict in a sentence."""
-        return f"{self.found.origin.dataset}: {self.verdict.replace('_', ' ')}. {self.found.sentence}"
+        return as_python(
+            f"{self.found.origin.dataset}: {self.verdict.replace('_', ' ')}. {self.found.sentence}"
+        )
 
     def table(self) -> Table:
         """A row a parameter of each law's formula."""
@@ -82,7 +85,7 @@ class Strategies(Shown):
         return None if self.found.saved is None else Model(self.found.saved)
 
     def headline(self) -> str:
-        """The rig, and what is foretold of planned."""
+        """The rig, and what is predicted of planned."""
         told = self.found.foretold
         return self.title if told is None else f"{self.title}: {told.sentence}"
 
@@ -125,7 +128,7 @@ class Experiment(Shown):
 
     def headline(self) -> str:
         """The proposal, and what it gives."""
-        return " ".join(self.found.sentences())
+        return as_python(" ".join(self.found.sentences()))
 
     def table(self) -> Table:
         """A row a candidate."""

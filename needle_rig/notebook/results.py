@@ -11,6 +11,7 @@ from needle_rig.model import SavedModel
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, or_nan, table_of
 from needle_rig.notebook.traced import Traced
+from needle_rig.notebook.wording import all_as_python, as_python
 from needle_rig.workbench.learning.compare import TraceComparison, compared
 from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, save_diagnosis
 from needle_rig.workbench.learning.observations import Comparison as _Compared
@@ -99,7 +100,7 @@ class Comparison(Traced):
     @property
     def notes(self) -> tuple[str, ...]:
         """What else is to be known of the data and of the fit."""
-        return tuple(self.found.as_json()["notes"])
+        return all_as_python(self.found.as_json()["notes"])
 
     def _traces(self) -> TraceComparison:
         return self.found.traces()
@@ -127,7 +128,7 @@ class Diagnosis(Shown):
     @property
     def notes(self) -> tuple[str, ...]:
         """What else is to be known: of the data, of what was taken for noise, of what was not asked."""
-        return self.found.notes
+        return all_as_python(self.found.notes)
 
     def _repr_html_(self) -> str:
         from needle_rig.figures import page
@@ -137,7 +138,7 @@ class Diagnosis(Shown):
     def headline(self) -> str:
         """The verdict with the error left out, before and after."""
         found = self.found
-        return (
+        return as_python(
             f"{found.dataset} against the model {found.model}: {found.sentence()} {found.errors_sentence()}"
         )
 
@@ -147,7 +148,7 @@ class Diagnosis(Shown):
         if self.started is None or not isinstance(self.found, FromTraces):
             return ()
         held = compared(self.found.baseline, self.started)
-        return tuple(held.verdict_on_values(structure_holds=self.verdict == "none"))
+        return all_as_python(held.verdict_on_values(structure_holds=self.verdict == "none"))
 
     def table(self) -> Table:
         """The ranking: a row a candidate."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 from needle_rig.errors import BadInput
@@ -63,14 +62,3 @@ class Shown:
 
 def _cell(value: Any) -> str | float:
     return value if isinstance(value, str) else float(value)
-
-
-def show_figures() -> None:
-    """Let a notebook show a figure that is a cell's last value; pyplot alone would do so, and is not used."""
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    if shell is not None:
-        from needle_rig.figures.page import png
-
-        formatter = shell.display_formatter.formatters["image/png"]
-        formatter.for_type_by_name("matplotlib.figure", "Figure", png)

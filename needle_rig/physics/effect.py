@@ -53,7 +53,7 @@ class ParameterInfo:
     """A second parameter that only gives form (a relaxation time): it has no off value of its own."""
 
     relative: bool = False
-    """Factors against their mean, which a fit holds at off: what all items share is told by a parameter that
+    """Factors against their mean, which a fit holds at off: what all items share is held by a parameter that
     the effect is `redundant_with`."""
 
     prior: float | None = None

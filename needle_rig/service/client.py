@@ -126,7 +126,7 @@ class DaemonClient:
     def _ask(
         self, method: str, path: str, content: Message | None = None, *, again_s: float = 0.0
     ) -> JsonObject:
-        """The daemon's answer; for `again_s` it is asked again when the connection breaks."""
+        """The daemon's answer; for `again_s` the question is repeated when the connection breaks."""
         import httpx
 
         deadline_s = time.monotonic() + again_s

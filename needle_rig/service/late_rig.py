@@ -23,7 +23,7 @@ AGAIN_S = 1.0
 class LateRig:
     """Opens `rig` again and again until it answers; until then every link reads as dead.
 
-    What stands in the way is told as the complaint of its links, and once in the log.
+    What stands in the way is reported as the complaint of its links, and once in the log.
     """
 
     def __init__(

@@ -57,7 +57,7 @@ class Logbook:
             self._folder.mkdir(parents=True, exist_ok=True)
             made.write_text(json.dumps(document), encoding="utf-8")
             made.replace(self._folder / _NAME)
-        # what systemd wrote of the one before is told now
+        # what systemd wrote of the one before is reported now
         with suppress(OSError):
             (self._folder / _ENDING).unlink()
 

@@ -1,4 +1,4 @@
-"""Keeps a log readable: what comes and goes many times is told at once, and then once a minute."""
+"""Keeps a log readable: what comes and goes many times is logged at once, and then once a minute."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ class Run:
 class AwaitProcesses:
     """The end of what still runs as `account`: a recorder outlives its daemon until the run is closed.
 
-    What goes on after `patience_s`, such as a watch over the runs, is told to end.
+    What goes on after `patience_s`, such as a watch over the runs, is ordered to end.
     """
 
     account: str

@@ -50,7 +50,7 @@ class Listener:
 
 
 class Stream:
-    """Hands texts to every listener; `on_count` is told how many there are when that changes."""
+    """Hands texts to every listener; `on_count` is called with how many there are when that changes."""
 
     def __init__(self, on_count: Callable[[int], None] = lambda _: None) -> None:
         self._listeners: set[Listener] = set()

@@ -171,7 +171,7 @@ def spawn(config: RigConfig) -> Bench:
     # folder in this process's place.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
     bench = Bench(process, {}, folder)
-    with contextlib.suppress(BrokenPipeError):  # it is gone, which is told when it is waited for
+    with contextlib.suppress(BrokenPipeError):  # it is gone, which is reported when it is waited for
         bench.tell(config.model_dump_json())
     return bench
 

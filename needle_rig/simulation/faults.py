@@ -84,7 +84,7 @@ class Faults:
     motor_gain: float = 1.0
     """Of the power stage: -1 is wired backwards, 0 is dead."""
     shorted_rad_s: float | None = None
-    """The power stage is shorted: the motor turns at this while it has its supply, whatever it is told."""
+    """The power stage is shorted: the motor turns at this while it has its supply, whatever it is ordered."""
     supply_welded: bool = False
     """The contacts of the supply's relay stick: the motor keeps its supply when a node opens them."""
     coupling_slip: float = 0.0

@@ -1,6 +1,6 @@
 """Every threshold that can change what a diagnosis says: value, reason, source, and the test that guards it.
 
-Tolerances of iterations, steps of derivatives, numbers of random draws and what only decides how much is told
+Tolerances of iterations, steps of derivatives, numbers of random draws and what only decides what is reported
 are not here: they stand where they are used, and change an answer by less than its stated uncertainty.
 """
 
@@ -95,7 +95,7 @@ class NoisePolicy:
     )
     replicate_favour: float = _threshold(
         2.7,
-        "twice the gain of log-likelihood by which replicates bear out noise that the residuals of all trials"
+        "twice the gain of log-likelihood by which replicates support noise that the residuals of all trials"
         " show",
         "p = 0.05, one-sided, of a size that is given",
         _REPLICATES,
@@ -425,7 +425,7 @@ class VerdictPolicy:
     )
     reached_without_pattern: float = _threshold(
         1.3,
-        "the same where no effect is named and what is left shows no pattern: nothing is said to be none,"
+        "the same where no effect is named and the residual shows no pattern: nothing is said to be none,"
         " absent or negligible above it; and of named effects that leave none the error on the trials that"
         " were fitted; noise that wanders over seconds is known badly",
         "`scripts/null_rates`: nothing hidden left 1.26 at most in ten kinds of noise;"

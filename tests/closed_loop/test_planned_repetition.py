@@ -88,7 +88,7 @@ def test_a_needle_of_another_code_that_snaps_by_degrees_is_turned_by_its_hall_an
     assert _worst_deg(planned) < 0.5 * _worst_deg(plain)
 
 
-def test_what_is_straight_is_not_repeated_and_neither_is_what_is_foretold() -> None:
+def test_what_is_straight_is_not_repeated_and_neither_is_what_is_predicted() -> None:
     run = _run(load_parameters("rig_elastic"), Planned(use_hall=True, repeat_above_deg=0.8), 1)
     assert _repetitions(run.history) == 0
     # a wrong model is left to reed2008, whose sequence leaves 12° here, unless the Hall angles may be used

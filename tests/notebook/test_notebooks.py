@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+import needle_rig as nr
 from tests.notebook.notebooks import ROOT, executed, pictures
 
 CIRCLE = ROOT / "docs/tutorial/circle.ipynb"
@@ -56,3 +57,16 @@ def test_the_tutorial_s_fit_is_short_and_each_of_its_lines_runs(
     assert fit.redchi == pytest.approx(1.0, abs=0.1)
     assert names["held"].redchi > 3.0
     assert set(names["residuals"]["unit"]) == {"N·mm", "°"}
+
+
+@pytest.mark.slow
+def test_a_figure_shows_itself_in_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = 'nr.simulate({"tissue_elasticity": 0.35}, rate_hz=20.0)[0]'
+    asked = [f"import needle_rig as nr\nfigure = {trial}.plot()", "figure.show(); 1", "figure"]
+    assert [pictures(shown) for shown in executed(asked, tmp_path, monkeypatch)] == [0, 1, 1]
+
+
+def test_a_figure_says_what_to_do_where_it_cannot_be_shown() -> None:
+    figure = nr.simulate({"tissue_elasticity": 0.35}, rate_hz=20.0)[0].plot()
+    with pytest.raises(nr.BadInput, match=r'write it to a file: figure\.savefig\("figure\.png"\)'):
+        figure.show()

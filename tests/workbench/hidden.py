@@ -53,7 +53,7 @@ def fit(problem: Problem, effects: Sequence[str], start: ParameterVector, **sett
 
 @dataclass(frozen=True)
 class Tried:
-    """An effect on top of a model: the fit with it, and what it foretells of commands left out."""
+    """An effect on top of a model: the fit with it, and what it predicts of commands left out."""
 
     fit: Fit
     validation: CrossValidation

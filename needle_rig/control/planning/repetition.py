@@ -2,7 +2,7 @@
 
 Iterative learning control with a quadratic cost (Amann, Owens and Rogers, IEE Proc. D 143, 1996): the base
 angles u_k left the errors e_k at the Hall sensors; u_{k+1} = u_k + g Δ, where Δ minimises
-|e_k + J Δ|² + ρ |Δ|² and J, the slopes of the errors, is the model's. What the model does not foretell of a
+|e_k + J Δ|² + ρ |Δ|² and J, the slopes of the errors, is the model's. What the model does not predict of a
 needle that snaps, but what comes back when the sequence does, is taken out that way.
 """
 

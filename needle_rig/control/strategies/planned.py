@@ -95,7 +95,7 @@ class Planned(Strategy):
             raise BadInput("planned: largest_error and doubt_sigma must be above 0, motions 1 to 20")
 
     def check(self, task: Task) -> None:
-        """Refuse without a model, with one of another rig, or with one that foretells badly."""
+        """Refuse without a model, with one of another rig, or with one that predicts badly."""
         model = task.model
         if model is None:
             raise BadInput(

@@ -5,7 +5,7 @@ negative delays come early. A late encoder is both streams early by the same tim
 
 Source: buffers and filters of the links; time stamps of separate clocks.
 
-Shows best: fast motions: what is left is proportional to the rate, with the sign of the
+Shows best: fast motions: the residual is proportional to the rate, with the sign of the
 direction.
 """
 

@@ -76,7 +76,7 @@ def contest(
     """Run the strategies on `plant`; planned works with `saved`, or a model identified from runs on it.
 
     With `diagnose` that model's effects are found, otherwise they are those of the plant. `tell` hears what
-    is foretold before the plant is touched. Raises BadInput, SolverError.
+    is predicted before the plant is touched. Raises BadInput, SolverError.
     """
     check_asked(asked.strategies, asked.targets_deg)
     if saved is None and "planned" in asked.strategies:

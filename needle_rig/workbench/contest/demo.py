@@ -157,7 +157,7 @@ def tell_story(
     work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Story:
-    """Measure, diagnose, adopt, plan and measure again on `plant`, whose effects nobody is told.
+    """Measure, diagnose, adopt, plan and measure again on `plant`, whose effects nobody knows.
 
     Raises BadInput, SolverError.
     """
@@ -237,7 +237,7 @@ def in_words(story: Story) -> list[str]:
         f"1. reed2008 on {plain['runs']} fresh needles to {story.target_deg:g}°: the worst place of the shaft"
         f" is {plain['worst_deg']['median']:.1f}° off (95 %: {plain['worst_deg']['q95']:.1f}°), after"
         f" {plain['rotations']:g} rotations and {plain['time_s']:.0f} s.",
-        f"2. The model behind it, rigid tissue, foretells runs left out of its fit with an error of"
+        f"2. The model behind it, rigid tissue, predicts runs left out of its fit with an error of"
         f" {held['before']:.1f} × the noise. Something is missing.",
         f"3. {_named(story.lesson)}; adopting brings that error to {held['after']:.1f} × the noise"
         f" (a perfect model: {held['noise_floor']:.1f}).",

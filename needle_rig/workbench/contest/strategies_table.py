@@ -29,7 +29,7 @@ STARTS = ("relaxed", "wound")
 NEEDS_OTHERS = ("protocol",)
 """Strategies that only carry out what they are told."""
 MUCH_BETTER = 3.0
-"""Ratio of worst errors below which the reason is told why planning gains no more."""
+"""Ratio of worst errors below which the reason is given why planning gains no more."""
 FARTHEST_TARGET_DEG = 360.0
 STRAIGHT_DEG = 3.0
 """Worst error of reed2008 below which there is little to gain: two or three times the Hall sensors' noise."""
@@ -48,7 +48,7 @@ class Bout:
     settle_s: float = SETTLE_S
 
     def task(self, target_deg: float, lag_left_rad: float | None = None) -> Task:
-        """What a strategy is told."""
+        """What a strategy knows."""
         saved = self.saved
         return Task(
             target_rad=rad(target_deg),

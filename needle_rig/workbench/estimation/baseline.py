@@ -116,7 +116,7 @@ def fit_baseline(
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each. `beginning` is told where the first fit begins. The parameters
+    alone, whole trials have one friction each. `beginning` gets where the first fit begins. The parameters
     `fixed`, by name, stay as they are in the model.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
@@ -296,7 +296,7 @@ def _notes(problem: Problem) -> list[str]:
         )
     if len(problem.groups) <= 1:
         notes.append(
-            "All trials are of one command, so that none can be left out to check what a model foretells:"
+            "All trials are of one command, so that none can be left out to check what a model predicts:"
             " add trials with another target, speed or dwell."
         )
     names = ["torque", *(f"hall {i + 1}" for i in range(problem.trials[0].mean.shape[0] - 1))]

@@ -61,7 +61,7 @@ class Information:
         return Gaussian(self.at + step, np.asarray(covariance, dtype=np.float64))
 
     def conflict(self, prior: Gaussian) -> float:
-        """p value of what the data say, foretold by the prior (Box 1980): small where the two contradict.
+        """p value of what the data say, predicted by the prior (Box 1980): small where the two contradict.
 
         Directions that the data do not see are left out.
         """

@@ -25,7 +25,7 @@ CACHE_ENTRIES = 1500
 class Simulator:
     """Solves models side by side, each pair of what moves the needle and of a trial once.
 
-    A trial is told by its identity, with the path that drives it; it is kept with its solutions. Sent to
+    A trial is known by its identity, with the path that drives it; it is kept with its solutions. Sent to
     another process, a simulator has nothing kept.
     """
 

@@ -61,7 +61,7 @@ def learn_laws(
         learnt = learning.answer()
     if learnt.verdict != "cannot_tell":
         return learnt
-    say("no law is told: holding several effects of the library at once against it")
+    say("no law was found: holding several effects of the library at once against it")
     whole = diagnose(dataset, library, model, seed=seed, work=workers(), say=say)
     return learning.answered_by(whole) or learnt
 
@@ -72,7 +72,7 @@ def goes_on(steps: int, reached: bool) -> bool:
 
 
 def reaches(error: float, commands: int) -> bool:
-    """Whether commands left out are foretold to within the noise; one command alone leaves none out.
+    """Whether commands left out are predicted to within the noise; one command alone leaves none out.
 
     The error is infinite where a model cannot be solved with a command left out: that is none.
     """
@@ -149,7 +149,7 @@ class _Learning:
     def _next(self, current: Parent) -> Parent | None:
         """The fit with one more law, which must do better than any library effect in its place."""
         search = self.search
-        search.say("looking for what is left")
+        search.say("looking at the residual")
         promised = search.promises(current)
         search.say("fitting the leading laws")
         chosen = self._chosen([search.on_top_of(current, promised)])

@@ -1,4 +1,4 @@
-"""What was learnt, as it is told."""
+"""What was learnt, as it is reported."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ tell."""
 
 @dataclass(frozen=True)
 class LearntLaw:
-    """A law that was found, as it is told."""
+    """A law that was found, as it is reported."""
 
     law: Law
     tied_with: tuple[Law, ...]

@@ -289,15 +289,15 @@ def kept(problem: Problem, parent: Parent, rival: Parent, found: FoundLaw, tried
             and not improves_cross_validation(other.fit, other.validation, best.fit, best.validation)
         ):
             return False
-    if solved and np.isfinite(parent.validation.error) and not foretells(problem.size, parent, best):
+    if solved and np.isfinite(parent.validation.error) and not predicts(problem.size, parent, best):
         return False
     return not within_discretisation_error(problem, parent.fit, best.fit) and matters(
         problem, parent.fit, found
     )
 
 
-def foretells(values: int, parent: Parent, best: LawFit) -> bool:
-    """Whether χ² of so many values, foretold from the other commands, falls by what tells explanations apart.
+def predicts(values: int, parent: Parent, best: LawFit) -> bool:
+    """Whether χ² of so many values, predicted from the other commands, falls by what tells laws apart.
 
     What one command alone shows does not: there the predictive density rises by no more than the law's own
     uncertainty, which covers whatever that command has.

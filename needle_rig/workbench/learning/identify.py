@@ -191,7 +191,7 @@ def identify(
 def update(dataset: Dataset, library: Mapping[str, type[Effect]], saved: SavedModel) -> Identification:
     """The same with a model file's values and uncertainties as prior.
 
-    Raises Contradiction where the recording is not what they foretell, BadInput, SolverError.
+    Raises Contradiction where the recording is not what they predict, BadInput, SolverError.
     """
     return _identified(dataset, library, saved.model, saved)
 

@@ -17,9 +17,9 @@ from needle_rig.workbench.selection.documents import PlaceError
 WORST, WORST_OF_A_CHANNEL = 8, 2
 """Places that are told, and those of one channel."""
 NOISE_LIMIT = 3.0
-"""Error in units of the noise above which a place is told."""
+"""Error in units of the noise above which a place is reported."""
 FEWEST_DEPTHS = 3
-"""Sensors from which a trend along the needle is told."""
+"""Sensors from which a trend along the needle is reported."""
 GROWTH = 1.3
 """Ratio of errors at the two ends of the needle from which they differ."""
 OTHER_WAY = 0.3

@@ -17,7 +17,7 @@ FEWEST_SAMPLES = 10
 """Of a block, as of a trial."""
 NOTE = (
     f"One command alone was recorded: its time is cut into {BLOCKS} blocks, each left out in turn. This tells"
-    " whether a model foretells the rest of the recording, not another target, speed or dwell:"
+    " whether a model predicts the rest of the recording, not another target, speed or dwell:"
     " add trials with another one."
 )
 

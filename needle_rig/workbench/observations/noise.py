@@ -33,7 +33,7 @@ WINDOW, SHORTEST_WINDOW = 160, 16
 """Values of a settled stretch whose autocovariance is taken,"""
 WINDOW_SPACING_S = 0.02
 """which are means over this long where samples come faster: of noise that is correlated over less only the
-mean of a bin is told, and windows of single samples would be too short for what wanders."""
+mean of a bin is known, and windows of single samples would be too short for what wanders."""
 MOST_LAGS = 25
 """Lags of the autocovariance."""
 VALID_SHARE = 0.9

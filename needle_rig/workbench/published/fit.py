@@ -256,8 +256,8 @@ def held_out_error(problem: SettledProblem, found: SettledFit) -> float:
         )
         if again is None:
             return float("nan")
-        foretold = problem.predict(problem.model(again.parameters, again.x))
-        squares += list(((foretold - problem.measured) / problem.errors)[out] ** 2)
+        predicted = problem.predict(problem.model(again.parameters, again.x))
+        squares += list(((predicted - problem.measured) / problem.errors)[out] ** 2)
     return float(np.sqrt(np.mean(squares)))
 
 
@@ -267,9 +267,9 @@ def separation(problem: SettledProblem, truth: SettledFit, rival: SettledFit) ->
     values = tuple(
         dataclasses.replace(v, value=float(p)) for v, p in zip(problem.values, truth.predicted, strict=True)
     )
-    foretold = dataclasses.replace(problem, values=values)
-    best = fit_settled(foretold, truth.effects, [truth.x])
-    other = fit_settled(foretold, rival.effects, [rival.x])
+    predicted = dataclasses.replace(problem, values=values)
+    best = fit_settled(predicted, truth.effects, [truth.x])
+    other = fit_settled(predicted, rival.effects, [rival.x])
     if best is None or other is None:
         return float("inf")
     return float(np.sqrt(max(other.objective - best.objective, 0.0)))

@@ -156,7 +156,7 @@ class Answer:
             return "nothing is missing beyond the noise and the scatter of the trials."
         if self.verdict == "unknown":
             if any(r.rule == "stick_slip" for r in self.reasons):
-                return "the needle sticks and slips, and no effect of the library foretells it."
+                return "the needle sticks and slips, and no effect of the library predicts it."
             return "something is missing that no effect of the library explains."
         named = f"{' and '.join(self.effects)} missing"
         return named + (f"; cannot be told apart from {', '.join(self.ties)}." if self.ties else ".")
@@ -167,7 +167,7 @@ class Answer:
         return f"Error on {self.left_out} left out: {before} → {after} (noise is {self.noise_floor:.2f})"
 
     def left_in_words(self) -> list[str]:
-        """What is left: patterns, and what replicates share beyond how they differ."""
+        """The residual: its patterns, and what replicates share beyond how they differ."""
         lack = self.lack_after
         shared = [lack.sentence()] if lack is not None and lack.significant else []
         return [p.sentence() for p in self.residual_patterns.patterns] + shared

@@ -208,7 +208,7 @@ def diagnose(
                 say(f"trying every effect again, {said}, {left}")
                 start = known and fit(other.problem, known.effects, known.vector)
                 anew = concluded(other, searched(other, start))
-                # beside noise of what is left more effects than these can stand for anything
+                # beside noise in the residual more effects than these can stand for anything
                 if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
                     found = dataclasses.replace(anew, notes=(told, *anew.notes))
                     break

@@ -26,9 +26,9 @@ MORE_TIMES = (0.3, 1.5)
 """What follows the first step of a search, over that step times the ratio of solutions' times: 0.7 where
 `stribeck` is found, whose solution takes twenty times as long as that of the model without."""
 SLOWER = 2.0
-"""Ratio of solutions' times from which it is told: below it the first telling stands."""
+"""Ratio of solutions' times from which it is reported: below it the first telling stands."""
 SHORT_S = 120.0
-"""Up to which a time is told in seconds."""
+"""Up to which a time is given in seconds."""
 LONG_S = 60.0
 """From which a quick diagnosis is offered."""
 

@@ -32,12 +32,12 @@ def contrived(search: SearchTrace, named: list[str]) -> list[str]:
 
 
 def of_no_use(named: list[str], before: float, after: float) -> list[str]:
-    """What to say of effects that pass, but foretell commands left out no better where the noise is reached
+    """What to say of effects that pass, but predict commands left out no better where the noise is reached
     without."""
     if before > POLICY.verdict.reached or after < before:
         return []
     return [
-        f"{' and '.join(named)} gains more than chance where it was fitted and foretells commands left out no"
+        f"{' and '.join(named)} gains more than chance where it was fitted and predicts commands left out no"
         f" better ({before:.3f} → {after:.3f} × the noise, which is reached without): not named."
     ]
 

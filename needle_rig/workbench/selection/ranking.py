@@ -16,7 +16,7 @@ from needle_rig.workbench.selection.rivals import Rival
 from needle_rig.workbench.selection.search import SearchTrace
 
 TOLD_PULL_SIGMAS = 3.0
-"""Pull of the stated rigidity from which it is told against an effect."""
+"""Pull of the stated rigidity from which it is reported against an effect."""
 TOLD_RIVALS = 2
 """Ties that are told against an effect, the closest first."""
 
@@ -159,7 +159,7 @@ def _favour(search: SearchTrace, found: Fit, alone: float | None) -> str:
         f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""
     )
     names = "it" if len(found.effects) - len(search.start) == 1 else "the model with it"
-    told = " and foretells commands left out" if np.isfinite(search.root_validation.error) else ""
+    told = " and predicts commands left out" if np.isfinite(search.root_validation.error) else ""
     return f"{names} removes {removed:.0f} % of the error above the noise{told}{sigmas}"
 
 

@@ -47,7 +47,7 @@ class Pattern:
         """In words."""
         return (
             f"{self.channel} {self.law} (about {self.size:.2g} {self.unit}, {abs(self.sigmas):.0f}σ,"
-            f" {100 * self.share:.0f} % of what is left)"
+            f" {100 * self.share:.0f} % of the residual)"
         )
 
 

@@ -67,7 +67,7 @@ class Screening:
     whole: bool = True
     """Whether every form was tried."""
     nonlinearity: float = 0.0
-    """Share of the response at the largest strength that the smallest, continued straight, does not foretell;
+    """Share of the response at the largest strength that the smallest, continued straight, does not predict;
     the largest of its items, at typical forms."""
 
     def may_reach(self, worth: float) -> bool:

@@ -2,9 +2,9 @@
 
 Starts that are found without an effect can hide it: friction at the tip is taken for shafts that are wound
 less. Starts that are found with an effect favour it. They are found with each of the effects that screening
-promises most of, and where commands left out are then not foretold to within the noise, with each that can
+promises most of, and where commands left out are then not predicted to within the noise, with each that can
 hold a shaft, at its typical size, as it need not show in other starts; the effect with which they are
-foretold best is kept. Its relatives are tried from their own starts, too: from its starts they look worse
+predicted best is kept. Its relatives are tried from their own starts, too: from its starts they look worse
 than they are.
 """
 
@@ -66,7 +66,7 @@ class FoundStarts:
     """With the starts of the current model: errors are in its noise."""
     baseline: Baseline
     fit: Fit | None
-    """Of that effect; None where no effect foretells more than the current model's own starts."""
+    """Of that effect; None where no effect predicts more than the current model's own starts."""
     holders: Mapping[str, Holder]
     """Every effect that was tried, with the starts that it holds."""
     least: float
@@ -88,9 +88,9 @@ class FoundStarts:
         }
 
     def simpler(self, dataset: Dataset, trace: SearchTrace) -> Holder | None:
-        """The one of the effects named that foretells as well as they do together, each from its own starts.
+        """The one of the effects named that predicts as well as they do together, each from its own starts.
 
-        None where they foretell more by as much as tells two explanations apart, and where it is named alone,
+        None where they predict more by as much as tells two explanations apart, and where it is named alone,
         from its own starts. A second effect can take up what the starts of another leave.
         """
         named = trace.named(trace.best)
@@ -124,7 +124,7 @@ def from_found_starts(
 ) -> FoundStarts:
     """The baseline with starts as one more effect holds them, and the fit of that effect on it.
 
-    `baseline` has the starts of the current model. Where no effect foretells more than that, it stays.
+    `baseline` has the starts of the current model. Where no effect predicts more than that, it stays.
     `quick`: with those alone that screening promises most of.
     Raises SolverError.
     """
@@ -225,7 +225,7 @@ def _typical(problem: Problem, current: Fit, name: str) -> list[Task]:
 
 
 def _error(held_out: float, found: Fit, here: Problem, first: Problem) -> float:
-    """Root mean square of what is left, in the noise of `first`.
+    """Root mean square of the residual, in the noise of `first`.
 
     In that of `here`, which what other starts would change is part of, times the ratio of the two noises'
     geometric means: its logarithm is, up to a constant, −log of the predictive density a value. The error in

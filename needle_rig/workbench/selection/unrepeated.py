@@ -1,7 +1,7 @@
-"""What is left where too little was repeated, held against noise that wanders, and against hum.
+"""The residual where too little was repeated, held against noise that wanders, and against hum.
 
 Settled stretches are short: noise that is correlated over seconds, or hum, is an offset there. Replicates
-tell it from what a model lacks; without them what is left, if noise may wander by as much, can be either: it
+tell it from what a model lacks; without them the residual, if noise may wander by as much, can be either: it
 is taken for noise, so that none of it is called an effect, and that is said. Hum has one frequency, and a
 phase of its own in each trial and channel: what no effect explains, and such a line takes down to the noise,
 is hum.
@@ -52,7 +52,7 @@ def may_wander(share: float) -> bool:
 def under_hum(baseline: Baseline, problem: Problem, found: Fit) -> tuple[Baseline, str] | None:
     """The baseline under noise with the hum that all trials show beyond `found`, and a note.
 
-    None where they show none, or it leaves more than noise of what `found` foretells.
+    None where they show none, or it leaves more than noise of what `found` predicts.
     """
     if problem.noise.hum.any():
         return None
@@ -89,7 +89,7 @@ def wander(noise: Noise) -> float:
 def _hum_note(noise: Noise) -> str:
     """What was taken for noise, and the experiment that would tell."""
     return (
-        f"What is left oscillates at {noise.hum_hz:.2g} Hz, with a phase of its own in each trial and"
+        f"The residual oscillates at {noise.hum_hz:.2g} Hz, with a phase of its own in each trial and"
         " channel, and no effect explains it: it is taken for noise, hum as the sampling sees it, or what"
         " wanders about as slowly. Sample faster, or repeat one command three times, to be sure."
     )
@@ -98,7 +98,7 @@ def _hum_note(noise: Noise) -> str:
 def _wander_note(noise: Noise) -> str:
     """What was taken for noise, and the experiment that would tell."""
     taken = (
-        f"What is left, {wander(noise):.2g} × the white noise of a sample at most, is taken for noise that"
+        f"The residual, {wander(noise):.2g} × the white noise of a sample at most, is taken for noise that"
         " wanders over seconds."
     )
     if noise.replicates:
@@ -115,7 +115,7 @@ def _wander_note(noise: Noise) -> str:
 def note(share: float) -> str:
     """What cannot be told, and the experiment that would."""
     return (
-        f"What is left beyond the noise, {share:.2g} × the white noise of a sample at most, may be noise that"
+        f"The residual beyond the noise, {share:.2g} × the white noise of a sample at most, may be noise that"
         " wanders over seconds or a missing effect as small: without a repeated command nobody can tell."
         " Repeat one command three times."
     )

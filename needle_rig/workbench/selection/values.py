@@ -23,7 +23,7 @@ from needle_rig.workbench.selection.documents import ComparedNumber, FittedNumbe
 CONTRADICTS = 1e-3
 """p value below which data contradict a model's values: one in a thousand that agree is refused."""
 LEAST_P = 1e-9
-"""p value that is told: a normal distribution is not known farther out."""
+"""p value that is reported: a normal distribution is not known farther out."""
 MOST_DECIMALS = 9
 
 

@@ -30,7 +30,7 @@ class Findings:
     snaps: tuple[Snap, ...] = ()
     torque_scale: float = 1.0
     fitted_error: float = 1.0
-    """Root mean square of what is left in the trials that were fitted, in units of the noise."""
+    """Root mean square of the residual in the trials that were fitted, in units of the noise."""
     left_to_white: float = math.inf
     """`unrepeated.left_to_white`."""
     own_start_error: float = 0.0
@@ -51,9 +51,9 @@ class Reason:
 
 
 def pattern_matters(found: Findings) -> str | None:
-    """A significant pattern in what is left is large enough to matter."""
+    """A significant pattern in the residual is large enough to matter."""
     matters = [p for p in found.left.patterns if not POLICY.size.small(p.size, p.unit, found.torque_scale)]
-    return f"what is left is large enough to matter: {matters[0].sentence()}" if matters else None
+    return f"the residual is large enough to matter: {matters[0].sentence()}" if matters else None
 
 
 def little_explained(found: Findings) -> str | None:
@@ -81,7 +81,7 @@ def decisions_stand(named: Sequence[str], held_out_error: float) -> bool:
 
 
 def noise_not_reached(found: Findings) -> str | None:
-    """Commands left out are not foretold to within the noise.
+    """Commands left out are not predicted to within the noise.
 
     Effects that are named are held to it where what they leave shows a pattern: without one it is the few
     commands that leave their sizes open, but then the trials that were fitted are met to within the noise.
@@ -102,7 +102,7 @@ def noise_not_reached(found: Findings) -> str | None:
 
 
 def stick_slip(found: Findings) -> str | None:
-    """The needle snaps, and what is named does not foretell commands left out to within the noise."""
+    """The needle snaps, and what is named does not predict commands left out to within the noise."""
     if not found.snaps or not above_noise(found.held_out_error, POLICY.verdict.reached):
         return None
     return (

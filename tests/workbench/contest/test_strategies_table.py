@@ -1,4 +1,4 @@
-"""needle-rig strategies: the table's form and numbers, the model that planned learns, what is foretold."""
+"""needle-rig strategies: the table's form and numbers, the model that planned learns, what is predicted."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
     assert "less than 3 times better, because reed2008 leaves little to gain" in told.sentence
 
 
-def test_what_is_foretold_is_of_the_targets_and_starts_that_are_run() -> None:
+def test_what_is_predicted_is_of_the_targets_and_starts_that_are_run() -> None:
     bout = _bout(model="rig_elastic")
     small, large = (foretold(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))
     # a turn that hardly slips leaves no more than itself

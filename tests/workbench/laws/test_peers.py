@@ -125,7 +125,7 @@ def test_the_terms_of_sindys_library_are_its_own() -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_sindy_and_a_discrepancy_foretell_every_bin(data: Data) -> None:
+def test_sindy_and_a_discrepancy_predict_every_bin(data: Data) -> None:
     pytest.importorskip("pysindy")
     pytest.importorskip("sklearn")
     for peer in (Sindy(data), Discrepancy(data)):

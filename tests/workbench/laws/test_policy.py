@@ -79,7 +79,7 @@ def test_a_law_is_not_named_where_a_library_effect_does_as_well(rival: Any, is_k
     assert kept(NO_PROBLEM, before, parent(rival, loss=50.0), found, 70) is is_kept
 
 
-def test_a_law_that_foretells_nothing_is_not_kept() -> None:
+def test_a_law_that_predicts_nothing_is_not_kept() -> None:
     before = parent(1000.0)
     assert not kept(NO_PROBLEM, before, before, FoundLaw(fitted(900.0, loss=101.0), None, before), 70)
 
@@ -99,7 +99,7 @@ def test_a_law_that_cannot_be_solved_without_a_command_is_kept_until_more_is_fou
     assert not kept(NO_PROBLEM, before, parent(905.0), found, 70)
 
 
-def test_a_law_that_foretells_less_than_the_library_is_not_kept() -> None:
+def test_a_law_that_predicts_less_than_the_library_is_not_kept() -> None:
     before = parent(1000.0)
     found = FoundLaw(fitted(900.0, loss=60.0), None, before)
     assert not kept(NO_PROBLEM, before, parent(960.0, loss=50.0), found, 70)

@@ -183,7 +183,7 @@ def test_correlation_is_taken_from_a_gain_with_odds_of_a_thousand(
 def gain(
     other: Noise, noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array]
 ) -> tuple[bool, float]:
-    """Whether replicates bear out `other`, and twice their gain of log-likelihood, channel by channel."""
+    """Whether replicates support `other`, and twice their gain of log-likelihood, channel by channel."""
     total = 0.0
     for c in range(noise.white.size):
         channel = channel_of(noise, binned, residuals, c)

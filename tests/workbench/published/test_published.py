@@ -102,7 +102,7 @@ def test_what_the_source_gives_without_scatter_is_shown_and_not_weighed(answer: 
         (rig(0.0996, effect("torque_gain", gain=0.54)), (26.0, 12.0, 0.0)),
     ],
 )
-def test_values_are_foretold_with_the_strategy_s_loop_inside(
+def test_values_are_predicted_with_the_strategy_s_loop_inside(
     model: NeedleModel, expected: tuple[float, ...]
 ) -> None:
     data = paper()

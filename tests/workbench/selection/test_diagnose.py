@@ -60,12 +60,12 @@ def test_an_effect_in_no_library_is_unknown_and_described() -> None:
     assert found.as_json()["left_over"]["explained"] is False
 
 
-def test_a_needle_that_snaps_and_that_no_effect_foretells_is_called_stick_slip() -> None:
+def test_a_needle_that_snaps_and_that_no_effect_predicts_is_called_stick_slip() -> None:
     snapping = dataset(effect("stribeck", static_excess=1.0, rate_deg_s=11.5, weakening_deg=0.8))
     found = diagnose(snapping, few("torque_bias", "hall_offset"))
     assert found.verdict == "unknown"
     assert {"noise_not_reached", "stick_slip"} <= {r.rule for r in found.reasons}
-    assert found.sentence() == "the needle sticks and slips, and no effect of the library foretells it."
+    assert found.sentence() == "the needle sticks and slips, and no effect of the library predicts it."
     assert {d.decision for d in found.decisions.values()} == {"cannot_tell"}
     assert not any("too small to matter" in note for note in found.notes)
 
@@ -368,7 +368,7 @@ def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
         (math.inf, math.inf, False),
     ],
 )
-def test_what_foretells_commands_left_out_no_better_is_not_named(
+def test_what_predicts_commands_left_out_no_better_is_not_named(
     before: float, after: float, said: bool
 ) -> None:
     """Where the noise is reached without it; far from the noise the verdict has rules of its own."""

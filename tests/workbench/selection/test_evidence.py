@@ -32,7 +32,7 @@ def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_t
     )
 
 
-def test_nothing_is_foretold_where_nothing_was_left_out() -> None:
+def test_nothing_is_predicted_where_nothing_was_left_out() -> None:
     found = fit_baseline(dataset(seed=21), None, few()).current
     parent = dataclasses.replace(found, pull_rigidity=5.0)
     child = dataclasses.replace(found, pull_rigidity=0.0)

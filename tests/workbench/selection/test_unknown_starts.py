@@ -46,14 +46,14 @@ def tied(given: FoundStarts) -> set[str]:
     return {r.effect for r in rivals if r.tied}
 
 
-def test_what_foretells_as_well_from_its_own_starts_is_a_rival() -> None:
+def test_what_predicts_as_well_from_its_own_starts_is_a_rival() -> None:
     far = {LIKE: 1.1 * CLOSE, UNLIKE: 1.1 * CLOSE}
     assert tied(starts(NAMED, far)) == set()
     assert tied(starts(NAMED, far | {LIKE: 0.9 * CLOSE})) == {LIKE}
     assert tied(starts(NAMED, {})) == {LIKE, UNLIKE}
 
 
-def test_what_foretells_no_more_than_the_current_model_is_no_rival() -> None:
+def test_what_predicts_no_more_than_the_current_model_is_no_rival() -> None:
     assert tied(starts(NAMED, {}, least=0.9 * CLOSE)) == set()
 
 
@@ -64,7 +64,7 @@ def test_starts_of_another_effect_tell_nothing_of_rivals() -> None:
 @pytest.mark.parametrize(
     ("together", "simpler"), [(-0.9 * CLOSE, LIKE), (-1.1 * CLOSE, None), (CLOSE, LIKE), (None, LIKE)]
 )
-def test_a_second_effect_must_foretell_more_from_the_starts_of_both(
+def test_a_second_effect_must_predict_more_from_the_starts_of_both(
     monkeypatch: pytest.MonkeyPatch, together: float | None, simpler: str | None
 ) -> None:
     def held(_: Any, names: tuple[str, ...], *__: Any) -> Holder | None:

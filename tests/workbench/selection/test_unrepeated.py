@@ -63,7 +63,7 @@ def test_limits_hold_under_noise_that_wanders(bias_nmm: float) -> None:
 
 
 def test_a_torque_gain_is_named_for_the_rigidity_that_it_restores() -> None:
-    """A rigidity that is off by as much foretells commands left out as well, against what is stated."""
+    """A rigidity that is off by as much predicts commands left out as well, against what is stated."""
     hidden = effect("torque_gain", gain=1.5)
     found = diagnose(unrepeated("white", hidden), few("torque_gain", "hall_offset", "clock_offset"))
     assert found.held_out_error_after > found.held_out_error_before

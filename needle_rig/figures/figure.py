@@ -1,0 +1,29 @@
+"""The figure that all pictures are drawn on: Matplotlib's, which shows itself in a notebook."""
+
+from __future__ import annotations
+
+import sys
+
+from matplotlib import figure
+
+from needle_rig.errors import BadInput
+
+
+class Figure(figure.Figure):
+    """Matplotlib's figure, without pyplot: no window belongs to it."""
+
+    def show(self, warn: bool = True) -> None:  # noqa: ARG002 Matplotlib's signature
+        """Show it below the cell of a notebook. Raises BadInput elsewhere."""
+        if "ipykernel" not in sys.modules:
+            raise BadInput(
+                'a figure is shown in a notebook alone; write it to a file: figure.savefig("figure.png")'
+            )
+        from IPython.display import display
+
+        display(self)  # type: ignore[no-untyped-call]
+
+    def _repr_png_(self) -> bytes:
+        # pyplot alone would teach this to a notebook, and is not used
+        from needle_rig.figures.page import png
+
+        return png(self)
