@@ -46,6 +46,10 @@ JOB_BYTES = 512 << 10
 BODY_S = 10.0
 CONNECTIONS = 256
 """Of strangers, and of those with the token: far more than pages of one person."""
+ASKED = ("compare", "diagnose", "adopt", "undo", "strategies", "learn", "adopt_law")
+"""Kinds of jobs that are questions; the others read and write files."""
+TARGETS = 8
+SEEDS = 10
 OWN_DESCRIPTORS = 256
 """Files of jobs and uploads, and connections to the daemon."""
 
@@ -129,10 +133,6 @@ class Page:
         if kind in ("compare", "diagnose", "undo", "strategies", "learn", "adopt_law"):
             given["model"] = self._file(asked.get("model"), MODEL)
         drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
-        if kind in ("compare", "diagnose", "adopt", "undo", "strategies", "learn", "adopt_law"):
-            given["effects"] = [*self._settings.effects, *drafts]
-        if kind in ("diagnose", "strategies", "learn"):
-            given["jobs"] = self._settings.jobs
         if kind == "diagnose":
             given["quick"] = asked.get("quick") is True
         elif kind == "adopt":
@@ -140,25 +140,27 @@ class Page:
             given["chosen"] = texts(asked.get("chosen", []))
         elif kind == "learn":
             self._laws += 1
-            given["draft"] = f"learnt_law_{self._laws}.py"
+            given["draft"] = str(out / f"learnt_law_{self._laws}.py")
         elif kind == "adopt_law":
             folder = self._made.get(str(asked.get("learnt")))
             if folder is None:
                 raise BadInput("what was learnt is not there any more; learn it again")
-            given |= {"drafts": str(folder), "law": str(asked.get("law"))}
+            given["effect"] = str(asked.get("law"))
             drafts = [*drafts, str(folder)]
         elif kind == "undo" and given["model"] is None:
             raise BadInput("there is no step to take back")
         elif kind == "export":
             given["form"] = str(asked.get("form"))
         elif kind == "strategies":
-            given |= self._contest(asked)
+            given |= self._contest(asked, given["model"])
         elif kind in ("guess", "import"):
             given |= await self._recordings(str(kind), asked, out)
         elif "data" not in given and kind != "undo":
             raise BadInput("this is no computation that the page knows")
+        if kind in ASKED:
+            given["effects"] = [*self._settings.effects, *drafts]
         out.mkdir(parents=True, exist_ok=True)
-        key = self.jobs.start(str(kind), {**given, "out": str(out)})
+        key = self.jobs.start(str(kind), {**given, "out": str(out), "jobs": self._settings.jobs})
         self._made[key] = out
         self._drafts[key] = drafts
         if kind == "import":
@@ -186,12 +188,15 @@ class Page:
             place = (await asyncio.to_thread(self.sources.paths, texts([source])))[0]
         return given | {"layout": place, "name": upload.name}
 
-    def _contest(self, asked: Document) -> Document:
+    def _contest(self, asked: Document, model: str | None) -> Document:
+        """Targets, runs, and the rig that planned knows: what was learnt, or else a parameter set."""
         targets, seeds, parameters = asked.get("targets_deg"), asked.get("seeds"), asked.get("parameters")
-        whole = isinstance(targets, list) and all(isinstance(t, int | float) for t in targets)
-        if not whole or not isinstance(seeds, int) or parameters not in parameter_sets():
+        if not isinstance(targets, list) or not isinstance(seeds, int) or parameters not in parameter_sets():
             raise BadInput("give targets in degrees, a number of runs, and a parameter set of the list")
-        return {"targets_deg": targets, "seeds": seeds, "parameters": parameters}
+        if not 1 <= len(targets) <= TARGETS or not 1 <= seeds <= SEEDS:
+            raise BadInput(f"give 1 to {TARGETS} targets and 1 to {SEEDS} runs of each kind")
+        rig = model or parameters
+        return {"targets_deg": targets, "seeds": seeds, "parameters": rig, "model": rig}
 
     def _file(self, key: object, name: str) -> str | None:
         """The file of this name that a job made; None for no key."""
