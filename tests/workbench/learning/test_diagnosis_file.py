@@ -264,7 +264,7 @@ def test_a_verdict_without_an_effect_leaves_nothing_to_adopt(kept: KeptDiagnosis
 
 def test_what_improves_no_cross_validation_is_refused_without_force(kept: KeptDiagnosis) -> None:
     idle = tuple(dataclasses.replace(found, improves=False) for found in kept.explanations)
-    with pytest.raises(Refused, match="--force"):
+    with pytest.raises(Refused, match="With force it is added"):
         adopt_diagnosis(dataclasses.replace(kept, explanations=idle))
     forced = adopt_diagnosis(dataclasses.replace(kept, explanations=idle), force=True)
     assert "force" in forced.history[-1].note
