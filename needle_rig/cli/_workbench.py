@@ -3,29 +3,46 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import shlex
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import click
 
 from needle_rig.cli._complete import completing
+from needle_rig.questions.doing import Doing
+from needle_rig.questions.fields import Within, defaults, hints
 
 if TYPE_CHECKING:
     from needle_rig.config.own_things import Library
-    from needle_rig.dataset import Dataset
-    from needle_rig.model import SavedModel
     from needle_rig.physics.effect import Effect
-    from needle_rig.physics.needle_model import NeedleModel
-    from needle_rig.workbench.learning.observations import Observations
-    from needle_rig.workbench.parallel import Work
+    from needle_rig.questions.question import About, Question
 
 Thing = TypeVar("Thing")
+Command = Callable[..., Any]
+Words = tuple[str, ...]
 
-data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
+
+def newest(paths: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The paths; `last` is the newest run where no file has that name."""
+    from needle_rig.cli._runs import the_run
+
+    runs = [path for path in paths if str(path) == "last" and not os.path.lexists(path)]
+    run = the_run("last", None, None).path if runs else Path()
+    return tuple(run if path in runs else path for path in paths)
+
+
+def measured(_context: click.Context, _argument: click.Parameter, paths: tuple[Any, ...]) -> tuple[Any, ...]:
+    """`newest` of what a command is given."""
+    return newest(paths)
+
+
+data_argument = click.argument(
+    "data", nargs=-1, required=True, type=click.Path(path_type=Path), callback=measured
+)
 model_option = click.option(
     "--model",
-    "model_path",
     shell_complete=completing("parameters"),
     metavar="FILE|NAME",
     type=click.Path(path_type=Path),
@@ -33,25 +50,64 @@ model_option = click.option(
 )
 effects_option = click.option(
     "--effects",
-    "directories",
     multiple=True,
     metavar="DIR",
     help="Further folder with effects, Python that will be run; config/effects is always searched.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 jobs_option = click.option(
     "--jobs", type=click.IntRange(min=1), help="Processes; default: one a core. Results do not depend on it."
 )
 cluster_option = click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786.")
 
 
-def library(directories: tuple[str, ...]) -> Mapping[str, type[Effect]]:
+def of_field(kind: type[Question], field: str, *declared: str, **more: Any) -> Callable[[Command], Command]:
+    """The option of a question's field: its type, its bounds and its default are the field's."""
+    hint, default = hints(kind)[field], defaults(kind).get(field)
+    bounds = next((part for part in getattr(hint, "__metadata__", ()) if isinstance(part, Within)), None)
+    number = get_args(hint)[0] if bounds else hint
+    if hint is bool:
+        more["is_flag"] = True
+    elif get_origin(hint) is Sequence:
+        more["multiple"] = True
+    else:
+        more |= {"default": default, "show_default": default is not None}
+        if bounds:
+            high = None if bounds.high == float("inf") else bounds.high
+            kinds: dict[Any, Any] = {int: click.IntRange, float: click.FloatRange}
+            more.setdefault("type", kinds[number](number(bounds.low), high and number(high)))
+    return click.option(*(declared or (f"--{field.replace('_', '-')}",)), field, **more)
+
+
+def terminal(jobs: int | None = None, cluster: str | None = None) -> Doing:
+    """Works with a bar, steps and warnings on stderr."""
+    from needle_rig.workbench.parallel import on_terminal, one_thread_each
+
+    one_thread_each()
+    return Doing(
+        jobs=jobs,
+        cluster=cluster,
+        say=say,
+        tell=lambda sentence: click.echo(sentence, err=True),
+        progress=on_terminal,
+    )
+
+
+def typed(command: str, question: About, *more: str, first: Words = (), last: Words = ()) -> str:
+    """The line that asks another command about the same data, model and effects."""
+    data = question.data
+    assert isinstance(data, tuple)
+    model = () if question.model is None else ("--model", str(question.model))
+    folders = [word for folder in question.effects for word in ("--effects", str(folder))]
+    return shlex.join(["needle-rig", command, *first, *map(str, data), *last, *model, *folders, *more])
+
+
+def library(effects: tuple[str, ...]) -> Library[type[Effect]]:
     """Built-in effects and one's own; each that is broken gets a warning line."""
     from needle_rig.model import effect_directories
     from needle_rig.physics.library import find_effects
 
-    return warned(find_effects(effect_directories(directories)))
+    return warned(find_effects(effect_directories(effects)))
 
 
 def warned(found: Library[Thing]) -> Library[Thing]:
@@ -59,65 +115,6 @@ def warned(found: Library[Thing]) -> Library[Thing]:
     for _, sentence in found.broken:
         click.echo(f"warning: {sentence}", err=True)
     return found
-
-
-def read_data(paths: tuple[Path, ...]) -> Dataset:
-    """One dataset of traces from folders, run files and names of datasets in config/datasets."""
-    from needle_rig.workbench.observations.sources import read_measurements
-
-    found = _found(paths)
-    read = read_measurements(found)
-    _mark_read(found)
-    return read
-
-
-def read_observations(paths: tuple[Path, ...]) -> Observations:
-    """Traces, or the settled values that DATA names. Raises BadInput for both at once."""
-    from needle_rig.workbench.learning.observations import read_observations as read
-
-    found = _found(paths)
-    measured = read(found)
-    _mark_read(found)
-    return measured
-
-
-def _found(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The paths; `last` is the newest run where no file has that name."""
-    from needle_rig.cli._runs import the_run
-
-    newest = [path for path in paths if str(path) == "last" and not os.path.lexists(path)]
-    run = the_run("last", None, None).path if newest else Path()
-    return tuple(run if path in newest else path for path in paths)
-
-
-def _mark_read(paths: tuple[Path, ...]) -> None:
-    from needle_rig.recording import is_run_file, mark_read
-
-    for path in paths:
-        if is_run_file(str(path)):
-            mark_read(path)
-
-
-def read_model(path: Path | None, directories: tuple[str, ...]) -> NeedleModel | None:
-    """The model of a model file or a parameter set; None for the null model."""
-    saved = read_saved(path, directories)
-    return None if saved is None else saved.model
-
-
-def read_saved(path: Path | None, directories: tuple[str, ...]) -> SavedModel | None:
-    """A model file with its history, or a parameter set; None for the null model."""
-    if path is None:
-        return None
-    from needle_rig.model import load_saved
-
-    return load_saved(path, effects=directories)
-
-
-def worker(jobs: int | None, cluster: str | None) -> Work:
-    """Where tasks run, with progress shown."""
-    from needle_rig.workbench.parallel import on_terminal, workers
-
-    return workers(jobs, cluster, on_terminal)
 
 
 def say(text: str) -> None:

@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from needle_rig.cli._complete import completing
-from needle_rig.cli._workbench import (
-    effects_option,
-    json_option,
-    library,
-    model_option,
-    read_observations,
-    read_saved,
-    say,
-)
+from needle_rig.cli._workbench import effects_option, json_option, measured, model_option, of_field, terminal
+from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
@@ -27,27 +20,27 @@ DATA_FILES = ("dataset.yaml", "settled.yaml")
 
 
 @click.command("adopt")
-@click.argument("what", nargs=-1, metavar="DIAGNOSIS [DATA...] | DATA... EFFECT")
+@click.argument("what", nargs=-1, callback=measured, metavar="DIAGNOSIS [DATA...] | DATA... EFFECT")
 @model_option
 @effects_option
-@click.option(
-    "--effect",
+@of_field(
+    Adopt,
     "chosen",
+    "--effect",
     shell_complete=completing("effects"),
-    multiple=True,
     metavar="EFFECT",
     help="Which of a diagnosis's ties.",
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Model file to write.")
-@click.option("--force", is_flag=True, help="Add the effect even if it foretells nothing better.")
+@of_field(Adopt, "force", help="Add the effect even if it predicts nothing better.")
 @click.option(
     "--undo", "take_back", is_flag=True, help="Take the last step of --model back; no DATA, no EFFECT."
 )
 @json_option
 def command(
     what: tuple[str, ...],
-    model_path: Path | None,
-    directories: tuple[str, ...],
+    model: Path | None,
+    effects: tuple[str, ...],
     chosen: tuple[str, ...],
     out: Path,
     force: bool,
@@ -66,30 +59,21 @@ def command(
     these must be the data of the diagnosis, and the model must still meet them. An effect that does not lower
     the error on commands left out is refused (exit code 1).
     """
-    from needle_rig.workbench.parallel import one_thread_each
+    doing = terminal()
+    from needle_rig.model import load_saved, save_model
 
-    one_thread_each()
-    from needle_rig.model import save_model
-    from needle_rig.workbench.learning.adopt import undo
-
-    of_diagnosis = bool(what) and _is_diagnosis(what[0])
-    if chosen and not of_diagnosis:
+    if chosen and not (what and _is_diagnosis(what[0])):
         raise click.UsageError("--effect chooses among the ties of a diagnosis file; name that file first.")
-    if of_diagnosis and model_path is not None:
-        raise click.UsageError("a diagnosis file holds the model that it began at; leave --model out.")
     if take_back:
-        saved = read_saved(model_path, directories)
-        if saved is None or what:
+        if model is None or what:
             raise click.UsageError("--undo takes --model FILE and --out FILE, and neither DATA nor EFFECT.")
-        save_model(out, undo(saved))
+        saved = load_saved(model, effects=effects)
+        save_model(out, Undo(model=saved, effects=effects).answer(doing))
         undone = saved.history[-1].added
         told = {"model": str(out), "undone": undone}
         click.echo(json.dumps(told) if as_json else f"{out}: took back {', '.join(undone)}")
         return
-    if of_diagnosis:
-        result = _from_diagnosis(Path(what[0]), what[1:], directories, chosen, out.stem, force)
-    else:
-        result = _by_name(what, model_path, directories, out.stem, force)
+    result = _question(what, model, effects, chosen, force, out.stem).answer(doing)
     save_model(out, result)
     if as_json:
         click.echo(json.dumps(_document(result, out), default=str))
@@ -97,42 +81,34 @@ def command(
         _show(result, out)
 
 
-def _is_diagnosis(word: str) -> bool:
-    """Whether a word names a diagnosis file: by its name, so that what is wrong with the file is said."""
-    path = Path(word)
-    return path.suffix.lower() in (".yaml", ".yml") and path.name not in DATA_FILES
-
-
-def _from_diagnosis(
-    file: Path,
-    data: tuple[str, ...],
-    directories: tuple[str, ...],
+def _question(
+    what: tuple[str, ...],
+    model: Path | None,
+    effects: tuple[str, ...],
     chosen: tuple[str, ...],
-    name: str,
     force: bool,
-) -> SavedModel:
-    from needle_rig.workbench.learning.adopt import adopt_diagnosis
-    from needle_rig.workbench.learning.diagnosis_file import load_diagnosis
-
-    kept = load_diagnosis(file, effects=directories)
-    observed = read_observations(tuple(Path(p) for p in data)) if data else None
-    return adopt_diagnosis(kept, observed, effects=chosen, force=force, name=None if kept.learnt else name)
-
-
-def _by_name(
-    what: tuple[str, ...], model_path: Path | None, directories: tuple[str, ...], name: str, force: bool
-) -> SavedModel:
-    from needle_rig.workbench.learning.adopt import adopt
-
+    name: str,
+) -> Adopt | AddEffect:
+    """What the words ask for. Raises UsageError."""
+    if what and _is_diagnosis(what[0]):
+        if model is not None:
+            raise click.UsageError("a diagnosis file holds the model that it began at; leave --model out.")
+        file, *paths = what
+        return Adopt(
+            diagnosis=file, data=paths or None, chosen=chosen, force=force, name=name, effects=effects
+        )
     if len(what) < 2:
         raise click.UsageError(
             "Name a diagnosis file, or the data and the effect: needle-rig adopt DIAGNOSIS.yaml --out FILE."
         )
     *paths, effect = what
-    saved = read_saved(model_path, directories)
-    observed = read_observations(tuple(Path(p) for p in paths))
-    say(f"fitting {effect}")
-    return adopt(observed, effect, library(directories), saved, force=force, name=None if saved else name)
+    return AddEffect(data=paths, effect=effect, model=model, effects=effects, force=force, name=name)
+
+
+def _is_diagnosis(word: str) -> bool:
+    """Whether a word names a diagnosis file: by its name, so that what is wrong with the file is said."""
+    path = Path(word)
+    return path.suffix.lower() in (".yaml", ".yml") and path.name not in DATA_FILES
 
 
 def _document(result: SavedModel, out: Path) -> JsonObject:

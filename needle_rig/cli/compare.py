@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,28 +14,44 @@ from needle_rig.cli._workbench import (
     data_argument,
     effects_option,
     json_option,
-    library,
     model_option,
-    read_observations,
-    read_saved,
+    of_field,
+    terminal,
 )
 from needle_rig.errors import BadInput
+from needle_rig.questions.compare import Compare
 
 if TYPE_CHECKING:
     from needle_rig.workbench.learning.observations import Comparison
+
+
+def _values(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    """NAME=VALUE. Raises BadInput."""
+    values = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            values[name.strip()] = float(value)
+        except ValueError:
+            raise BadInput(
+                f"--fixed {text}: give NAME=VALUE with a number, as torsional_rigidity_nmm2=62.56"
+            ) from None
+    return values
 
 
 @click.command("compare")
 @data_argument
 @model_option
 @effects_option
-@click.option("--refit", is_flag=True, help="Only with the values of a refit, none as it stands.")
+@of_field(Compare, "refit", help="Only with the values of a refit, none as it stands.")
 @click.option(
-    "--fixed", multiple=True, metavar="NAME=VALUE", help="This value instead of the model's; no fit moves it."
+    "--fixed",
+    multiple=True,
+    callback=_values,
+    metavar="NAME=VALUE",
+    help="This value instead of the model's; no fit moves it.",
 )
-@click.option(
-    "--free", multiple=True, metavar="NAME", help="Fit this value also where the model's others stand."
-)
+@of_field(Compare, "free", metavar="NAME", help="Fit this value also where the model's others stand.")
 @picture_option("--html", "html_path", type=click.Path(path_type=Path), help="Write a report in one file.")
 @picture_option(
     "--pictures",
@@ -54,16 +70,11 @@ if TYPE_CHECKING:
 )
 @json_option
 def command(
-    data: tuple[Path, ...],
-    model_path: Path | None,
-    directories: tuple[str, ...],
-    refit: bool,
-    fixed: tuple[str, ...],
-    free: tuple[str, ...],
     html_path: Path | None,
     png_folder: Path | None,
     figures: tuple[Path, ...],
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Drive the model with the measured base angle and show where it fails, worst first.
 
@@ -80,19 +91,14 @@ def command(
     (settled.yaml; reed2008 is shipped), which have no pictures. Without --model: rigid tissue with uniform
     friction (the null model), whose two constants are fitted.
     """
-    from needle_rig.workbench.parallel import one_thread_each
-
-    one_thread_each()
-    from needle_rig.workbench.learning.compare import Held
-
+    doing, question = terminal(), Compare(**asked)
     if figures:
-        from needle_rig.figures.residuals import asked, write_figure
+        from needle_rig.figures.residuals import asked as known_figure
+        from needle_rig.figures.residuals import write_figure
 
         for path in figures:
-            asked(path)
-    values = Held(refit, dict(map(_value, fixed)), free)
-    saved = read_saved(model_path, directories)
-    found = read_observations(data).compare(library(directories), saved, values)
+            known_figure(path)
+    found = question.answer(doing)
     for path in figures:
         write_figure(found.traces(), path)
         click.echo(f"wrote {path}", err=True)
@@ -111,17 +117,6 @@ def command(
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
     else:
         _show(found)
-
-
-def _value(text: str) -> tuple[str, float]:
-    """NAME=VALUE. Raises BadInput."""
-    name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError:
-        raise BadInput(
-            f"--fixed {text}: give NAME=VALUE with a number, as torsional_rigidity_nmm2=62.56"
-        ) from None
 
 
 def _show(found: Comparison) -> None:

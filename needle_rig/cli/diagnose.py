@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,15 +17,13 @@ from needle_rig.cli._workbench import (
     effects_option,
     jobs_option,
     json_option,
-    library,
     model_option,
-    read_observations,
-    read_saved,
-    say,
-    seed_option,
-    worker,
+    of_field,
+    terminal,
+    typed,
 )
 from needle_rig.errors import BadInput
+from needle_rig.questions.diagnose import Diagnose
 
 if TYPE_CHECKING:
     from needle_rig.workbench.selection.answer import Answer
@@ -35,29 +33,18 @@ if TYPE_CHECKING:
 @data_argument
 @model_option
 @effects_option
-@click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True)
-@click.option(
-    "--quick",
-    is_flag=True,
+@of_field(Diagnose, "max_effects")
+@of_field(
+    Diagnose,
+    "quick",
     help="One effect alone, each by itself: half the time or less, and no second one.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Diagnosis file to write, for adopt.")
-@seed_option
+@of_field(Diagnose, "seed")
 @jobs_option
 @cluster_option
 @json_option
-def command(
-    data: tuple[Path, ...],
-    model_path: Path | None,
-    directories: tuple[str, ...],
-    max_effects: int,
-    quick: bool,
-    out: Path | None,
-    seed: int,
-    jobs: int | None,
-    cluster: str | None,
-    as_json: bool,
-) -> None:
+def command(out: Path | None, jobs: int | None, cluster: str | None, as_json: bool, **asked: Any) -> None:
     """Say which effect is missing from the model: its size, its rivals, and what the data cannot tell.
 
     Of a --model it says first whether its values hold as they stand, then whether its structure does.
@@ -70,67 +57,38 @@ def command(
     (settled.yaml; reed2008 is shipped), where one effect at a time is tried. Every verdict (effect, none,
     unknown) exits with 0.
     """
-    from needle_rig.workbench.parallel import one_thread_each
-
-    one_thread_each()
+    doing, question = terminal(jobs, cluster), Diagnose(**asked)
     from needle_rig.workbench.learning.observations import Traces
 
     if out is not None and not out.absolute().parent.is_dir():
         raise BadInput(f"--out {out}: there is no folder {out.parent}; make it, or name another place")
-    saved = read_saved(model_path, directories)
-    observed = read_observations(data)
-    found = observed.diagnose(
-        library(directories),
-        saved.model if saved else None,
-        max_effects=max_effects,
-        quick=quick,
-        seed=seed,
-        work=worker(jobs, cluster),
-        say=say,
-    )
+    answer = question.answer(doing)
     if out is not None:
-        from needle_rig.workbench.learning.diagnosis_file import keep, save_diagnosis
-
-        say("keeping the fits")
-        save_diagnosis(out, keep(found, observed, saved))
+        answer.save(out)
         click.echo(f"wrote {out}", err=True)
-    from needle_rig.workbench.learning.compare import compared, values_document
-    from needle_rig.workbench.selection.diagnose import Diagnosis
-
-    document = found.as_json()
-    if saved is not None and isinstance(found, Diagnosis):
-        held = compared(found.baseline, saved)
-        document["model_values"] = values_document(held, structure_holds=found.verdict == "none")
+    document, found = answer.as_json(), answer.found
     if as_json:
         click.echo(json.dumps(document, ensure_ascii=False))
         return
     values = document.get("model_values")
     _show(found, [] if values is None else values["sentences"])
-    started = () if model_path is None else ("--model", str(model_path))
-    folders = [word for folder in directories for word in ("--effects", folder)]
     if found.verdict == "none" and values is not None and values["contradict"]:
-        words = ["needle-rig", "identify", *(str(path) for path in data), *started, *folders]
-        click.echo(f"take the values of these data over: {shlex.join([*words, '--out', 'MODEL.yaml'])}")
+        taken = typed("identify", question, "--out", "MODEL.yaml")
+        click.echo(f"take the values of these data over: {taken}")
     if found.verdict == "effect":
-        click.echo(_next_step(found, data, started, folders, out))
-    elif found.verdict == "unknown" and isinstance(observed, Traces):
-        words = ["needle-rig", "learn", *(str(path) for path in data), *started, *folders]
-        told = shlex.join([*words, "--out", "found.py"])
+        click.echo(f"adopt it: {_next_step(found, question, out)}")
+    elif found.verdict == "unknown" and isinstance(answer.observed, Traces):
+        told = typed("learn", question, "--out", "found.py")
         click.echo(f"look for a law that the library does not hold: {told}")
 
 
-def _next_step(
-    found: Answer, data: tuple[Path, ...], started: Sequence[str], folders: Sequence[str], out: Path | None
-) -> str:
+def _next_step(found: Answer, question: Diagnose, out: Path | None) -> str:
     """The commands that take the answer over."""
     choice = [word for effect in found.effects for word in ("--effect", effect)] if found.ties else []
-    paths = [str(path) for path in data]
     file = str(out or "DIAGNOSIS.yaml")
-    adopt = ["needle-rig", "adopt", file, *paths, *choice, *folders, "--out", "MODEL.yaml"]
-    if out is not None:
-        return f"adopt it: {shlex.join(adopt)}"
-    again = ["needle-rig", "diagnose", *paths, *started, *folders, "--out", file]
-    return f"adopt it: {shlex.join(again)}, then {shlex.join(adopt)}"
+    started = dataclasses.replace(question, model=None)  # the diagnosis file holds it
+    adopt = typed("adopt", started, *choice, "--out", "MODEL.yaml", first=(file,))
+    return adopt if out is not None else f"{typed('diagnose', question, '--out', file)}, then {adopt}"
 
 
 def _show(found: Answer, values: Sequence[str]) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.argument("name", required=False, shell_complete=completing("effects"))
 @effects_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
-def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> int:
+def command(name: str | None, effects: tuple[str, ...], as_json: bool) -> int:
     """List the effects, or show one: its law, source, parameters, units and ranges.
 
     Your own files are checked while they are listed. A broken one is named with its line after the others.
@@ -35,7 +35,7 @@ def command(name: str | None, directories: tuple[str, ...], as_json: bool) -> in
     from needle_rig.physics.effect_text import effect_called
     from needle_rig.physics.library import built_in_effects, find_effects
 
-    library = find_effects(effect_directories(directories))
+    library = find_effects(effect_directories(effects))
     for key, effect in list(library.items()):
         try:
             if key not in built_in_effects() and effect.has("torque"):

@@ -17,16 +17,16 @@ from needle_rig.cli._workbench import effects_option, json_option, number
 @effects_option
 @picture_option("--png", "png_path", type=click.Path(path_type=Path), help="Write the ladder as a picture.")
 @json_option
-def command(model: Path, directories: tuple[str, ...], png_path: Path | None, as_json: bool) -> None:
+def command(model: Path, effects: tuple[str, ...], png_path: Path | None, as_json: bool) -> None:
     """Show how the error fell, a row a step: training, commands left out, noise floor.
 
     \b
     needle-rig history fitted.yaml --png ladder.png
     """
-    from needle_rig.model import load_model
+    from needle_rig.model import load_saved
     from needle_rig.workbench.learning.history import ladder
 
-    saved = load_model(model, effects=directories)
+    saved = load_saved(model, effects=effects)
     steps = ladder(saved)
     if png_path is not None:
         from needle_rig.figures.ladder import ladder_figure

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from needle_rig.cli._complete import completing
-from needle_rig.cli._workbench import effects_option, json_option, library, read_data, read_model
-
-if TYPE_CHECKING:
-    from needle_rig.model import SavedModel
+from needle_rig.cli._workbench import effects_option, json_option, library, measured, terminal
+from needle_rig.questions.identify import Identify
 
 SIMULATED = ("jg", "damping", "friction")
 
 
 @click.command("identify")
-@click.argument("data", nargs=-1, required=True, metavar="DATA... | jg | damping | friction")
-@click.option(
-    "--model", "model_path", type=click.Path(path_type=Path), help="Model file whose parameters are found."
+@click.argument(
+    "data", nargs=-1, required=True, callback=measured, metavar="DATA... | jg | damping | friction"
 )
+@click.option("--model", type=click.Path(path_type=Path), help="Model file whose parameters are found.")
 @click.option("--out", type=click.Path(path_type=Path), help="Model file to write.")
 @click.option(
     "--update",
@@ -37,7 +34,7 @@ SIMULATED = ("jg", "damping", "friction")
 )
 @click.option(
     "--effect",
-    "effects",
+    "hidden",
     shell_complete=completing("effects"),
     multiple=True,
     metavar="NAME[=VALUE]",
@@ -47,12 +44,12 @@ SIMULATED = ("jg", "damping", "friction")
 @json_option
 def command(
     data: tuple[str, ...],
-    model_path: Path | None,
+    model: Path | None,
     out: Path | None,
     updated: Path | None,
-    directories: tuple[str, ...],
-    parameters: str | None,
     effects: tuple[str, ...],
+    parameters: str | None,
+    hidden: tuple[str, ...],
     seed: int | None,
     as_json: bool,
 ) -> int:
@@ -75,51 +72,34 @@ def command(
     friction  the torque that stays after a turn
     """
     if data[0] in SIMULATED:
-        if len(data) > 1 or model_path or out or updated:
+        if len(data) > 1 or model or out or updated:
             raise click.UsageError(
                 f"{data[0]} is an experiment on the simulated rig: give it alone, or ./{data[0]}, a folder."
             )
         return _simulated(
-            data[0], parameters or "rig_elastic", effects, directories, 1 if seed is None else seed, as_json
+            data[0], parameters or "rig_elastic", hidden, effects, 1 if seed is None else seed, as_json
         )
-    if parameters or effects or seed is not None:
+    if parameters or hidden or seed is not None:
         raise click.UsageError("--parameters, --effect and --seed are of the simulated rig; leave them out.")
-    if updated is not None and (model_path or out):
+    if updated is not None and (model or out):
         raise click.UsageError("--update reads and writes one model file; leave --model and --out out.")
-    _recorded(tuple(map(Path, data)), model_path, out, updated, directories, as_json)
+    question = Identify(data=data, model=updated or model, effects=effects, update=updated is not None)
+    _recorded(question, updated or out, as_json)
     return 0
 
 
-def _recorded(
-    data: tuple[Path, ...],
-    model_path: Path | None,
-    out: Path | None,
-    updated: Path | None,
-    directories: tuple[str, ...],
-    as_json: bool,
-) -> None:
-    from needle_rig.workbench.parallel import one_thread_each
+def _recorded(question: Identify, path: Path | None, as_json: bool) -> None:
+    doing = terminal()
+    from needle_rig.model import save_model
 
-    one_thread_each()
-    from needle_rig.model import load_model, save_model
-    from needle_rig.workbench.learning.identify import identify, update
-
-    before: SavedModel | None = None
-    dataset = read_data(data)
-    if updated is not None:
-        before = load_model(updated, effects=directories)
-        found = update(dataset, library(directories), before)
-    else:
-        found = identify(dataset, library(directories), read_model(model_path, directories))
-    path = updated or out
+    answer = question.answer(doing)
     if path is not None:
-        save_model(path, found.saved(before, before.model.name if before else path.stem))
+        save_model(path, answer.saved(answer.before.model.name if answer.before else path.stem))
     if as_json:
-        click.echo(
-            json.dumps(found.as_json() | {"model": None if path is None else str(path)}, ensure_ascii=False)
-        )
+        told = answer.found.as_json() | {"model": None if path is None else str(path)}
+        click.echo(json.dumps(told, ensure_ascii=False))
         return
-    for sentence in found.sentences():
+    for sentence in answer.found.sentences():
         click.echo(sentence)
     if path is not None:
         click.echo(f"wrote {path}")
@@ -128,8 +108,8 @@ def _recorded(
 def _simulated(
     what: str,
     parameters: str,
+    hidden: tuple[str, ...],
     effects: tuple[str, ...],
-    directories: tuple[str, ...],
     seed: int,
     as_json: bool,
 ) -> int:
@@ -138,10 +118,10 @@ def _simulated(
     from needle_rig.physics.effect_text import parse_effects
     from needle_rig.workbench.paper.identify import DAMPING, EXPERIMENTS
 
-    model = load_parameters(parameters, effects=directories)
-    known = library(directories)
-    if effects:
-        model = model.with_effects(*parse_effects(effects, known))
+    model = load_parameters(parameters, effects=effects)
+    known = library(effects)
+    if hidden:
+        model = model.with_effects(*parse_effects(hidden, known))
     added = what == "damping" and not any(e.name() == DAMPING and not e.is_off() for e in model.effects)
     if added:
         model = model.with_effects(*parse_effects((f"{DAMPING}=2.8",), known))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import shlex
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,15 +17,14 @@ from needle_rig.cli._workbench import (
     effects_option,
     jobs_option,
     json_option,
-    library,
     model_option,
-    read_model,
-    read_observations,
+    of_field,
     say,
-    seed_option,
-    worker,
+    terminal,
+    typed,
 )
 from needle_rig.errors import BadInput
+from needle_rig.questions.learn import Learn
 
 if TYPE_CHECKING:
     from needle_rig.workbench.laws.learnt import Learnt
@@ -33,25 +32,15 @@ if TYPE_CHECKING:
 
 @click.command("learn")
 @data_argument
-@click.option("--out", type=click.Path(path_type=Path), help="Effect file to draft (.py).")
+@click.option("--out", "draft", type=click.Path(path_type=Path), help="Effect file to draft (.py).")
 @picture_option("--png", "png_path", type=click.Path(path_type=Path), help="Write the curves as a picture.")
 @click.option("--pysr", is_flag=True, help="Ask PySR for a formula of each curve as well.")
 @model_option
 @effects_option
-@seed_option
+@of_field(Learn, "seed")
 @jobs_option
 @json_option
-def command(
-    data: tuple[Path, ...],
-    out: Path | None,
-    png_path: Path | None,
-    pysr: bool,
-    model_path: Path | None,
-    directories: tuple[str, ...],
-    seed: int,
-    jobs: int | None,
-    as_json: bool,
-) -> None:
+def command(png_path: Path | None, pysr: bool, jobs: int | None, as_json: bool, **asked: Any) -> None:
     """Find a law that no effect holds: where it acts, what it depends on, its curve and a short formula.
 
     \b
@@ -62,26 +51,17 @@ def command(
     first: a law is said only where it does better than every effect. Every verdict (law, none, library,
     cannot_tell) exits with 0. A second law is drafted beside the first, its file's name ending in _2.
     """
-    from needle_rig.workbench.parallel import one_thread_each
-
-    one_thread_each()
+    doing, question = terminal(jobs), Learn(**asked)
     from needle_rig.workbench.laws.symbolic import formula_of, regressor
-    from needle_rig.workbench.learning.learn_law import laws_of
-    from needle_rig.workbench.learning.observations import Traces
 
     started = time.monotonic()
-    effects = library(directories)
-    _check_places(out, png_path, effects)
-    make = regressor() if pysr else None
-    present = read_model(model_path, directories)
-    observed = read_observations(data)
-    if not isinstance(observed, Traces):
+    if png_path is not None and not png_path.absolute().parent.is_dir():
         raise BadInput(
-            f"{observed.name}: holds settled values only, from which no curve can be learnt;"
-            " name a dataset of traces or a run file"
+            f"--png {png_path}: there is no folder {png_path.parent}; make it, or name another place"
         )
-    found = laws_of(observed, effects, present, seed=seed, workers=lambda: worker(jobs, None), say=say)
-    drafts = found.write_drafts(out) if out is not None else ()
+    make = regressor() if pysr else None
+    answer = question.answer(doing)
+    found, drafts = answer.found, answer.drafts
     for draft in drafts:
         click.echo(f"wrote {draft}", err=True)
     if png_path is not None and found.laws:
@@ -100,29 +80,8 @@ def command(
         return
     _show(found, [other.sentence() for other in others])
     if found.verdict == "law" and drafts:
-        click.echo(f"adopt it: {_adoption(data, drafts[0], model_path)}")
-
-
-def _check_places(out: Path | None, png_path: Path | None, effects: object) -> None:
-    """Raises BadInput for places that cannot be written to, or an effect's name that is taken."""
-    for option, path in (("--out", out), ("--png", png_path)):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise BadInput(
-                f"{option} {path}: there is no folder {path.parent}; make it, or name another place"
-            )
-    if out is None:
-        return
-    if out.suffix != ".py" or not out.stem.isidentifier() or out.stem.startswith("_"):
-        raise BadInput(f"--out {out}: an effect's file is a Python file; name it as found.py")
-    assert isinstance(effects, dict)
-    if out.stem in effects:
-        raise BadInput(f"--out {out}: there is an effect {out.stem} already; name the file otherwise")
-
-
-def _adoption(data: tuple[Path, ...], draft: Path, model_path: Path | None) -> str:
-    model = () if model_path is None else ("--model", str(model_path))
-    words = ["needle-rig", "adopt", *(str(path) for path in data), draft.stem]
-    return shlex.join([*words, *model, "--effects", str(draft.parent), "--out", "MODEL.yaml"])
+        known = dataclasses.replace(question, effects=(*question.effects, drafts[0].parent))
+        click.echo(f"adopt it: {typed('adopt', known, '--out', 'MODEL.yaml', last=(drafts[0].stem,))}")
 
 
 def _show(found: Learnt, others: Sequence[str]) -> None:

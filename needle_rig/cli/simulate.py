@@ -22,7 +22,7 @@ from needle_rig.cli._workbench import effects_option, library
 )
 @click.option(
     "--effect",
-    "effects",
+    "hidden",
     shell_complete=completing("effects"),
     multiple=True,
     metavar="NAME[=VALUE]",
@@ -65,8 +65,8 @@ from needle_rig.cli._workbench import effects_option, library
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
 def command(
     parameters: str,
+    hidden: tuple[str, ...],
     effects: tuple[str, ...],
-    directories: tuple[str, ...],
     protocol: str,
     replicates: int,
     layout_from: str | None,
@@ -99,10 +99,10 @@ def command(
     if os.path.lexists(out / "dataset.yaml"):
         raise BadInput(f"{out}: holds a dataset already; name another folder with --out or remove it first")
     model = load_parameters(
-        parameters, layout=None if layout_from is None else layout_named(layout_from), effects=directories
+        parameters, layout=None if layout_from is None else layout_named(layout_from), effects=effects
     )
-    if effects:
-        model = model.with_effects(*parse_effects(effects, library(directories)))
+    if hidden:
+        model = model.with_effects(*parse_effects(hidden, library(effects)))
     noise = Noise(
         hall_noise_deg,
         torque_noise_nmm,
@@ -125,7 +125,7 @@ def command(
         }
         click.echo(json.dumps(result))
         return
-    hidden = ", ".join(effects) or "nothing"
+    told = ", ".join(hidden) or "nothing"
     click.echo(
-        f"{out}: {len(dataset.trials)} trials, {samples} samples; {parameters} with {hidden}, seed {seed}"
+        f"{out}: {len(dataset.trials)} trials, {samples} samples; {parameters} with {told}, seed {seed}"
     )

@@ -2,40 +2,48 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from needle_rig.cli._complete import completing
 from needle_rig.cli._pictures import picture_option
-from needle_rig.cli._workbench import effects_option, jobs_option, json_option, say, warned, worker
+from needle_rig.cli._workbench import effects_option, jobs_option, json_option, of_field, terminal
 from needle_rig.errors import BadInput
+from needle_rig.questions.fields import defaults
+from needle_rig.questions.strategies import Strategies
 
 if TYPE_CHECKING:
-    from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.questions.doing import Doing
     from needle_rig.workbench.contest.contest import Contest
     from needle_rig.workbench.contest.strategies_table import StrategyOverall
 
 PAIR = ("planned", "reed2008")
 EACH = "  {:<36}{:<24}{:>11}{:>13}{:>7}  {}"
-TARGETS = "15,-15,45,-45,90,-90,180,-180"
+
+
+def _degrees(_context: click.Context, _option: click.Parameter, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise BadInput(f"--targets {text}: write degrees with commas, as in --targets 45,-90") from None
 
 
 @click.command("strategies")
-@click.option(
-    "--parameters",
+@of_field(
+    Strategies,
+    "parameters",
     shell_complete=completing("parameters"),
-    default="rig_elastic",
-    show_default=True,
     help="Parameter set, or a model file.",
 )
-@click.option(
+@of_field(
+    Strategies,
+    "hidden",
     "--effect",
-    "effects",
     shell_complete=completing("effects"),
-    multiple=True,
     metavar="NAME[=VALUE]",
     help="Effect of the simulated rig.",
 )
@@ -45,27 +53,39 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
     help="A rig of its own for every --effect, and one line for each: planned beside reed2008.",
 )
 @effects_option
-@click.option(
-    "--model",
-    "model_path",
+@of_field(
+    Strategies,
+    "model",
     help="Model file, or parameter set, that planned works with; default: identified from runs on this rig.",
 )
-@click.option(
-    "--diagnose", is_flag=True, help="Let diagnose find the effects of that model, instead of naming them."
+@of_field(
+    Strategies,
+    "diagnose",
+    help="Let diagnose find the effects of that model, instead of naming them.",
 )
-@click.option("--targets", default=TARGETS, show_default=True, help="Angles in degrees, with commas.")
 @click.option(
-    "--strategy",
+    "--targets",
+    "targets_deg",
+    default=",".join(f"{target:g}" for target in defaults(Strategies)["targets_deg"]),
+    show_default=True,
+    callback=_degrees,
+    help="Angles in degrees, with commas.",
+)
+@of_field(
+    Strategies,
     "names",
+    "--strategy",
     shell_complete=completing("strategies"),
-    multiple=True,
+    callback=lambda _context, _option, names: tuple(name.replace("-", "_") for name in names),
     help="Only this one; may be repeated.",
 )
+@of_field(Strategies, "seeds", help="Runs of each kind.")
 @click.option(
-    "--seeds", type=click.IntRange(1, 1000), default=3, show_default=True, help="Runs of each kind."
-)
-@click.option(
-    "--scatter-percent", type=float, default=5.0, show_default=True, help="Of friction, run to run."
+    "--scatter-percent",
+    type=float,
+    default=100.0 * defaults(Strategies)["friction_scatter"],
+    show_default=True,
+    help="Of friction, run to run.",
 )
 @picture_option(
     "--pictures", metavar="DIR", type=click.Path(path_type=Path), help="Draw a PNG to this folder."
@@ -73,19 +93,7 @@ TARGETS = "15,-15,45,-45,90,-90,180,-180"
 @jobs_option
 @json_option
 def command(
-    parameters: str,
-    effects: tuple[str, ...],
-    each: bool,
-    directories: tuple[str, ...],
-    model_path: str | None,
-    diagnose: bool,
-    targets: str,
-    names: tuple[str, ...],
-    seeds: int,
-    scatter_percent: float,
-    pictures: Path | None,
-    jobs: int | None,
-    as_json: bool,
+    each: bool, scatter_percent: float, pictures: Path | None, jobs: int | None, as_json: bool, **asked: Any
 ) -> None:
     """Run every strategy on the simulated rig, from a relaxed and from a wound shaft.
 
@@ -93,81 +101,53 @@ def command(
     the true shaft, from the first tissue to the tip. planned works with a model identified from
     eight runs on the same rig.
     """
-    from needle_rig.workbench.parallel import one_thread_each
-
-    one_thread_each()
-    from needle_rig.cli._workbench import library as find_library
-    from needle_rig.control.strategy import find_strategies
-    from needle_rig.model import load_parameters, load_saved
-    from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.workbench.contest.contest import Asked, contest
-    from needle_rig.workbench.contest.strategies_table import all_strategies
-    from needle_rig.workbench.virtual.noise import Noise
-
-    library = find_library(directories)
-    warned(find_strategies())
-    bare = load_parameters(parameters, effects=directories)
-    angles = _targets(targets)
-    strategies = tuple(n.replace("-", "_") for n in names) or (PAIR if each else all_strategies())
+    doing = terminal(jobs)
     if not 0.0 <= scatter_percent <= 50.0:
         raise BadInput(f"--scatter-percent {scatter_percent:g}: give 0 to 50")
-    if each and (not effects or model_path is not None or pictures is not None):
-        raise BadInput("--each needs --effect once or more, and goes without --model and --pictures")
-    if each and not set(PAIR) <= set(strategies):
-        raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
-    saved = None if model_path is None else load_saved(model_path, effects=directories)
-    asked = Asked(strategies, angles, seeds, Noise(friction_scatter=scatter_percent / 100.0))
-
-    def run(plant: NeedleModel) -> Contest:
-        return contest(
-            plant,
-            asked,
-            library,
-            saved,
-            diagnose=diagnose,
-            workers=lambda: worker(jobs, None),
-            say=say,
-            tell=lambda sentence: click.echo(sentence, err=True),
-        )
-
-    over = f"medians (95 % quantiles) over {len(angles)} targets, each {seeds} × relaxed and {seeds} × wound"
+    question = Strategies(friction_scatter=scatter_percent / 100.0, **asked)
+    over = (
+        f"{question.parameters}: {{}}medians (95 % quantiles) over {len(question.targets_deg)} targets,"
+        f" each {question.seeds} × relaxed and {question.seeds} × wound"
+    )
     if each:
-        plants = {e: bare.with_effects(*parse_effects((e,), library)) for e in effects}
-        if as_json:
-            told = [{"effect": e} | run(plant).as_json() for e, plant in plants.items()]
-            click.echo(json.dumps({"effects": told}, ensure_ascii=False, allow_nan=False))
-            return
-        click.echo(f"{parameters}: worst error of the shaft in °, {over}")
-        click.echo(
-            EACH.format("hidden effect", "in the model", "planned", "reed2008", "times", "said before")
-        )
-        sentences = [_show_one(effect, run(plant)) for effect, plant in plants.items()]
-        for sentence in filter(None, sentences):
-            click.echo(sentence)
+        if not question.hidden or question.model is not None or pictures is not None:
+            raise BadInput("--each needs --effect once or more, and goes without --model and --pictures")
+        question = dataclasses.replace(question, names=question.names or PAIR)
+        if not set(PAIR) <= set(question.names):
+            raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
+        _each(question, doing, over.format("worst error of the shaft in °, "), as_json)
         return
-    plant = bare.with_effects(*parse_effects(effects, library))
-    found = run(plant)
+    found = question.answer(doing)
     if pictures is not None:
         from needle_rig.figures.page import png
         from needle_rig.figures.strategies import strategies_figure
 
         pictures.mkdir(parents=True, exist_ok=True)
         file = pictures / "strategies.png"
-        hidden = ", ".join(e.name() for e in plant.effects) or "rigid tissue"
-        title = f"{parameters} ({hidden}), {scatter_percent:g} % scatter of friction"
+        hidden = ", ".join(e.name() for e in question.plant().effects) or "rigid tissue"
+        title = f"{question.parameters} ({hidden}), {scatter_percent:g} % scatter of friction"
         file.write_bytes(png(strategies_figure(found.table, title)))
         click.echo(f"picture: {file}", err=True)
     if as_json:
         click.echo(json.dumps(found.as_json(), ensure_ascii=False, allow_nan=False))
         return
-    _show(found.table.overall(), f"{parameters}: {over}")
+    _show(found.table.overall(), over.format(""))
 
 
-def _targets(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(",") if part.strip())
-    except ValueError:
-        raise BadInput(f"--targets {text}: write degrees with commas, as in --targets 45,-90") from None
+def _each(question: Strategies, doing: Doing, title: str, as_json: bool) -> None:
+    """One rig for each hidden effect; all are made before the first is run."""
+    rigs = {str(effect): dataclasses.replace(question, hidden=(effect,)) for effect in question.hidden}
+    for one in rigs.values():
+        one.plant()
+    if as_json:
+        told = [{"effect": effect} | one.answer(doing).as_json() for effect, one in rigs.items()]
+        click.echo(json.dumps({"effects": told}, ensure_ascii=False, allow_nan=False))
+        return
+    click.echo(title)
+    click.echo(EACH.format("hidden effect", "in the model", "planned", "reed2008", "times", "said before"))
+    sentences = [_show_one(effect, one.answer(doing)) for effect, one in rigs.items()]
+    for sentence in filter(None, sentences):
+        click.echo(sentence)
 
 
 def _show_one(effect: str, found: Contest) -> str:

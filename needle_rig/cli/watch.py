@@ -36,7 +36,7 @@ def command(
     config_path: Path | None,
     model: str | None,
     reference: int | None,
-    directories: tuple[str, ...],
+    effects: tuple[str, ...],
     as_list: bool,
     restart: bool,
     as_json: bool,
@@ -64,7 +64,7 @@ def command(
     if model is not None or reference is not None:
         stated = {"model": model} | ({} if reference is None else {"reference_runs": reference})
         section = WatchSection.model_validate(stated)
-    looked = watch.look(folder, library(directories), section)
+    looked = watch.look(folder, library(effects), section)
     if restart:
         if not looked:
             raise BadInput(

@@ -38,7 +38,7 @@ def command(
     parameters: str | None,
     fast: bool,
     directory: Path | None,
-    directories: tuple[str, ...],
+    effects: tuple[str, ...],
     jobs: int | None,
 ) -> None:
     """Serve the page on this computer, until Ctrl-C: the rig, the workbench, runs, effects, strategies.
@@ -74,7 +74,7 @@ def command(
             options += ["--rig", "bench"] if rig == "bench" else []
             options += [*(["--parameters", parameters] if parameters else []), *(["--fast"] if fast else [])]
             socket = stack.enter_context(private_daemon(options)).path
-        settings = Settings(socket, data, runs, directories, jobs or len(os.sched_getaffinity(0)))
+        settings = Settings(socket, data, runs, effects, jobs or len(os.sched_getaffinity(0)))
         address = f"http://{LOOPBACK}:{listener.getsockname()[1]}/#token={token}"
 
         def ready() -> None:

@@ -6,13 +6,13 @@ from needle_rig.config.places import Places
 from needle_rig.records import JsonObject
 
 KINDS: dict[str, tuple[str, str]] = {
-    "needle-rig": ("a rig file", "it belongs to --config, or to --rig"),
+    "needle-rig": ("a rig file", "name it as config, or as rig"),
     "needle-rig-dataset": ("a dataset", "name its folder as DATA"),
     "needle-rig-settled": ("a dataset of settled values", "name its folder as DATA"),
     "needle-rig-import": ("a mapping of a recording", "give it to needle-rig import"),
-    "needle-rig-parameters": ("a parameter set", "it belongs to --parameters"),
-    "needle-rig-model": ("a model file", "it belongs to --model"),
-    "needle-rig-protocol": ("a protocol", "it belongs to --protocol"),
+    "needle-rig-parameters": ("a parameter set", "name it as parameters"),
+    "needle-rig-model": ("a model file", "name it as model"),
+    "needle-rig-protocol": ("a protocol", "name it as protocol"),
     "needle-rig-diagnosis": ("a diagnosis", "give it to needle-rig adopt"),
     "needle-rig-watch": ("what a watch keeps of a run", "needle-rig watch reads it from beside the runs"),
     "needle-rig-calibration": ("a calibration", "needle-rig calibrate wrote it, and no command reads it"),

@@ -106,7 +106,9 @@ class Mapping(_Part):
         if all(c.role in (BASE, TIP_TORQUE) for c in self.channels):
             found.append("channels: neither torque nor an angle of the needle; there is nothing to compare")
         if self.rig is None:
-            found.append("rig: what the shaft looks like is not known; give --layout FILE or write `rig`")
+            found.append(
+                "rig: what the shaft looks like is not known; give a file with its layout, or write `rig`"
+            )
         return found
 
     def confirmed(self) -> Mapping:

@@ -20,7 +20,7 @@ def effect_directories(extra: Iterable[str | Path] = ()) -> tuple[Path, ...]:
     folders = [*folders_of("effects"), *(Path(e) for e in extra)]
     for folder in map(Path, extra):
         if not os.path.isdir(folder):
-            raise BadInput(f"{folder}: there is no such folder of effects; name one with --effects DIR")
+            raise BadInput(f"{folder}: there is no such folder of effects; name another")
     return tuple(dict.fromkeys(folder.resolve() for folder in folders))
 
 

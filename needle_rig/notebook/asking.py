@@ -6,20 +6,18 @@ import functools
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
-from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.model import SavedModel, effect_directories, load_saved
+from needle_rig.errors import NeedleRigError
+from needle_rig.model import SavedModel
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.run import Run
-from needle_rig.physics.effect import Effect
-from needle_rig.physics.library import find_effects
-from needle_rig.workbench.observations.sources import read_observed
-from needle_rig.workbench.parallel import Work, on_terminal, workers
+from needle_rig.questions.doing import Doing
+from needle_rig.workbench.parallel import on_terminal
 
 PathLike: TypeAlias = str | os.PathLike[str]
 AnyData: TypeAlias = Data | Run | Dataset | SettledData | PathLike
@@ -34,7 +32,10 @@ _OPTION = re.compile(r"--([a-z][a-z-]*[a-z])")
 
 
 def in_python(text: str) -> str:
-    """A sentence that names options of the command line, with the arguments that they are here."""
+    """A sentence that names options of the command line, with the arguments that they are here.
+
+    The workbench names none. The rooms of the rig do (`recording`, `control`): who runs one has a terminal.
+    """
     return _OPTION.sub(lambda found: found[1].replace("-", "_"), text)
 
 
@@ -52,46 +53,32 @@ def asked(question: Callable[P, R]) -> Callable[P, R]:
     return answered
 
 
-def observed(data: AnyData) -> Dataset | SettledData:
-    """Traces or settled values. Raises BadInput, also for what is neither."""
+def given(data: AnyData) -> Dataset | SettledData | PathLike:
+    """Data as questions take them; what is none is refused there."""
     if isinstance(data, Data):
         return data.given
-    if isinstance(data, Run):
-        return data.dataset().given
-    if isinstance(data, Dataset | SettledData):
-        return data
-    if isinstance(data, str | os.PathLike):
-        return read_observed([data])
-    raise BadInput(f"data is of type {type(data).__name__}; give a path, or what read_dataset gives")
+    return data.dataset().given if isinstance(data, Run) else data
 
 
-def traces(data: AnyData, purpose: str) -> Dataset:
-    """Traces alone, which `purpose` needs. Raises BadInput for settled values."""
-    found = observed(data)
-    if isinstance(found, SettledData):
-        raise BadInput(
-            f"{found.name} has settled values only, too few to {purpose}; name a dataset of traces"
-        )
-    return found
+def known(model: AnyModel | None) -> SavedModel | PathLike | None:
+    """A model as questions take it; what is none is refused there."""
+    return model.saved if isinstance(model, Model) else model
 
 
-def saved(model: AnyModel | None, effects: Sequence[PathLike] = ()) -> SavedModel | None:
-    """What is known of a model; None for the null model. Raises BadInput."""
-    if model is None or isinstance(model, Model):
-        return None if model is None else model.saved
-    if isinstance(model, str | os.PathLike):
-        return load_saved(model, effects=[os.fspath(folder) for folder in effects])
-    raise BadInput(f"model is of type {type(model).__name__}; give a path, or what read_model or adopt gives")
+def several(given: PathLike | Sequence[Any]) -> Sequence[Any]:
+    """One name or folder as a sequence of it."""
+    return (given,) if isinstance(given, str | os.PathLike) else given
 
 
-def library(folders: Sequence[PathLike] = ()) -> Mapping[str, type[Effect]]:
-    """Effects by name, those of further folders among them."""
-    return find_effects(effect_directories(tuple(os.fspath(folder) for folder in folders)))
+def at_work(jobs: int | None = None) -> Doing:
+    """Processes that show how far they are, one a core where `jobs` is None."""
+    return Doing(jobs=jobs, say=step, progress=progress)
 
 
-def at_work(jobs: int | None) -> Work:
-    """Processes that show how far they are; one a core where `jobs` is None."""
-    return workers(jobs, None, progress)
+def step(text: str) -> None:
+    """The step that begins, on a terminal: a notebook keeps what is printed."""
+    if sys.stderr.isatty():
+        print(f"{text} …", file=sys.stderr)  # noqa: T201 - how far a script is
 
 
 def progress(results: Iterable[Any], total: int) -> Iterable[Any]:

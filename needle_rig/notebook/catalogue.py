@@ -9,10 +9,12 @@ from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.model import ParameterSet, load_parameter_set, parameter_sets
-from needle_rig.notebook.asking import PathLike, asked, library
+from needle_rig.notebook.asking import PathLike, asked, several
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, table_of
 from needle_rig.physics.effect import Effect
+from needle_rig.questions.doing import SILENT
+from needle_rig.questions.question import Question
 
 
 class Effects(Shown, Mapping[str, type[Effect]]):
@@ -87,7 +89,7 @@ class ParameterSets(Shown, Mapping[str, ParameterSet]):
 @asked
 def effects(*folders: PathLike) -> Effects:
     """Every effect by name, those of further `folders` among them. Raises BadInput."""
-    return Effects(library(folders))
+    return Effects(_library(folders))
 
 
 @asked
@@ -104,7 +106,7 @@ def hidden_effects(
         raise BadInput(
             f'effects is of type {type(given).__name__}; name values, as in {{"tissue_elasticity": 0.35}}'
         )
-    known, made = library(folders), []
+    known, made = _library(folders), []
     for name, value in given.items():
         if name not in known:
             raise BadInput(f"{name}: no such effect; there are {', '.join(sorted(known))}")
@@ -118,6 +120,10 @@ def hidden_effects(
                 raise BadInput(f"{name}: {field} is {number!r}, not a number; give it in {infos[field].unit}")
         made.append(known[name](**fields))
     return made
+
+
+def _library(folders: Sequence[PathLike]) -> Mapping[str, type[Effect]]:
+    return Question(effects=several(folders)).library(SILENT)
 
 
 def _first_line(effect: type[Effect]) -> str:

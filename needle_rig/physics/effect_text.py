@@ -29,7 +29,7 @@ def parse_effects(texts: Iterable[str], library: Mapping[str, type[Effect]]) -> 
         values = given.setdefault(name, {})
         if not equals:
             if field:
-                raise BadInput(f"--effect {text}: {field} has no value; write {name}:{field}=VALUE")
+                raise BadInput(f"effect {text}: {field} has no value; write {name}:{field}=VALUE")
             values |= _plain(effect.at_strength(1.0))
             continue
         numbers = [_number(part, text) for part in right.split(",")]
@@ -52,7 +52,7 @@ def effect_called(name: str, library: Mapping[str, type[Effect]]) -> type[Effect
 def _fields(effect: type[Effect], field: str, numbers: list[float], text: str) -> dict[str, Parameter]:
     infos = effect.parameters()
     if field and field not in infos:
-        raise BadInput(f"--effect {text}: {effect.name()} has no {field}; it has {', '.join(infos)}")
+        raise BadInput(f"effect {text}: {effect.name()} has no {field}; it has {', '.join(infos)}")
     first = field or next(iter(infos))
     if len(numbers) == 1:
         return {first: numbers[0]}
@@ -63,7 +63,7 @@ def _fields(effect: type[Effect], field: str, numbers: list[float], text: str) -
         meant = decimal_comma(*given.split(",", 1))
         hint = f"; {meant}" if meant else ""
         raise BadInput(
-            f"--effect {text}: {len(numbers)} values for {1 if field else len(infos)}"
+            f"effect {text}: {len(numbers)} values for {1 if field else len(infos)}"
             f" field(s) ({first if field else ', '.join(infos)}){hint}"
         )
     return dict(zip(infos, numbers, strict=False))
@@ -73,7 +73,7 @@ def _number(text: str, whole: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise BadInput(f"--effect {whole}: {text!r} is not a number; write NAME=VALUE") from None
+        raise BadInput(f"effect {whole}: {text!r} is not a number; write NAME=VALUE") from None
 
 
 def _plain(effect: Effect) -> dict[str, Parameter]:

@@ -6,6 +6,7 @@ Files are named relative to their upload's folder; a mapping that names any othe
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +23,16 @@ from needle_rig.importing.shaft import read_rig
 from needle_rig.numerics import Array
 from needle_rig.web.models import finite
 from needle_rig.web.places import DATASET
-from needle_rig.web.worker import Voice
 
 DOTS = 1500
 """Of a drawn channel."""
 _YAML = (".yaml", ".yml")
 
 Document = dict[str, Any]
+Say = Callable[[str], None]
 
 
-def guess(
-    voice: Voice, *, folder: str, files: list[str], layout: str | None, name: str, out: str
-) -> Document:
+def guess(say: Say, *, folder: str, files: list[str], layout: str | None, name: str, out: str) -> Document:
     """What is what in `files`: a mapping among them, or else the proposed one. Raises BadInput.
 
     `layout` is a file with the shaft; without it a layout among the files is taken.
@@ -47,7 +46,7 @@ def guess(
     shafts = [file for file in texts if file not in mappings]
     rig = _shaft(root, layout, shafts)
     if mappings:
-        voice.step("reading the mapping")
+        say("reading the mapping")
         mapping, _ = read_mapping(root / mappings[0])
         if rig is not None:
             mapping = mapping.model_copy(update={"rig": rig})
@@ -55,18 +54,18 @@ def guess(
         read = []
         for file in files:
             if file not in texts:
-                voice.step(f"reading {file}")
+                say(f"reading {file}")
                 read.append(recordings.read(root / file))
         if not read:
             raise BadInput(f"{name}: holds no dataset, run or recording; drop the recordings too")
-        voice.step("proposing what is what")
+        say("proposing what is what")
         mapping = proposed(read, name, rig, root)
     return _document(mapping, files, root, recordings)
 
 
-def imported(voice: Voice, *, folder: str, files: list[str], mapping: Document, out: str) -> Document:
+def imported(say: Say, *, folder: str, files: list[str], mapping: Document, out: str) -> Document:
     """The dataset of a confirmed mapping, in the folder DATASET of `out`. Raises BadInput."""
-    voice.step("importing")
+    say("importing")
     root, recordings, places = Path(folder), Recordings(), Places("the mapping")
     # as JSON, so that its lists are the tuples of a mapping file
     checked = validate(Mapping, json.loads(json.dumps(mapping)), places)

@@ -2,49 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from needle_rig.control.strategy import make_strategy
 from needle_rig.errors import BadInput
-from needle_rig.model import SavedModel
+from needle_rig.questions.doing import Doing
+from needle_rig.questions.strategies import Strategies
 from needle_rig.units import deg, nmm, rad
-from needle_rig.workbench.contest.strategies_table import Bout, all_strategies, compare_strategies
-from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.contest.strategies_table import Bout, all_strategies
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import SettledRun
 
 PLACES = 60
 """Of the shaft that are drawn."""
-TARGETS = 8
-SEEDS = 10
 
 Document = dict[str, Any]
 
 
-def contest(
-    saved: SavedModel, targets_deg: list[float], seeds: int, work: Work, say: Callable[[str], None]
-) -> Document:
-    """Every strategy on needles of this model. Raises BadInput, SolverError."""
-    if not 1 <= len(targets_deg) <= TARGETS or not 1 <= seeds <= SEEDS:
-        raise BadInput(f"give 1 to {TARGETS} targets and 1 to {SEEDS} runs of each kind")
-    needle = saved.model
-    bout = Bout(needle, needle.torsional_rigidity_nm2, saved=saved)
-    names = all_strategies()
-    say("running every strategy")
-    table = compare_strategies(bout, names, targets_deg, seeds, work=work)
-    say("planning the sequences to show")
-    quiet = Bout(needle, needle.torsional_rigidity_nm2, NO_NOISE, saved)
+def strategies(question: Strategies, doing: Doing, _out: str) -> Document:
+    """The table, and the sequences to the first target as they go on the rig itself."""
+    found, target_deg = question.answer(doing), question.targets_deg[0]
+    needle = question.plant()
+    doing.say("planning the sequences to show")
+    quiet = Bout(needle, needle.torsional_rigidity_nm2, NO_NOISE, found.saved)
     layout = needle.layout
     return {
-        "rows": table.overall(),
-        "target_deg": targets_deg[0],
+        "rows": found.table.overall(),
+        "target_deg": target_deg,
         "needle_length_mm": layout.needle_length_m * 1e3,
         "tissue_sections_mm": [[a * 1e3, b * 1e3] for a, b in layout.tissue_sections_m],
         "hall_positions_mm": [place * 1e3 for place in layout.sensor_positions_m],
-        "sequences": {name: told for name in names if (told := _sequence(quiet, name, targets_deg[0]))},
+        "sequences": {
+            name: told for name in all_strategies() if (told := _sequence(quiet, name, target_deg))
+        },
     }
 
 

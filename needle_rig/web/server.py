@@ -47,6 +47,8 @@ JOB_BYTES = 512 << 10
 BODY_S = 10.0
 CONNECTIONS = 256
 """Of strangers, and of those with the token: far more than pages of one person."""
+TARGETS = 8
+SEEDS = 10
 OWN_DESCRIPTORS = 256
 """Files of jobs and uploads, and connections to the daemon."""
 
@@ -134,12 +136,8 @@ class Page:
         if kind in OF_A_MODEL:
             given["model"] = self._model(asked.get("model"))
         drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
-        if kind in OF_A_MODEL or kind == "adopt":
-            given["effects"] = [*self._settings.effects, *drafts]
-        if kind in ("diagnose", "strategies", "learn"):
-            given["jobs"] = self._settings.jobs
         if kind in ("compare", "figure"):
-            given["held"] = held_values(asked)
+            given |= held_values(asked)
         if kind == "figure":
             given["what"] = str(asked.get("what"))
         elif kind == "diagnose":
@@ -149,25 +147,27 @@ class Page:
             given["chosen"] = texts(asked.get("chosen", []))
         elif kind == "learn":
             self._laws += 1
-            given["draft"] = f"learnt_law_{self._laws}.py"
+            given["draft"] = str(out / f"learnt_law_{self._laws}.py")
         elif kind == "adopt_law":
             folder = self._made.get(str(asked.get("learnt")))
             if folder is None:
                 raise BadInput("what was learnt is not there any more; learn it again")
-            given |= {"drafts": str(folder), "law": str(asked.get("law"))}
+            given["effect"] = str(asked.get("law"))
             drafts = [*drafts, str(folder)]
         elif kind == "undo" and given["model"] is None:
             raise BadInput("there is no step to take back")
         elif kind == "export":
             given["form"] = str(asked.get("form"))
         elif kind == "strategies":
-            given |= self._contest(asked)
+            given |= self._contest(asked, given["model"])
         elif kind in ("guess", "import"):
             given |= await self._recordings(str(kind), asked, out)
         elif "data" not in given and kind != "undo":
             raise BadInput("this is no computation that the page knows")
+        if kind in OF_A_MODEL or kind == "adopt":
+            given["effects"] = [*self._settings.effects, *drafts]
         out.mkdir(parents=True, exist_ok=True)
-        key = self.jobs.start(str(kind), {**given, "out": str(out)})
+        key = self.jobs.start(str(kind), {**given, "out": str(out), "jobs": self._settings.jobs})
         self._made[key] = out
         self._drafts[key] = drafts
         if kind == "import":
@@ -195,12 +195,15 @@ class Page:
             place = (await asyncio.to_thread(self.sources.paths, texts([source])))[0]
         return given | {"layout": place, "name": upload.name}
 
-    def _contest(self, asked: Document) -> Document:
+    def _contest(self, asked: Document, model: str | None) -> Document:
+        """Targets, runs, and the rig that planned knows: what was learnt, or else a parameter set."""
         targets, seeds, parameters = asked.get("targets_deg"), asked.get("seeds"), asked.get("parameters")
-        whole = isinstance(targets, list) and all(isinstance(t, int | float) for t in targets)
-        if not whole or not isinstance(seeds, int) or parameters not in parameter_sets():
+        if not isinstance(targets, list) or not isinstance(seeds, int) or parameters not in parameter_sets():
             raise BadInput("give targets in degrees, a number of runs, and a parameter set of the list")
-        return {"targets_deg": targets, "seeds": seeds, "parameters": parameters}
+        if not 1 <= len(targets) <= TARGETS or not 1 <= seeds <= SEEDS:
+            raise BadInput(f"give 1 to {TARGETS} targets and 1 to {SEEDS} runs of each kind")
+        rig = model or parameters
+        return {"targets_deg": targets, "seeds": seeds, "parameters": rig, "model": rig}
 
     def _model(self, key: object) -> str | None:
         """The model that a job made, or the name of a parameter set; None for the null model."""
@@ -373,7 +376,7 @@ def held_values(asked: Document) -> Document:
     )
     if not numbers or not isinstance(free, list) or not all(isinstance(name, str) for name in free):
         raise BadInput("give a number for each value that is fixed, and names of those that are free")
-    return {"refit_only": asked.get("refit") is True, "fixed": fixed, "free": free}
+    return {"refit": asked.get("refit") is True, "fixed": fixed, "free": free}
 
 
 async def refuse(_: Request, error: Exception) -> Response:

@@ -1,4 +1,4 @@
-"""What a worker does for the page's workbench: each kind of work from a request to a document.
+"""What a worker does for the page's workbench: a question's answer, or a file, as a document.
 
 Paths in requests are the server's own; a browser names keys. Results are written to the folder `out` of the
 request, and the server gives them keys.
@@ -13,38 +13,46 @@ from typing import Any
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.model import SavedModel, effect_directories, load_parameters, load_saved
-from needle_rig.physics.effect import Effect
-from needle_rig.physics.library import find_effects
+from needle_rig.questions.adopt import AddEffect, Adopt, Undo
+from needle_rig.questions.compare import Compare
+from needle_rig.questions.diagnose import Diagnose
+from needle_rig.questions.doing import Doing
+from needle_rig.questions.identify import Identify
+from needle_rig.questions.learn import Learn
+from needle_rig.questions.question import Question
+from needle_rig.questions.strategies import Strategies
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
-from needle_rig.web import laws, pictures, recordings, traces
+from needle_rig.web import pictures, recordings, traces
+from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
 from needle_rig.web.places import DIAGNOSIS
-from needle_rig.web.worker import Voice
+from needle_rig.web.sequences import strategies
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.learning.adopt import adopt_diagnosis
-from needle_rig.workbench.learning.adopt import undo as take_back
-from needle_rig.workbench.learning.compare import TraceComparison, compared, values_document
-from needle_rig.workbench.learning.diagnosis_file import keep, load_diagnosis, save_diagnosis
-from needle_rig.workbench.learning.observations import read_observations
+from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
-from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.selection.diagnose import Diagnosis
 
 Document = dict[str, Any]
+Say = Callable[[str], None]
 CANDIDATES = 8
 """Of the ranking, whose fitted traces can be laid over the measured ones."""
 
 
-def compare(
-    voice: Voice, *, data: list[str], model: str | None, effects: list[str], held: Document, out: str
-) -> Document:
+def work(kind: str, request: Document, doing: Doing) -> Document:
+    """The document that a job of this kind gives; `out` of the request is its folder. Raises BadInput."""
+    if kind in FILES:
+        return FILES[kind](doing.say, **request)
+    asked, view = QUESTIONS[kind]
+    out = str(request.pop("out"))
+    return view(asked.from_request(request), doing, out)
+
+
+def compare(question: Compare, doing: Doing, _out: str) -> Document:
     """Where a model fails: traces with the noise band, and every place of the residual map."""
-    del out
-    found = pictures.held_against(voice, data, model, effects, held)
-    voice.step("drawing the traces")
+    found = question.answer(doing)
+    doing.say("drawing the traces")
     headings, rows = found.rows()
     document: Document = {
         "name": found.headline()[0],
@@ -79,36 +87,24 @@ def _traces(found: TraceComparison) -> Document:
     return {"channels": told, "trials": trials, "of": len(dataset.trials)}
 
 
-def diagnose(
-    voice: Voice, *, data: list[str], model: str | None, effects: list[str], out: str, jobs: int, quick: bool
-) -> Document:
+def diagnose(question: Diagnose, doing: Doing, out: str) -> Document:
     """Which effect is missing: the ranking, ties and verdict, and the diagnosis file that `adopt` takes."""
-    saved = load_saved(model, effects=effects) if model else None
-    observed = read_observations(data)
-    found = observed.diagnose(
-        _library(effects),
-        saved.model if saved else None,
-        quick=quick,
-        work=workers(jobs, None, voice.progress),
-        say=voice.step,
-    )
-    voice.step("keeping the fits")
-    save_diagnosis(Path(out) / DIAGNOSIS, keep(found, observed, saved))
+    answer = question.answer(doing)
+    doing.say("keeping the fits")
+    answer.save(Path(out) / DIAGNOSIS)
+    found = answer.found
     document: Document = {
-        **{name: part for name, part in found.as_json().items() if name != "policy"},
+        **{name: part for name, part in answer.as_json().items() if name != "policy"},
         "sentence": found.sentence(),
         "errors_sentence": found.errors_sentence(),
         "ties": list(found.ties),
         "left_over": found.left_in_words(),
         "reasons": [reason.as_json() for reason in found.reasons],
-        "quick": quick,
+        "quick": question.quick,
         "candidates": {},
     }
     if isinstance(found, Diagnosis):
-        if saved is not None:
-            held = compared(found.baseline, saved)
-            document["model_values"] = values_document(held, structure_holds=found.verdict == "none")
-        voice.step("drawing what each candidate predicts")
+        doing.say("drawing what each candidate predicts")
         document["candidates"] = _candidates(found)
     return document
 
@@ -142,54 +138,23 @@ def _fit_with(found: Diagnosis, effect: str) -> Fit | None:
     return min(fits.items(), key=lambda item: (len(item[0]), item[1].objective))[1] if fits else None
 
 
-def adopt(
-    voice: Voice, *, data: list[str], diagnosis: str, chosen: list[str], effects: list[str], out: str
-) -> Document:
-    """The model with what a diagnosis names, as it was fitted, and the ladder of its errors."""
-    voice.step("holding the fit against the data")
-    kept = load_diagnosis(diagnosis, effects=effects)
-    observed = read_observations(data)
-    saved = adopt_diagnosis(kept, observed, effects=chosen, name=None if kept.learnt else "learnt")
+def adopt(question: Adopt | AddEffect, doing: Doing, out: str) -> Document:
+    """The model with what it learnt, and the ladder of its errors."""
+    return kept_document(question.answer(doing), out)
+
+
+def undo(question: Undo, doing: Doing, out: str) -> Document:
+    """The model before its last step; the null model is none."""
+    saved = question.answer(doing)
+    if not saved.history and saved.starts_from == "null":
+        return {"model": None, "steps": [], "values": [], "added": []}
     return kept_document(saved, out)
 
 
-def undo(voice: Voice, *, model: str, effects: list[str], out: str) -> Document:
-    """The model before its last step; without a step left, none."""
-    voice.step("taking the last step back")
-    saved = load_saved(model, effects=effects)
-    if len(saved.history) < 2:
-        if saved.starts_from == "null":
-            return {"model": None, "steps": [], "values": [], "added": []}
-        raise BadInput(f"{saved.model.name}: has no step before this one; start again from the model file")
-    return kept_document(take_back(saved), out)
-
-
-def strategies(
-    voice: Voice,
-    *,
-    model: str | None,
-    parameters: str,
-    targets_deg: list[float],
-    seeds: int,
-    effects: list[str],
-    out: str,
-    jobs: int,
-) -> Document:
-    """The strategies side by side on one simulated needle, and the sequence of each as a moving shaft."""
-    del out
-    from needle_rig.web.sequences import contest
-
-    if model is None:
-        saved = SavedModel(load_parameters(parameters, effects=effects), parameters)
-    else:
-        saved = load_saved(model, effects=effects)
-    return contest(saved, targets_deg, seeds, workers(jobs, None, voice.progress), voice.step)
-
-
-def show(voice: Voice, *, data: list[str], out: str) -> Document:
+def show(say: Say, *, data: list[str], out: str) -> Document:
     """Recorded runs as traces, one beside the other, without a model."""
     del out
-    voice.step("reading the runs")
+    say("reading the runs")
     shown = []
     for path in data:
         file = RunFile(path)
@@ -202,9 +167,9 @@ def show(voice: Voice, *, data: list[str], out: str) -> Document:
     return {"runs": shown}
 
 
-def export(voice: Voice, *, data: list[str], form: str, out: str) -> Document:
+def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
     """A run as a file of another format; folders come packed."""
-    voice.step("writing the file")
+    say("writing the file")
     run, folder = RunFile(data[0]), Path(out)
     if form == "csv":
         export_csv(run, folder / f"{run.name}_csv")
@@ -228,22 +193,20 @@ def packed(folder: Path) -> Path:
     return Path(shutil.make_archive(str(folder), "zip", folder.parent, folder.name))
 
 
-KINDS: Mapping[str, Callable[..., Document]] = {
+QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
+    "compare": (Compare, compare),
+    "figure": (pictures.Drawn, pictures.figure),
+    "diagnose": (Diagnose, diagnose),
+    "take_values": (Identify, pictures.take_values),
+    "adopt": (Adopt, adopt),
+    "adopt_law": (AddEffect, adopt),
+    "undo": (Undo, undo),
+    "learn": (Learn, learn),
+    "strategies": (Strategies, strategies),
+}
+FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
     "import": recordings.imported,
-    "learn": laws.learn,
-    "adopt_law": laws.adopt_law,
-    "compare": compare,
-    "figure": pictures.figure,
-    "take_values": pictures.take_values,
-    "diagnose": diagnose,
-    "adopt": adopt,
-    "undo": undo,
-    "strategies": strategies,
     "show": show,
     "export": export,
 }
-
-
-def _library(effects: list[str]) -> Mapping[str, type[Effect]]:
-    return find_effects(effect_directories(tuple(effects)))

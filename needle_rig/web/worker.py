@@ -53,9 +53,11 @@ def main() -> None:
     request = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        from needle_rig.web import work
+        from needle_rig.questions.doing import Doing
+        from needle_rig.web.work import work
 
-        voice.tell(result=work.KINDS[request.pop("kind")](voice, **request))
+        doing = Doing(jobs=request.pop("jobs"), say=voice.step, progress=voice.progress)
+        voice.tell(result=work(request.pop("kind"), request, doing))
     except NeedleRigError as error:
         voice.tell(error=str(error))
     except Exception:  # noqa: BLE001 - a defect is told to the page in a line, and whole on stderr

@@ -82,7 +82,7 @@ class Processes(Work):
     def __init__(self, jobs: int, progress: Progress | None = None) -> None:
         super().__init__(progress)
         if jobs < 1:
-            raise BadInput(f"--jobs {jobs}: give at least 1")
+            raise BadInput(f"jobs {jobs}: give at least 1")
         one_thread_each()
         self.processes = jobs
         self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext())
@@ -102,7 +102,7 @@ class Processes(Work):
                 yield future.result()
         except BrokenProcessPool:
             raise NeedleRigError(
-                "a process of --jobs was ended from outside, as a machine does that is short of memory; "
+                "one of the jobs was ended from outside, as a machine does that is short of memory; "
                 "try again with fewer"
             ) from None
 
@@ -133,12 +133,12 @@ class Cluster(Work):
         try:
             from distributed import Client
         except ImportError as error:
-            raise missing("--cluster", "distributed", "cluster") from error
+            raise missing("a cluster", "distributed", "cluster") from error
         connect: Any = Client
         try:
             self._client: Any = connect(address, timeout="10s")
         except (OSError, TimeoutError, ValueError) as error:
-            raise BadInput(f"--cluster {address}: no scheduler answers there ({error})") from error
+            raise BadInput(f"cluster {address}: no scheduler answers there ({error})") from error
         self.processes = max(1, sum(self._client.ncores().values()))
 
     def share(self, shared: Any) -> None:

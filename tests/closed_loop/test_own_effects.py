@@ -120,10 +120,11 @@ def test_the_strategies_are_compared_in_other_processes(shell: Shell, kind: str)
 
 @KINDS
 def test_so_are_they_for_the_page(shell: Shell, kind: str) -> None:
+    model = str(shell.folder / make_model(shell.folder, kind))
     request = {
         "kind": "strategies",
-        "model": str(shell.folder / make_model(shell.folder, kind)),
-        "parameters": "rig_rigid",
+        "model": model,
+        "parameters": model,
         "targets_deg": [10.0],
         "seeds": 1,
         "effects": [str(shell.folder / "config" / "effects")],

@@ -21,7 +21,7 @@ UNGUARDED = """
 import needle_rig as nr
 from needle_rig.notebook.asking import at_work
 print("begun")
-with at_work(2) as work:
+with at_work(2).work() as work:
     work.share(2)
     print(work.run(pow, [(5,), (3,)]))
 """
@@ -71,9 +71,9 @@ def test_every_name_is_there_and_completes() -> None:
         (lambda: untyped.simulate({"tissue_elasticity": None}), "is None, not a number"),
         (lambda: untyped.adopt("diagnosis.yaml"), "diagnosis is of type str; give what diagnose answers"),
         (lambda: untyped.plan("rig_elastic", 45.0, "planed"), "planed"),
-        (lambda: untyped.experiment(data(), "tip_friction"), "between is 'tip_friction'; name two effects"),
+        (lambda: untyped.experiment(data(), "tip_friction"), "between is 'tip_friction', not a list of text"),
         (lambda: untyped.diagnose(data(), jobs=0), "^jobs 0: give at least 1"),
-        (lambda: untyped.strategies("none", targets_deg=[0.0]), "^targets 0: give angles"),
+        (lambda: untyped.strategies("none", targets_deg=[0.0]), "^target 0°: give angles"),
     ],
 )
 def test_a_wrong_argument_is_one_sentence_in_python_s_words(ask: Callable[[], Any], said: str) -> None:
@@ -87,12 +87,12 @@ def data() -> Any:
 
 
 def test_an_effect_that_does_not_help_is_refused_without_options() -> None:
-    with pytest.raises(nr.NeedleRigError, match=r"Add it all the same with force\.$"):
+    with pytest.raises(nr.NeedleRigError, match=r"With force it is added all the same\.$"):
         nr.add_effect(data(), "torque_bias", nr.add_effect(data(), "tissue_elasticity"))
 
 
 def test_options_become_arguments() -> None:
-    assert in_python("leave --fixed and --free out; 5 - -3") == "leave fixed and free out; 5 - -3"
+    assert in_python("name a folder of runs with --dir; 5 - -3") == "name a folder of runs with dir; 5 - -3"
     assert in_python("--scatter-percent 80: give 0 to 50") == "scatter_percent 80: give 0 to 50"
 
 
@@ -116,7 +116,7 @@ def test_every_question_that_a_sentence_may_name_is_one() -> None:
 
 def test_what_a_recording_lacks_is_asked_in_python() -> None:
     said = nr.identify(data()).report()
-    assert "find what it lacks: nr.diagnose" in said
+    assert "a diagnosis finds what it lacks" in said
     assert "needle-rig" not in said
 
 

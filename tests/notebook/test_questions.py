@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import needle_rig as nr
-from needle_rig.notebook import questions
+from needle_rig.questions.question import Question
 from needle_rig.simulation.protocol import load_protocol
 from tests.notebook.notebooks import ROOT
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
@@ -61,7 +61,7 @@ def test_an_experiment_is_a_protocol_that_can_be_simulated(tmp_path: Path) -> No
 
 
 def test_what_the_library_holds_is_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(questions, "library", lambda _: few("tissue_elasticity", "torque_bias"))
+    monkeypatch.setattr(Question, "library", lambda *_: few("tissue_elasticity", "torque_bias"))
     data = nr.simulate({"tissue_elasticity": 0.45}, protocol=PROTOCOL, name="mine", rate_hz=20.0)
     found = nr.learn(data, jobs=1)
     assert (found.verdict, found.library, found.formulas) == ("library", ("tissue_elasticity",), ())

@@ -28,7 +28,7 @@ def test_the_page_offers_the_figures_that_there_are() -> None:
         ({"kind": "compare", "fixed": {"friction_nmm_per_100mm": "much"}}, "give a number for each value"),
         ({"kind": "compare", "fixed": {"friction_nmm_per_100mm": True}}, "give a number for each value"),
         ({"kind": "compare", "free": "all"}, "names of those that are free"),
-        ({"kind": "compare", "free": ["friction_nmm_per_100mm"]}, "leave --fixed and --free out"),
+        ({"kind": "compare", "free": ["friction_nmm_per_100mm"]}, "leave fixed and free out"),
         ({"kind": "compare", "model": "rig_soft"}, "what this builds on is not there any more"),
         ({"kind": "take_values"}, "choose a model with values"),
     ],

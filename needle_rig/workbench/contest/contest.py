@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
@@ -23,10 +23,6 @@ from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
-TARGETS_DEG = (15.0, -15.0, 45.0, -45.0, 90.0, -90.0, 180.0, -180.0)
-SEEDS = 3
-FRICTION_SCATTER = 0.05
-"""Relative, from run to run."""
 Say = Callable[[str], None]
 
 
@@ -35,9 +31,9 @@ class Asked:
     """What is run: which strategies to which targets, and how often each from either start."""
 
     strategies: tuple[str, ...]
-    targets_deg: tuple[float, ...] = TARGETS_DEG
-    seeds: int = SEEDS
-    noise: Noise = field(default_factory=lambda: Noise(friction_scatter=FRICTION_SCATTER))
+    targets_deg: tuple[float, ...]
+    seeds: int
+    noise: Noise
 
 
 @dataclass(frozen=True)

@@ -229,9 +229,11 @@ def check_asked(strategies: Sequence[str], targets_deg: Sequence[float]) -> None
     for name in strategies:
         if name not in known:
             raise BadInput(f"strategy {name!r} is unknown; there are {', '.join(known)}")
+    if not targets_deg:
+        raise BadInput("no target was named; give one angle at least")
     for target in targets_deg:
         if not 0.0 < abs(target) <= FARTHEST_TARGET_DEG:
-            raise BadInput(f"--targets {target:g}: give angles of up to ±{FARTHEST_TARGET_DEG:g}°, and not 0")
+            raise BadInput(f"target {target:g}°: give angles of up to ±{FARTHEST_TARGET_DEG:g}°, and not 0")
 
 
 def compare_strategies(

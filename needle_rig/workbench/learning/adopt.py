@@ -44,7 +44,7 @@ def adopt(
     if effect not in library:
         raise BadInput(f"{effect}: no such effect; there are {', '.join(sorted(library))}")
     if model is not None and effect in {e.name() for e in model.effects}:
-        raise BadInput(f"{effect} is in the model {model.name} already; take it back with adopt --undo")
+        raise BadInput(f"{effect} is in the model {model.name} already; undo the step that added it")
     found = observed.explain(library, model, effect)
     if found is None:
         raise Refused(f"{effect} could not be fitted to {observed.name}: the model cannot be solved with it")
@@ -105,9 +105,8 @@ def _chosen(kept: KeptDiagnosis, effects: Sequence[str]) -> tuple[Explanation, S
         return able[0]
     sets = "; ".join(" and ".join(found.added) for found, _ in able or pairs)
     if not able:
-        raise BadInput(f"{kept.place}: --effect {' --effect '.join(effects)} is not in it; it has {sets}")
-    options = " or ".join(" ".join(f"--effect {e}" for e in found.added) for found, _ in able)
-    raise BadInput(f"{kept.place}: these cannot be told apart: {sets}; choose with {options}")
+        raise BadInput(f"{kept.place}: {' and '.join(effects)} is not in it; it has {sets}")
+    raise BadInput(f"{kept.place}: these cannot be told apart: {sets}; name the effects of one")
 
 
 def _verify(kept: KeptDiagnosis, found: Explanation, observed: Observations) -> None:
@@ -140,5 +139,5 @@ def _refuse_without_improvement(found: Explanation, force: bool) -> None:
     before, after = left_out_error(errors.held_out_before), left_out_error(errors.held_out_after)
     raise Refused(
         f"{' and '.join(found.added)} does not lower the error left out ({before} → {after} × the noise);"
-        " it was not added. Add it all the same with --force."
+        " it was not added. With force it is added all the same."
     )

@@ -281,7 +281,7 @@ def _held(
     if held is None:
         raise BadInput(
             f"{saved.model.name} cannot be solved on {problem.name} with its values as they stand; look at"
-            " them, or fit them: --refit"
+            " them, or compare with those of a refit alone"
         )
     fixed = [n in holding.fixed for n in shared_names(found.parameters)]
     scatter = found.scatter / np.sqrt(len(np.unique(problem.recorded)))

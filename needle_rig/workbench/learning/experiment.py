@@ -53,7 +53,7 @@ class Experiment:
         return protocol_of(self.best.command, *self.between)
 
     def save(self, path: Path) -> None:
-        """Write the protocol file that `compensate --protocol` takes."""
+        """Write the protocol file that the rig takes."""
         save_protocol(path, self.protocol(), note=self.sentence)
 
     def sentences(self) -> list[str]:
@@ -111,7 +111,7 @@ def propose_experiment(
         if name not in library:
             raise BadInput(f"{name}: no such effect; there are {', '.join(sorted(library))}")
     if between[0] == between[1]:
-        raise BadInput(f"--between {between[0]} {between[1]}: name two different effects")
+        raise BadInput(f"between {between[0]} {between[1]}: name two different effects")
     say("fitting both effects")
     baseline = fit_baseline(dataset, model, library)
     fits = []

@@ -131,7 +131,7 @@ class Identification:
         if excess(problem, current.chi2) > 0.0:
             said.append(
                 f"the model leaves {self.misfit:.2f} × the noise: the uncertainties hold for a model that"
-                f" meets the data; find what it lacks: needle-rig diagnose {problem.name}"
+                " meets the data; a diagnosis finds what it lacks"
             )
         return [*said, *(f"note: {n}" for n in self.baseline.dataset.notes)]
 
@@ -245,7 +245,8 @@ def _contradiction(baseline: Baseline, saved: SavedModel, prior: Gaussian, alone
     return (
         f"{baseline.problem.name}: contradicts {saved.model.name} (p = {p:.1g}, limit {CONTRADICTS:g}):"
         f" {names[worst]} is {here:.4g} here and {there:.4g} there, {abs(away[worst]):.1f} standard"
-        " deviations apart; the model file is unchanged: write these values to another one with --out"
+        " deviations apart; the model file is unchanged: identify these data without it for values of their"
+        " own"
     )
 
 

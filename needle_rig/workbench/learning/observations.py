@@ -223,7 +223,7 @@ class SettledValues:
         if values is not None and (values.fixed or values.free):
             raise BadInput(
                 f"{self.data.name} has settled values only, too few to fix or free values of the model one by"
-                " one; leave --fixed and --free out"
+                " one; leave fixed and free out"
             )
         return compare_settled(self.data, library, model, refit_only=bool(values and values.refit_only))
 

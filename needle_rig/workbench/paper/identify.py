@@ -96,7 +96,7 @@ def identify_damping(
     in_tissue = tissue_length_m(model.layout)
     plant_value = per_100mm(float(rod.viscous_nms_per_rad.sum()) / in_tissue)
     if plant_value <= 0.0:
-        raise BadInput(f"{model.name} has no damping to find; add some, e.g. --effect {DAMPING}=2.8")
+        raise BadInput(f"{model.name} has no damping to find; add some as an effect, e.g. {DAMPING}=2.8")
     readings, rates, torques, sigmas = [], [], [], []
     for number, rate in enumerate(rates_rad_s):
         rig = Bench(model, settings.model_copy(update={"seed": settings.seed + number}))

@@ -184,10 +184,7 @@ class SettledComparison:
 
     def traces(self) -> NoReturn:
         """Raises BadInput: there are none."""
-        raise BadInput(
-            f"{self.dataset} has settled values only, no traces to draw;"
-            " leave out --html and --pictures, and plot"
-        )
+        raise BadInput(f"{self.dataset} has settled values only, no traces to draw; ask for no picture")
 
     def as_json(self) -> CompareDocument:
         """The stated form of the answer."""

@@ -67,7 +67,7 @@ from needle_rig.workbench.selection.verdict import verdict as judge
 QUICK = (
     "quick: one effect was looked for, each by itself, and fitted where a straight line promises more than"
     " chance; whether a second is missing, and what else could stand beside it, was not asked. Without"
-    " --quick it is."
+    " quick it is."
 )
 
 

@@ -99,7 +99,7 @@ def expected(
     longest_s = SEARCH_TIMES[1] * (slow.solution_s if slow else solution_s[1]) / processes
     if quick or longest_s < LONG_S:
         return (fast if quick else whole) + missing
-    return f"{whole}{missing} (--quick: {fast}, for one effect alone)"
+    return f"{whole}{missing} (quick: {fast}, for one effect alone)"
 
 
 def _spelt(

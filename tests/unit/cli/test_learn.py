@@ -62,13 +62,13 @@ def test_a_place_for_the_draft_that_cannot_be_one(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert command(["learn", "no-data", "--out", out]) == 2
-    assert capsys.readouterr().err == f"--out {out}: {said}\n"
+    assert capsys.readouterr().err == f"{out}: {said}\n"
 
 
 def test_settled_values_are_too_few_for_a_curve(capsys: Any) -> None:
     assert command(["learn", "reed2008"]) == 2
     said = capsys.readouterr().err
-    assert "reed2008: holds settled values only, from which no curve can be learnt" in said
+    assert "reed2008: holds settled values only, too few to learn a curve; name a dataset of traces" in said
     assert len(said.splitlines()) == 1
 
 

@@ -168,9 +168,9 @@ def test_diagnose_last_takes_the_newest_run_of_the_service(
     assert str(here.runs) in capsys.readouterr().err
     here.runs.mkdir(parents=True)
     (here.runs / run_path.name).write_bytes(run_path.read_bytes())
-    assert _workbench._found((Path("last"),)) == (here.runs / run_path.name,)
+    assert _workbench.newest((Path("last"),)) == (here.runs / run_path.name,)
     put(Path("last"))  # a file of that name is meant first
-    assert _workbench._found((Path("last"),)) == (Path("last"),)
+    assert _workbench.newest((Path("last"),)) == (Path("last"),)
 
 
 def test_a_dataset_of_a_simulated_run_says_so(

@@ -106,8 +106,8 @@ def test_a_law_that_nobody_told_straightens_the_needle(monkeypatch: Any, tmp_pat
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (["--law", "--effect", "chuck_backlash"], "--law hides a law of its own; leave --effect out."),
-        (["--law", "--target", "0"], "--target 0: there is nothing to turn"),
+        (["--law", "--effect", "chuck_backlash"], "law hides one of its own; name no effect beside it"),
+        (["--law", "--target", "0"], "target_deg 0: there is nothing to turn"),
     ],
 )
 def test_a_law_that_cannot_be_hidden_is_said(asked: Any, said: str, capsys: Any) -> None:
@@ -118,7 +118,7 @@ def test_a_law_that_cannot_be_hidden_is_said(asked: Any, said: str, capsys: Any)
 def test_a_rig_without_the_laws_section_is_said(monkeypatch: Any, capsys: Any) -> None:
     monkeypatch.setattr("needle_rig.workbench.contest.untold_law.SECTION", 9)
     assert command(["demo", "--law"]) == 2
-    assert "--law acts in tissue section 9, and rig_rigid has 4; name another" in capsys.readouterr().err
+    assert "the law acts in tissue section 9, and rig_rigid has 4; name another" in capsys.readouterr().err
 
 
 def test_a_model_file_whose_law_would_take_an_effects_name_is_said(
@@ -129,4 +129,4 @@ def test_a_model_file_whose_law_would_take_an_effects_name_is_said(
     taken.write_text(next(iter(sorted(source.glob("*.py")))).read_text(encoding="utf-8"), encoding="utf-8")
     out = tmp_path / "m.yaml"
     assert command(["demo", "--law", "--effects", str(tmp_path), "--out", str(out)]) == 2
-    assert "m_law: there is an effect of this name; name --out otherwise" in capsys.readouterr().err
+    assert "m_law.py: there is an effect m_law already; name the file otherwise" in capsys.readouterr().err

@@ -53,7 +53,7 @@ def test_the_error_falls_step_by_step_and_steps_can_be_taken_back() -> None:
 
 def test_an_effect_that_predicts_nothing_is_refused() -> None:
     data = Traces(dataset(seed=5))
-    with pytest.raises(Refused, match="--force"):
+    with pytest.raises(Refused, match="With force it is added"):
         adopt(data, "torque_bias", few())
     forced = adopt(data, "torque_bias", few(), force=True)
     assert "force" in forced.history[-1].note

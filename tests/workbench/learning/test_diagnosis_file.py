@@ -211,9 +211,9 @@ def test_a_tie_lists_its_alternatives_and_waits_for_a_choice(tie: tuple[Path, st
     path, _ = tie
     kept = load_diagnosis(path)
     assert [found.added for found in kept.explanations] == [(name,) for name in TIED]
-    with pytest.raises(BadInput, match=r"cannot be told apart: .* or --effect torque_gain"):
+    with pytest.raises(BadInput, match=r"cannot be told apart: .*; name the effects of one$"):
         adopt_diagnosis(kept)
-    with pytest.raises(BadInput, match="--effect tip_friction is not in it; it has tissue_elasticity;"):
+    with pytest.raises(BadInput, match="tip_friction is not in it; it has tissue_elasticity;"):
         adopt_diagnosis(kept, effects=("tip_friction",))
     model = tmp_path / "model.yaml"
     words = [str(path), "reed2008", "--effect", "tissue_elasticity", "--out", str(model), "--json"]
@@ -264,7 +264,7 @@ def test_a_verdict_without_an_effect_leaves_nothing_to_adopt(kept: KeptDiagnosis
 
 def test_what_improves_no_cross_validation_is_refused_without_force(kept: KeptDiagnosis) -> None:
     idle = tuple(dataclasses.replace(found, improves=False) for found in kept.explanations)
-    with pytest.raises(Refused, match="--force"):
+    with pytest.raises(Refused, match="With force it is added"):
         adopt_diagnosis(dataclasses.replace(kept, explanations=idle))
     forced = adopt_diagnosis(dataclasses.replace(kept, explanations=idle), force=True)
     assert "force" in forced.history[-1].note

@@ -19,6 +19,7 @@ from needle_rig.errors import BadInput
 from needle_rig.figures.comparison import residual_map, traces
 from needle_rig.model import HistoryEntry, SavedModel, load_parameters, save_model
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
+from needle_rig.questions.question import Question
 from needle_rig.workbench.learning.compare import LEARNT_HERE, Held, TraceComparison, compare, compared
 from needle_rig.workbench.selection.explanation import IN_NOISE_UNITS, errors_by_channel
 from needle_rig.workbench.selection.values import with_uncertainty
@@ -201,7 +202,7 @@ def test_the_scale_of_the_map_is_the_same_for_all_data() -> None:
 def test_a_diagnosis_says_whether_values_fail_before_it_speaks_of_the_structure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("needle_rig.cli.diagnose.library", lambda _: few("tissue_elasticity", "torque_bias"))
+    monkeypatch.setattr(Question, "library", lambda *_: few("tissue_elasticity", "torque_bias"))
     folder = str(write_dataset(dataset(ELASTIC), tmp_path / "data"))
     half, right = tmp_path / "half.yaml", tmp_path / "right.yaml"
     save_model(half, model(STIFFNESS, 0.5))

@@ -10,7 +10,9 @@ import pytest
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput
+from needle_rig.questions.question import read_observations
 from needle_rig.recording import RunFile, RunWriter, run_tables
+from needle_rig.recording.retention import was_read
 from needle_rig.workbench.learning.observations import SettledValues, Traces
 from needle_rig.workbench.observations.sources import read_measurements
 
@@ -39,18 +41,19 @@ def test_runs_and_folders_of_one_rig_are_one_series(tmp_path: Path, run_path: Pa
         read_measurements([])
 
 
-def test_commands_take_runs_and_names_of_datasets(tmp_path: Path, run_path: Path) -> None:
-    from needle_rig.cli._workbench import read_data, read_observations
-
-    assert len(read_data((run_path,)).trials) == 1
-    assert isinstance(read_observations((run_path,)), Traces)
+def test_questions_take_runs_and_names_of_datasets(tmp_path: Path, run_path: Path) -> None:
+    run = tmp_path / run_path.name
+    run.write_bytes(run_path.read_bytes())
+    (tmp_path / ".read").mkdir()
+    assert isinstance(read_observations((run,)), Traces)
+    assert was_read(run)
     settled = read_observations((Path("reed2008"),))
     assert isinstance(settled, SettledValues)
     assert settled.name == "reed2008"
     with pytest.raises(BadInput, match="holds settled values; give it alone"):
         read_observations((run_path, Path("reed2008")))
     with pytest.raises(BadInput, match="there is no such folder"):
-        read_data((Path("nowhere"),))
+        read_observations((Path("nowhere"),))
 
 
 def test_gaps_of_a_run_are_masked_and_said(tmp_path: Path, run_path: Path) -> None:

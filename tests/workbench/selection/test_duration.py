@@ -24,13 +24,13 @@ from tests.workbench.hidden import dataset, effect, few
         (0.0028, 1, "some 6 to 25 s"),
         (0.00001, 2, "some 1 to 2 s"),
         (0.0132, 2, "some 13 to 59 s"),
-        (0.0134, 2, "some 13 to 60 s (--quick: some 3 to 21 s, for one effect alone)"),
-        (0.18, 2, "some 3.0 to 14 min (--quick: some 36 s to 5 min, for one effect alone)"),
+        (0.0134, 2, "some 13 to 60 s (quick: some 3 to 21 s, for one effect alone)"),
+        (0.18, 2, "some 3.0 to 14 min (quick: some 36 s to 5 min, for one effect alone)"),
     ],
 )
 def test_how_long_it_will_take_is_told_at_the_beginning(solution_s: float, processes: int, told: str) -> None:
     assert expected((solution_s, solution_s), processes) == told
-    assert "--quick" not in expected((solution_s, solution_s), processes, quick=True)
+    assert "quick" not in expected((solution_s, solution_s), processes, quick=True)
 
 
 def test_the_slowest_effect_is_told_with_what_it_takes() -> None:
@@ -39,9 +39,9 @@ def test_the_slowest_effect_is_told_with_what_it_takes() -> None:
     told = expected((0.0028, 0.0028), 1, slow=slow)
     assert told == (
         "some 6 to 25 s, up to 17 min if stiction_ageing is missing"
-        " (--quick: some 1 to 9 s, up to 6 min, for one effect alone)"
+        " (quick: some 1 to 9 s, up to 6 min, for one effect alone)"
     )
-    assert "--quick" not in expected((0.0001, 0.0001), 1, slow=Slowest("stiction_ageing", 0.004))
+    assert "quick" not in expected((0.0001, 0.0001), 1, slow=Slowest("stiction_ageing", 0.004))
     # where every sample drives it, the model without takes as long
     assert "stiction_ageing" not in expected((0.0028, 0.06), 1, slow=slow)
 

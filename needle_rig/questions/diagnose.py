@@ -1,0 +1,81 @@
+"""Which effect is missing from a model."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from needle_rig.questions.doing import SILENT, Doing
+from needle_rig.questions.fields import Within
+from needle_rig.questions.question import About
+
+if TYPE_CHECKING:
+    from needle_rig.model import SavedModel
+    from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis
+    from needle_rig.workbench.learning.observations import Observations
+    from needle_rig.workbench.selection.answer import Answer
+    from needle_rig.workbench.selection.documents import DiagnoseDocument, ValuesDocument
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosed:
+    """A diagnosis, with what was asked: data and model."""
+
+    found: Answer
+    observed: Observations
+    started: SavedModel | None
+    """The model that was diagnosed; None for the null model."""
+
+    def model_values(self) -> ValuesDocument | None:
+        """Whether the model's values hold as they stand; None for settled values and the null model."""
+        from needle_rig.workbench.learning.compare import compared, values_document
+        from needle_rig.workbench.selection.diagnose import Diagnosis
+
+        if self.started is None or not isinstance(self.found, Diagnosis):
+            return None
+        held = compared(self.found.baseline, self.started)
+        return values_document(held, structure_holds=self.found.verdict == "none")
+
+    def as_json(self) -> DiagnoseDocument:
+        """The stated form of the answer."""
+        document, values = self.found.as_json(), self.model_values()
+        if values is not None:
+            document["model_values"] = values
+        return document
+
+    def keep(self) -> KeptDiagnosis:
+        """The diagnosis with its fits, as it is written."""
+        from needle_rig.workbench.learning.diagnosis_file import keep
+
+        return keep(self.found, self.observed, self.started)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the diagnosis file that `adopt` takes."""
+        from needle_rig.workbench.learning.diagnosis_file import save_diagnosis
+
+        save_diagnosis(path, self.keep())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnose(About):
+    """Say which effect is missing from the model: its size, its rivals, and what the data cannot tell."""
+
+    max_effects: Annotated[int, Within(1, 6)] = 3
+    quick: bool = False
+    """Look for one effect alone."""
+    seed: Annotated[int, Within(0)] = 0
+
+    def answer(self, doing: Doing = SILENT) -> Diagnosed:
+        """Raises BadInput, SolverError."""
+        saved, library, observed = self.saved(), self.library(doing), self.observed()
+        found = observed.diagnose(
+            library,
+            None if saved is None else saved.model,
+            max_effects=self.max_effects,
+            quick=self.quick,
+            seed=self.seed,
+            work=doing.work(),
+            say=doing.say,
+        )
+        return Diagnosed(found, observed, saved)

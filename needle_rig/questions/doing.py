@@ -1,0 +1,47 @@
+"""How a question is worked: in how many processes, and who hears how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from needle_rig.workbench.parallel import Work
+
+
+def _unheard(_: str) -> None:
+    return
+
+
+def _uncounted(results: Iterable[Any], _: int) -> Iterable[Any]:
+    return results
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Doing:
+    """How one question is worked; the answer does not depend on it.
+
+    A worker of the page is cancelled by its end, a command and a cell by KeyboardInterrupt: nothing here
+    catches it, and `work` ends its processes.
+    """
+
+    jobs: int | None = None
+    """Processes; None: one a core."""
+    cluster: str | None = None
+    """Address of a Dask scheduler that takes their place."""
+    say: Callable[[str], None] = _unheard
+    """Hears each step that begins."""
+    tell: Callable[[str], None] = _unheard
+    """Hears sentences that are worth reading before the answer."""
+    progress: Callable[[Iterable[Any], int], Iterable[Any]] = _uncounted
+    """Hands on the results of a step, of which there will be so many, and counts them."""
+
+    def work(self) -> Work:
+        """Where tasks run. Raises BadInput."""
+        from needle_rig.workbench.parallel import workers
+
+        return workers(self.jobs, self.cluster, self.progress)
+
+
+SILENT = Doing()

@@ -1,0 +1,78 @@
+"""Every way of aligning the needle, side by side on one simulated rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from needle_rig.errors import BadInput
+from needle_rig.questions.doing import SILENT, Doing
+from needle_rig.questions.fields import Within
+from needle_rig.questions.question import AnyModel, Question
+
+if TYPE_CHECKING:
+    from needle_rig.physics.effect import Effect
+    from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.workbench.contest.contest import Contest
+
+    Hidden: TypeAlias = str | Effect
+else:
+    Hidden = object
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strategies(Question):
+    """Run strategies on a simulated rig, from a relaxed and from a wound shaft."""
+
+    names: Sequence[str] = ()
+    """Strategies; none: all."""
+    parameters: AnyModel = "rig_elastic"
+    """The rig: parameter set, or model file."""
+    hidden: Sequence[Hidden] = ()
+    """Effects of the rig, as NAME=VALUE or as they are made."""
+    model: AnyModel | None = None
+    """What planned works with; None: identified from eight runs on the rig."""
+    diagnose: bool = False
+    """Let diagnose find the effects of that model."""
+    targets_deg: Sequence[float] = (15.0, -15.0, 45.0, -45.0, 90.0, -90.0, 180.0, -180.0)
+    seeds: Annotated[int, Within(1, 1000)] = 3
+    """Runs of each kind."""
+    friction_scatter: Annotated[float, Within(0.0, 0.5)] = 0.05
+    """Relative, from run to run."""
+
+    def plant(self, doing: Doing = SILENT) -> NeedleModel:
+        """The rig with its hidden effects. Raises BadInput."""
+        rig = self.read_model(self.parameters)
+        if rig is None:
+            raise BadInput("parameters is None; name a parameter set or a model file")
+        return rig.model.with_effects(*made(self.hidden, self.library(doing))) if self.hidden else rig.model
+
+    def answer(self, doing: Doing = SILENT) -> Contest:
+        """Raises BadInput, SolverError."""
+        from needle_rig.control.strategy import find_strategies
+        from needle_rig.workbench.contest.contest import Asked, contest
+        from needle_rig.workbench.contest.strategies_table import all_strategies
+        from needle_rig.workbench.virtual.noise import Noise
+
+        for _, sentence in find_strategies().broken:
+            doing.tell(f"warning: {sentence}")
+        noise = Noise(friction_scatter=self.friction_scatter)
+        return contest(
+            self.plant(doing),
+            Asked(tuple(self.names) or all_strategies(), tuple(self.targets_deg), self.seeds, noise),
+            self.library(doing),
+            self.read_model(self.model),
+            diagnose=self.diagnose,
+            workers=doing.work,
+            say=doing.say,
+            tell=doing.tell,
+        )
+
+
+def made(hidden: Sequence[Hidden], library: Mapping[str, type[Effect]]) -> list[Effect]:
+    """Effects that are named with their values, then those made already. Raises BadInput."""
+    from needle_rig.physics.effect_text import parse_effects
+
+    named = [one for one in hidden if isinstance(one, str)]
+    return [*parse_effects(named, library), *(one for one in hidden if not isinstance(one, str))]

@@ -1,0 +1,67 @@
+"""What a job of the page answers: the same questions, as documents, with their steps told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from needle_rig.errors import BadInput
+from needle_rig.questions.doing import Doing
+from needle_rig.questions.strategies import Strategies
+from needle_rig.web.places import DIAGNOSIS, MODEL
+from needle_rig.web.work import work
+
+TIED = ["chuck_compliance", "torque_gain"]
+
+
+def asked(kind: str, out: Path, **request: Any) -> tuple[dict[str, Any], list[str]]:
+    """The document, and the steps that were told on the way."""
+    said: list[str] = []
+    document = work(kind, {**request, "out": str(out)}, Doing(jobs=1, say=said.append))
+    return document, said
+
+
+def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
+    about = {"data": ["reed2008"], "effects": []}
+    compared, said = asked("compare", tmp_path, **about, model=None)
+    assert compared["name"] == "reed2008"
+    assert compared["traces"] is None
+    assert said[0] == "holding the model against the data, and fitting it"
+    found, said = asked("diagnose", tmp_path, **about, model=None, quick=True)
+    assert (found["ties"], found["quick"], found["candidates"]) == (TIED, True, {})
+    assert "policy" not in found
+    assert said[-1] == "keeping the fits"
+    file = str(tmp_path / DIAGNOSIS)
+    model, _ = asked("adopt", tmp_path, **about, diagnosis=file, chosen=["tissue_elasticity"])
+    assert model["added"] == ["tissue_elasticity"]
+    back, _ = asked("undo", tmp_path, effects=[], model=str(tmp_path / MODEL))
+    assert back == {"model": None, "steps": [], "values": [], "added": []}
+
+
+def test_an_effect_is_added_by_name_as_a_learnt_law_is(tmp_path: Path) -> None:
+    law = {"data": ["reed2008"], "model": None, "effect": "tissue_elasticity"}
+    model, said = asked("adopt_law", tmp_path, **law, effects=[])
+    assert model["added"] == ["tissue_elasticity"]
+    assert said == ["fitting tissue_elasticity"]
+
+
+def test_strategies_run_on_the_rig_that_planned_knows(tmp_path: Path) -> None:
+    rig = {"parameters": "rig_elastic", "model": "rig_elastic", "effects": []}
+    found, _ = asked("strategies", tmp_path, **rig, targets_deg=[10.0], seeds=1)
+    assert {row["strategy"] for row in found["rows"]} > {"planned", "reed2008"}
+    assert found["target_deg"] == 10.0
+    assert found["sequences"]["reed2008"]["motions"][0]["name"] == "rest"
+
+
+def test_a_request_that_asks_something_else_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"^folder: is not asked here; give effects, data, model"):
+        asked("compare", tmp_path, data=["nowhere"], model=None, folder="/etc")
+    with pytest.raises(BadInput, match="seeds 0: give 1 to 1000"):
+        asked("strategies", tmp_path, targets_deg=[10.0], seeds=0)
+
+
+def test_no_target_is_refused_in_a_sentence() -> None:
+    with pytest.raises(BadInput, match="no target was named; give one angle at least"):
+        Strategies(names=["none"], targets_deg=()).answer()
