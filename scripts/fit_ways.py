@@ -181,7 +181,7 @@ class Way:
 
     def source(self) -> str:
         """What is typed."""
-        return "\n\n".join(inspect.getsource(each).rstrip() for each in (*self.shared, self.ask))
+        return "\n\n\n".join(inspect.getsource(each).rstrip() for each in (*self.shared, self.ask))
 
     def lines(self) -> int:
         """How many lines of it hold something."""

@@ -1,6 +1,7 @@
 """Bytes of delimited text to numbers, compiled: each number is the float64 nearest to what is written.
 
-What it is not sure of it leaves to `text_rows`, which reads cell by cell and finds the words for an error.
+What it is not sure of it leaves to `text_rows`. It gives the place of a number whose last bit is in doubt.
+Other text is read cell by cell there, which finds the words for an error.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ SPACES = 0
 """As a delimiter: any number of spaces and tabs."""
 _LARGEST = 60
 """Decimal exponent; a digit of a sensor lies nearer to 1."""
-_MOST_DIGITS = 19
-"""Which fit into 64 bits."""
+_FULL = 10**18
+"""From here on one digit more would be the twentieth, and 64 bits hold nineteen."""
+NONE, SURE, DOUBTED = 0, 1, 2
+"""Of a field: it is no number, its number is known, it is one whose last bit is in doubt."""
 _EXACT = 1 << 53
 """Below this a whole number is a float64, and so is a power of ten up to 10^22: one rounding is left."""
 _EXACT_POWER = 22
@@ -51,12 +54,13 @@ def padded(words: tuple[str, ...]) -> Any:
 
 
 @kept(nogil=True)
-def parsed(text, delimiter, point, is_word, nulls, powers, numbers, spans):
+def parsed(text, delimiter, point, is_word, nulls, powers, numbers, spans, doubted):
     """Number of rows in `text`, or UNSURE; numbers (columns, rows) and where words begin and end are filled.
 
+    `doubted` is filled with column, row, begin and end of numbers in doubt; the second answer is their count.
     Blank lines are no rows. A field that is empty or stands in `nulls` (n, length) is NaN.
     """
-    size, row, at = text.size, 0, 0
+    size, row, at, doubts = text.size, 0, 0, 0
     while at < size:
         while at < size and _is_blank(text[at]):
             at += 1
@@ -68,18 +72,23 @@ def parsed(text, delimiter, point, is_word, nulls, powers, numbers, spans):
         column, number, word = 0, 0, 0
         while True:
             if column >= is_word.size:
-                return UNSURE
+                return UNSURE, 0
             begin, end, at = _field(text, at, delimiter)
             if at < 0:
-                return UNSURE
+                return UNSURE, 0
             if is_word[column]:
                 spans[row, word, 0], spans[row, word, 1] = begin, end
                 word += 1
             else:
-                known, value = _number(text, begin, end, point, powers)
-                if not known:
+                kind, value = _number(text, begin, end, point, powers)
+                if kind == DOUBTED:
+                    if doubts == doubted.shape[0]:
+                        return UNSURE, 0
+                    doubted[doubts] = number, row, begin, end
+                    doubts += 1
+                elif kind == NONE:
                     if not _is_null(text, begin, end, nulls):
-                        return UNSURE
+                        return UNSURE, 0
                     value = np.nan
                 numbers[number, row] = value
                 number += 1
@@ -90,9 +99,9 @@ def parsed(text, delimiter, point, is_word, nulls, powers, numbers, spans):
                 at += 1
         at += 1
         if column != is_word.size:
-            return UNSURE
+            return UNSURE, 0
         row += 1
-    return row
+    return row, doubts
 
 
 @kept(nogil=True, inline="always")
@@ -140,46 +149,53 @@ def _field(text, at, delimiter):
 
 @kept(nogil=True)
 def _number(text, at, end, point, powers):
-    """Whether the bytes are a number that this can tell, and which."""
+    """NONE, SURE or DOUBTED, and the number that is sure."""
     negative = at < end and text[at] == _MINUS
     if at < end and (text[at] == _MINUS or text[at] == _PLUS):
         at += 1
-    digits, kept_digits, exponent = np.uint64(0), 0, np.int64(0)
-    seen, after = False, False
+    digits, exponent = np.uint64(0), np.int64(0)
+    seen, after, cut = False, False, False
     while at < end:
         byte = text[at]
         if _ZERO <= byte <= _NINE:
             seen = True
-            digits = digits * np.uint64(10) + np.uint64(byte - _ZERO)
-            if digits > np.uint64(0):
-                kept_digits += 1
-            if after:
-                exponent -= 1
+            if digits < np.uint64(_FULL):
+                digits = digits * np.uint64(10) + np.uint64(byte - _ZERO)
+                if after:
+                    exponent -= 1
+            else:
+                cut = cut or byte != _ZERO
+                if not after:
+                    exponent += 1
         elif byte == point and not after:
             after = True
         else:
             break
         at += 1
-    if not seen or kept_digits > _MOST_DIGITS:
-        return False, 0.0
+    if not seen:
+        return NONE, 0.0
     if at < end:
         if text[at] != _EXPONENTS[0] and text[at] != _EXPONENTS[1]:
-            return False, 0.0
+            return NONE, 0.0
         at += 1
         down = at < end and text[at] == _MINUS
         if at < end and (text[at] == _MINUS or text[at] == _PLUS):
             at += 1
         if at >= end or end - at > 4:
-            return False, 0.0
+            return NONE, 0.0
         written = np.int64(0)
         while at < end:
             if not _ZERO <= text[at] <= _NINE:
-                return False, 0.0
+                return NONE, 0.0
             written = written * 10 + np.int64(text[at]) - _ZERO
             at += 1
         exponent += -written if down else written
     known, value = _scaled(digits, exponent, powers)
-    return known, -value if negative else value
+    if cut:
+        # what was cut off lies between these two
+        other_known, other = _scaled(digits + np.uint64(1), exponent, powers)
+        known = known and other_known and value == other
+    return SURE if known else DOUBTED, -value if negative else value
 
 
 @kept(nogil=True)

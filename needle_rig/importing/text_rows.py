@@ -22,6 +22,8 @@ RECODED_BYTES = 1_000_000_000
 """Text in UTF-16 is rewritten in memory before it is read."""
 CHUNK_BYTES = 1 << 24
 """Rows that are looked at together."""
+MOST_DOUBTED = 1 << 16
+"""Numbers of a chunk that may be in doubt; of those with 20 digits and more it is one in some hundred."""
 
 POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
@@ -129,11 +131,15 @@ def _at_once(raw: bytes, shape: Shape) -> tuple[Array, dict[int, Words]] | None:
     most = raw.count(b"\n") + 1
     numbers = np.empty((is_word.size - places.size, most))
     spans = np.empty((most, places.size, 2), dtype=np.int64)
+    doubted = np.empty((MOST_DOUBTED, 4), dtype=np.int64)
     delimiter = SPACES if shape.delimiter == " " else ord(shape.delimiter)
     point = ord("," if shape.comma else ".")
-    rows = parsed(np.frombuffer(raw, np.uint8), delimiter, point, is_word, _NULLS, POWERS, numbers, spans)
+    text = np.frombuffer(raw, np.uint8)
+    rows, doubts = parsed(text, delimiter, point, is_word, _NULLS, POWERS, numbers, spans, doubted)
     if rows in (UNSURE, 0):
         return None
+    for column, row, begin, end in doubted[:doubts].tolist():
+        numbers[column, row] = float(raw[begin:end].replace(b",", b"."))
     texts = {
         int(k): np.array([raw[begin:end] for begin, end in spans[:rows, word].tolist()])
         for word, k in enumerate(places)

@@ -6,6 +6,7 @@ import functools
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
@@ -72,7 +73,12 @@ def several(given: PathLike | Sequence[Any]) -> Sequence[Any]:
 
 def at_work(jobs: int | None = None) -> Doing:
     """Processes that show how far they are, one a core where `jobs` is None."""
-    return Doing(jobs=jobs, say=step, progress=progress)
+    return Doing(jobs=jobs, say=step, tell=told, progress=progress)
+
+
+def told(sentence: str) -> None:
+    """A warning that points at the cell or the line that asked."""
+    warnings.warn(sentence.removeprefix("warning: "), stacklevel=6)
 
 
 def step(text: str) -> None:

@@ -157,3 +157,10 @@ def test_effects_and_parameter_sets_are_listed() -> None:
     assert nr.parameters()["rig_rigid"].torsional_rigidity_nmm2 > 0
     assert len(nr.parameters()) == len(nr.parameters().to_pandas())
     assert "<table>" in effects._repr_html_()
+
+
+def test_a_broken_effect_of_ones_own_warns_where_it_was_asked(tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text("def(")
+    with pytest.warns(UserWarning, match=r"bad\.py:1: ") as told:
+        nr.compare(data(), effects=[tmp_path])
+    assert {warning.filename for warning in told} == {__file__}

@@ -24,6 +24,7 @@ CALLED_BY_LIBRARIES = {
     "_optimize_final_module": "numba",
     "_options_end": "pydantic",
     "get_code": "importlib",
+    "_repr_png_": "IPython",
     "define_pipelines": "numba",
     "disconnected": "uvicorn",
     "format_commands": "click",
@@ -34,6 +35,7 @@ CALLED_BY_LIBRARIES = {
     "padding": "intelhex",
     "send_message": "canopen",
     "typing_context": "numba",
+    "warn": "Matplotlib",
     "yaml_implicit_resolvers": "PyYAML",
 }
 READ_BY_NAME = {
