@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from needle_rig.importing import Mapping, Recordings
+    from needle_rig.importing import Mapping
+    from needle_rig.questions.recordings import Understood
 
 PICTURE = "import.png"
 
@@ -38,45 +39,39 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
     needle-rig import data/mine.yaml --out data/mine
     """
     from needle_rig.errors import BadInput
-    from needle_rig.importing import Recordings, dataset_of
-    from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
-    from needle_rig.importing.keep import kept
+    from needle_rig.importing.asked import is_mapping
+    from needle_rig.questions.recordings import Understand
 
     if os.path.lexists(out):
         raise BadInput(f"{out}: exists already; name another folder with --out or remove it first")
-    named = [file for file in files if is_mapping(file)]
-    others = [file for file in files if file not in named]
-    if len(named) > 1:
-        raise BadInput(f"{named[1]}: a second mapping; give one")
+    named = next((file for file in files if is_mapping(file)), None)
     if named and guessing:
-        raise BadInput(f"{named[0]}: is a mapping already; leave --guess out")
+        raise BadInput(f"{named}: is a mapping already; leave --guess out")
     if not named and not guessing:
         raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
-    recordings = Recordings()
-    if named:
-        mapping, folder = given_mapping(named[0], others, layout)
-    else:
-        mapping, folder = guessed_mapping(others, out.resolve().name, layout, recordings), Path()
-        _tell(mapping)
-    waiting = mapping.doubts()
-    if not yes and waiting and not mapping.lacks() and guessing and sys.stdin.isatty():
+    found = Understand(files=files, name=out.resolve().name, layout=layout).answer()
+    if guessing:
+        _tell(found.mapping)
+    waiting = found.doubts()
+    if not yes and waiting and not found.lacks() and guessing and sys.stdin.isatty():
         waiting = [doubt for doubt in waiting if not click.confirm(f"{doubt}. Is the line right?")]
-    if mapping.lacks() or (waiting and not yes):
-        raise BadInput(_to_confirm(mapping, folder, recordings, None if named else out, waiting))
+    if found.lacks() or (waiting and not yes):
+        raise BadInput(_to_confirm(found, out, waiting))
     for doubt in waiting:
         click.echo(f"taken as it is: {doubt}", err=True)
-    mapping = mapping.confirmed()
+    found = found.confirmed()
     try:
-        dataset = dataset_of(mapping, folder, recordings=recordings)
-        with kept(dataset, mapping, folder, out) as left_out:
-            drawn = _draw(mapping, folder, recordings, out / PICTURE)
+        with found.written(out) as imported:
+            drawn = _draw(found, out / PICTURE)
     except BadInput as error:
-        if named:
+        if found.given:
             raise
-        place = _keep(mapping, folder, recordings, out)
-        raise BadInput(f"{error}\nThe mapping is in {place}; correct it there and import it") from None
+        raise BadInput(
+            f"{error}\nThe mapping is in {_keep(found, out)}; correct it there and import it"
+        ) from None
+    dataset = imported.dataset
     samples = sum(len(trial.trial.time_s) for trial in dataset.trials)
-    for note in (*dataset.notes, *left_out):
+    for note in imported.notes:
         click.echo(note, err=True)
     click.echo(
         f"{out}: {len(dataset.trials)} trials, {len(dataset.replicates)} commands, {samples} samples"
@@ -96,30 +91,27 @@ def _tell(mapping: Mapping) -> None:
         click.echo(f"not used: {', '.join(mapping.not_used)}")
 
 
-def _to_confirm(
-    mapping: Mapping, folder: Path, recordings: Recordings, out: Path | None, waiting: list[str]
-) -> str:
-    lines = [*mapping.lacks(), *waiting]
-    if out is None:
+def _to_confirm(found: Understood, out: Path, waiting: list[str]) -> str:
+    if found.given:
         next_step = "correct these lines, remove `doubt` from those that are right, and import again"
     else:
-        place = _keep(mapping, folder, recordings, out)
+        place = _keep(found, out)
         next_step = f"confirm or correct these lines in {place} (remove `doubt`), then import it"
-    return "\n".join([*lines, next_step])
+    return "\n".join([*found.lacks(), *waiting, next_step])
 
 
-def _keep(mapping: Mapping, folder: Path, recordings: Recordings, out: Path) -> Path:
+def _keep(found: Understood, out: Path) -> Path:
     """Write the mapping and its picture beside the dataset that is to be."""
     from needle_rig.importing import write_mapping
 
     place = out.with_name(out.name + ".yaml")
     place.parent.mkdir(parents=True, exist_ok=True)
-    write_mapping(mapping, place, folder)
-    _draw(mapping, folder, recordings, out.with_name(out.name + ".png"))
+    write_mapping(found.mapping, place, found.folder)
+    _draw(found, out.with_name(out.name + ".png"))
     return place
 
 
-def _draw(mapping: Mapping, folder: Path, recordings: Recordings, path: Path) -> bool:
+def _draw(found: Understood, path: Path) -> bool:
     """Draw what was understood; says so where that cannot be drawn here."""
     from needle_rig.errors import BadInput
 
@@ -130,6 +122,6 @@ def _draw(mapping: Mapping, folder: Path, recordings: Recordings, path: Path) ->
         return False
     from needle_rig.importing.preview import preview
 
-    shown, loop = preview(mapping, folder, recordings)
+    shown, loop = preview(found.mapping, found.folder, found.recordings)
     draw_import([Drawn(f"{s.role} ← {s.source}", s.unit, s.time_s, s.values) for s in shown], loop, path)
     return True

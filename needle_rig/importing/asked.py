@@ -35,7 +35,12 @@ def given_mapping(path: Path, others: Sequence[Path], layout: Path | None) -> tu
     return mapping, path.parent
 
 
-def guessed_mapping(files: Sequence[Path], name: str, layout: Path | None, recordings: Recordings) -> Mapping:
-    """What the files themselves say of their columns, with reasons and doubts. Raises BadInput."""
+def guessed_mapping(
+    files: Sequence[Path], name: str, layout: Path | None, recordings: Recordings, root: Path
+) -> Mapping:
+    """What the files themselves say of their columns, with reasons and doubts; it names them from `root` on.
+
+    Raises BadInput.
+    """
     rig = None if layout is None else read_rig(layout)
-    return guess([recordings.read(file) for file in files], name, rig, Path())
+    return guess([recordings.read(file) for file in files], name, rig, root)

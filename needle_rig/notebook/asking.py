@@ -29,6 +29,7 @@ AnyModel: TypeAlias = Model | PathLike
 P = ParamSpec("P")
 R = TypeVar("R")
 
+WARNING = "warning: "
 _OPTION = re.compile(r"--([a-z][a-z-]*[a-z])")
 
 
@@ -77,8 +78,11 @@ def at_work(jobs: int | None = None) -> Doing:
 
 
 def told(sentence: str) -> None:
-    """A warning that points at the cell or the line that asked."""
-    warnings.warn(sentence.removeprefix("warning: "), stacklevel=6)
+    """A warning points at the cell or the line that asked; anything else is told as a step is."""
+    if sentence.startswith(WARNING):
+        warnings.warn(sentence.removeprefix(WARNING), stacklevel=6)
+    else:
+        step(sentence)
 
 
 def step(text: str) -> None:

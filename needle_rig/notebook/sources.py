@@ -9,15 +9,13 @@ from typing import Literal
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput
-from needle_rig.importing import Recordings, dataset_of
-from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
-from needle_rig.importing.keep import kept
 from needle_rig.model import load_parameters, load_saved
-from needle_rig.notebook.asking import PathLike, asked
+from needle_rig.notebook.asking import PathLike, asked, at_work
 from needle_rig.notebook.catalogue import hidden_effects
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.run import Run
+from needle_rig.questions.recordings import Understand
 from needle_rig.recording import RunFile
 from needle_rig.simulation.protocol import Protocol, load_protocol
 from needle_rig.workbench.observations.sources import read_observed
@@ -83,26 +81,16 @@ def import_recording(
     A mapping (YAML) among `files` says what is what; without one it is guessed. `layout` says what the shaft
     looks like. A guess with doubts is refused, doubt by doubt, unless `accept_doubts`. Raises BadInput.
     """
-    target, shaft = Path(out), None if layout is None else Path(layout)
+    target = Path(out)
     if os.path.lexists(target):
         raise BadInput(f"{target}: exists already; name another folder with out or remove it first")
-    named = [Path(file) for file in files if is_mapping(Path(file))]
-    others = [Path(file) for file in files if not is_mapping(Path(file))]
-    if len(named) > 1 or not files:
-        raise BadInput(f"{len(named)} mappings and {len(others)} recordings: give recordings, or one mapping")
-    recordings = Recordings()
-    if named:
-        mapping, folder = given_mapping(named[0], others, shaft)
-    else:
-        mapping, folder = guessed_mapping(others, target.resolve().name, shaft, recordings), Path()
-    waiting = mapping.lacks() if accept_doubts else [*mapping.lacks(), *mapping.doubts()]
+    found = Understand(files=files, name=target.resolve().name, layout=layout).answer(at_work())
+    waiting = found.lacks() if accept_doubts else [*found.lacks(), *found.doubts()]
     if waiting:
-        accept = "" if mapping.lacks() else ", or take the guess as it is with accept_doubts=True"
+        accept = "" if found.lacks() else ", or take the guess as it is with accept_doubts=True"
         raise BadInput(f"{'; '.join(waiting)}; say so in a mapping{accept}")
-    mapping = mapping.confirmed()
-    dataset = dataset_of(mapping, folder, recordings=recordings)
-    with kept(dataset, mapping, folder, target):
-        return Data(dataset)
+    with found.confirmed().written(target) as imported:
+        return Data(imported.dataset)
 
 
 @asked

@@ -24,15 +24,12 @@ if TYPE_CHECKING:
 else:  # looked at where they are read, so that a question imports light
     AnyData = AnyModel = object
 
-Kind = TypeVar("Kind", bound="Question")
+Kind = TypeVar("Kind", bound="Request")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """A request; making one raises BadInput for a field that holds something else than its type says."""
-
-    effects: Sequence[PathLike] = ()
-    """Further folders with effects; config/effects is always searched."""
+class Request:
+    """Fields; making one raises BadInput for a field that holds something else than its type says."""
 
     def __post_init__(self) -> None:
         for name, hint in hints(type(self)).items():
@@ -49,6 +46,14 @@ class Question:
             if name not in given and name not in defaults(cls):
                 raise BadInput(f"{name}: is missing; give it")
         return cls(**given)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question(Request):
+    """A request about models."""
+
+    effects: Sequence[PathLike] = ()
+    """Further folders with effects; config/effects is always searched."""
 
     def folders(self) -> list[str]:
         """Further folders with effects, as paths."""
