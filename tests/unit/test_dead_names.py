@@ -35,7 +35,6 @@ CALLED_BY_LIBRARIES = {
     "padding": "intelhex",
     "send_message": "canopen",
     "typing_context": "numba",
-    "warn": "Matplotlib",
     "yaml_implicit_resolvers": "PyYAML",
 }
 READ_BY_NAME = {

@@ -214,7 +214,8 @@ def test_the_command_prints_the_stated_json(tmp_path: Path, monkeypatch: pytest.
     from needle_rig.cli.diagnose import command
 
     folder = write_dataset(dataset(effect("torque_bias", bias_nmm=0.02)), tmp_path / "data")
-    monkeypatch.setattr("needle_rig.cli.diagnose.library", lambda _: few("torque_bias", "chuck_backlash"))
+    library = few("torque_bias", "chuck_backlash")
+    monkeypatch.setattr("needle_rig.questions.question.Question.library", lambda *_: library)
     result = CliRunner().invoke(command, [str(folder), "--json", "--jobs", "1"])
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)
