@@ -199,7 +199,8 @@ def _segment(rig: RigPart, number: int, places: Places) -> tuple[float, float, f
         )
     if needle.torsional_rigidity_nmm2 == "unknown":
         raise places.error(
-            path, "its rigidity is given and the needle's is unknown: write a rough one, with uncertainty_percent"
+            path,
+            "its rigidity is given and the needle's is unknown: write a rough one, with uncertainty_percent",
         )
     relative = rigidity_nmm2 * 1e-6 / needle_of(needle).torsional_rigidity_nm2
     return part.from_mm / 1e3, part.to_mm / 1e3, relative
