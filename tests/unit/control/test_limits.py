@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from needle_rig.control.faults import Fault, FaultName
 from needle_rig.control.limits import (
+    ANGLE_MARGIN_RAD,
     DRIVE_SENTENCES,
     Gated,
     Limits,
@@ -171,7 +172,7 @@ def test_torque_beyond_its_limit_trips_and_latches(sign: int) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_angle_beyond_its_limit_latches(sign: int) -> None:
-    assert first_fault(having(base_angle_rad=sign * (10.0 + rad(0.999))), LIMITS) is None
+    assert first_fault(having(base_angle_rad=sign * (10.0 + ANGLE_MARGIN_RAD)), LIMITS) is None
     fault = known(first_fault(having(base_angle_rad=sign * (10.0 + rad(1.001))), LIMITS))
     assert (fault.link, fault.latching) == ("drive", True)
     assert f"the base stands at {sign * 574.0:.1f}°, outside ±572.958°" in fault.text
@@ -240,6 +241,14 @@ def test_a_dead_link_hides_what_it_alone_tells_and_no_more() -> None:
     heard, found = find_faults(having(drive_age_s=1.0, base_angle_rad=11.0, torque_nm=math.nan), LIMITS)
     assert heard == {"hall"}
     assert [fault.name for fault in found] == [FaultName.LINK_DEAD, FaultName.NOT_A_NUMBER]
+
+
+def test_a_link_at_its_oldest_is_heard_beside_a_dead_one() -> None:
+    links = ("torque", "hall", "drive")
+    oldest = {f"{link}_age_s": getattr(LIMITS, f"{link}_age_s") for link in links}
+    for dead in links:
+        heard, _ = find_faults(having(**(oldest | {f"{dead}_age_s": 1.0})), LIMITS)
+        assert heard == {*links} - {dead}
 
 
 def test_dead_links_come_before_bad_values() -> None:
