@@ -62,7 +62,7 @@ def test_it_can_be_read_and_seen(story: Story) -> None:
     assert png(demo_figure(story))[:4] == b"\x89PNG"
 
 
-def answered(dataset: Any, library: Any, **_: Any) -> Learnt:
+def answered(dataset: Any, library: Any, _model: Any, **_: Any) -> Learnt:
     """What `learn` says of the hidden slit, without its search."""
     baseline = fit_baseline(dataset, None, library)
     form = next(f for f in FORMS if f.name == "sine")
