@@ -163,6 +163,7 @@ def test_windup_and_travel_have_their_limits() -> None:
     fault = shaft.turn(45.0)
     assert fault is not None
     assert fault.name is FaultName.WINDUP_LIMIT
+    assert fault.latching
     assert deg(shaft.base_rad) == pytest.approx(15.1, abs=0.25)
     shaft = Shaft(travel_deg=100.0)
     assert shaft.turn(45.0) is None
@@ -243,3 +244,41 @@ def test_old_answers_that_come_every_few_ticks_do_not_blind_the_watch(every: int
     assert fault is not None
     assert fault.name is FaultName.ENCODER_DISAGREES
     assert deg(shaft.base_rad) < 60.0
+
+
+OFFSETS_RAD = (0.4, -0.3, 0.9, -1.1)
+
+
+def test_zeros_of_hall_sensors_are_nothing_that_is_wrong() -> None:
+    shaft = Shaft()
+    shaft.lies = {
+        "hall_rad": lambda m: tuple(a + o for a, o in zip(m.hall_rad, OFFSETS_RAD, strict=True)),
+    }
+    for to_deg in (360.0, -400.0, 300.0):
+        assert shaft.turn(to_deg) is None
+
+
+@pytest.mark.parametrize("offsets_rad", [(0.0,) * 4, OFFSETS_RAD])
+def test_what_is_told_of_a_wrong_scale_is_what_each_witness_saw(offsets_rad: tuple[float, ...]) -> None:
+    shaft = Shaft()
+    shaft.lies = {
+        "hall_rad": lambda m: tuple(a + o for a, o in zip(m.hall_rad, offsets_rad, strict=True)),
+        "base_angle_rad": lambda m: 0.5 * m.base_angle_rad,
+    }
+    assert shaft.turn(0.0) is None
+    fault = shaft.turn(90.0)
+    assert fault is not None
+    assert fault.name is FaultName.ENCODER_DISAGREES
+    assert fault.latching
+    seen = f"encoder turned by {deg(0.5 * shaft.base_rad):.1f}°, Hall sensor 1 by {deg(shaft.hall_rad):.1f}°,"
+    assert seen in fault.text
+
+
+def test_a_hall_sensor_that_jumps_is_named_by_its_number_and_its_size() -> None:
+    shaft = Shaft()
+    assert shaft.turn(5.0) is None
+    shaft.lies = {"hall_rad": lambda m: (*m.hall_rad[:2], m.hall_rad[2] + rad(40.0), m.hall_rad[3])}
+    fault = shaft.watch.step(shaft.read(), TICK_S)
+    assert fault is not None
+    assert (fault.name, fault.latching) == (FaultName.HALL_JUMP, True)
+    assert "Hall sensor 3 jumped by 40° from one reading to the next, limit 30°" in fault.text
