@@ -78,7 +78,7 @@ def at_work(jobs: int | None = None) -> Doing:
 
 
 def told(sentence: str) -> None:
-    """A warning points at the cell or the line that asked; anything else is told as a step is."""
+    """A warning points at the cell or the line that asked; anything else is printed as a step is."""
     if sentence.startswith(WARNING):
         warnings.warn(sentence.removeprefix(WARNING), stacklevel=6)
     else:

@@ -60,7 +60,7 @@ class Question(Request):
         return [os.fspath(folder) for folder in self.effects]
 
     def library(self, doing: Doing) -> Mapping[str, type[Effect]]:
-        """Effects by name; each file of one's own that is broken is told. Raises BadInput."""
+        """Effects by name; each broken file of one's own gets a warning. Raises BadInput."""
         from needle_rig.model import effect_directories
         from needle_rig.physics.library import find_effects
 

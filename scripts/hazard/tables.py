@@ -34,9 +34,9 @@ WHY = {
         " stop must open the motor's own line."
     ),
     "encoder reads 0.7": (
-        "from the first motion on, before the shaft's spring is known. It lies by 0.3 of the 28° in which the"
-        " needle winds up, and is named 8° + 4.2° later: the tissue before the first sensor may hold 4.2° of"
-        " twist at the same torque. With the way to stop that is 21° to 28°."
+        "from the first motion on, before the shaft's spring is known. It lies by 0.3 of the turn in which"
+        " the needle winds up. It is named once encoder and Hall angle are apart by the limit of"
+        " disagreement and by the twist that the tissue before the first sensor may hold."
     ),
     "another master, same counter": (
         "the node takes them for the host's until five of the host's own are out of sequence, which takes"
