@@ -114,7 +114,7 @@ def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, 
     # torque laws move the needle at a base that stands still, once
     at_rest = not has.laws or turned != 0.0
     for row in range(1, times.size):
-        if counts[SOLVES] > settings.most_solves:
+        if counts[SOLVES] > settings.most_solves_per_sample * times.size:
             counts[FAILED_SAMPLE] = row - 1
             return TOO_MANY_SOLVES
         turn = base[row] - states[now, ANCHOR, 0]
