@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,8 +28,6 @@ from needle_rig.workbench.observations.noise import Noise, Places, Whitener, rep
 FRICTION_SCALE_N = 1e-3
 EXACT = 1e-4
 """Standard deviation, of a logarithm or a scaled value, of what is fixed or stated as exact."""
-TIMINGS = 3
-"""Of which the shortest counts: others hold what else the machine did."""
 
 
 @dataclass(frozen=True)
@@ -175,17 +172,6 @@ class Problem:
         every = range(len(self.trials))
         models = [self.model(parameters, vector)] * len(self.trials)
         return self.readings(models, every, np.exp(vector.trial_friction), most_solves)
-
-    def solution_s(self, parameters: Sequence[FreeParameter], vector: ParameterVector) -> float:
-        """How long one solution of all trials takes in this process, the shortest of three. Raises
-        SolverError, BadInput."""
-        shortest_s = math.inf
-        for _ in range(TIMINGS):
-            unsolved = dataclasses.replace(self, simulator=Simulator())  # the own one keeps what it solved
-            begun_s = time.monotonic()
-            unsolved.predict(parameters, vector)
-            shortest_s = min(shortest_s, time.monotonic() - begun_s)
-        return shortest_s
 
     def residuals(self, readings: Sequence[Array], trials: Sequence[int]) -> list[Array]:
         """Whitened data minus model (n,) for each reading."""
