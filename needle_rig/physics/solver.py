@@ -195,12 +195,15 @@ def solve_series(
     *,
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
     most_solves_per_sample: float = math.inf,
-) -> list[Sampled]:
+    near: Sequence[tuple[Rod, Array]] = (),
+) -> list[list[Sampled]]:
     """Solve trials that one rod serves, each from rest, its slip limits times a factor (trials,).
 
-    All are followed by one call of the compiled solver. Same results and errors as `solve`.
+    All are followed by one call of the compiled solver. Same results and errors as `solve`, a row of trials.
+    A further row for each rod of `near`, with its factors: what it would do to first order about `rod`. Each
+    must be `in_reach` of the rod.
     """
-    found = []
+    rows: list[dict[int, Sampled]] = [{} for _ in range(1 + len(near))]
     for loaded in (False, True):  # a torque on the tip changes what the solver has to follow
         which = [k for k, path in enumerate(paths) if (path.tip_nm.size > 0) is loaded]
         if which:
@@ -210,9 +213,29 @@ def solve_series(
                 friction_factors[which],
                 tolerance_rad=tolerance_rad,
                 most_solves_per_sample=most_solves_per_sample,
+                near=[(other, factors[which]) for other, factors in near],
             )
-            found += [(k, followed.of(place)) for place, k in enumerate(which)]
-    return [sampled for _, sampled in sorted(found, key=lambda each: each[0])]
+            for place, k in enumerate(which):
+                for row, sampled in zip(rows, followed.of(place), strict=True):
+                    row[k] = sampled
+    return [[row[k] for k in range(len(paths))] for row in rows]
+
+
+def in_reach(rod: Rod, other: Rod) -> bool:
+    """Whether the solver's tangent reaches from one rod to another.
+
+    Both depend on no rate, and differ in springs, slip limits and compliances alone.
+    """
+    from needle_rig.physics.kernel import layout
+
+    one, two = rod.coefficients, other.coefficients
+    return (
+        one.shape == two.shape
+        and not (rod.laws or other.laws or any(rod.depends_on_rate) or any(other.depends_on_rate))
+        and not (one[[layout.PER_TORQUE, layout.PLAY]].any() or two[[layout.PER_TORQUE, layout.PLAY]].any())
+        and bool(np.array_equal(_free(rod), _free(other)))
+        and bool(np.array_equal(rod.sensors, other.sensors))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,14 +247,21 @@ class _Followed:
     state: Array
     """(6, nodes) at the last sample of the last trial."""
     counts: Indices
+    near: Output | None = None
+    """What each neighbour would do, its torques (N, D) and sensors (N, sensors, D)."""
 
-    def of(self, trial: int) -> Sampled:
-        """One trial, as views."""
+    def of(self, trial: int) -> list[Sampled]:
+        """One trial, and what each neighbour would do in it, as views."""
         from needle_rig.physics.kernel.layout import SOLVES
 
         rows = slice(self.first_sample[trial], self.first_sample[trial + 1])
-        output, counts = self.output, self.counts
-        return Sampled(output.torque_nm[rows], output.sensor_rad[rows], int(counts[trial, SOLVES]))
+        solves = int(self.counts[trial, SOLVES])
+        found = [Sampled(self.output.torque_nm[rows], self.output.sensor_rad[rows], solves)]
+        if self.near is not None:
+            torque_nm, sensor_rad = self.near.torque_nm, self.near.sensor_rad
+            for d in range(torque_nm.shape[1]):
+                found.append(Sampled(torque_nm[rows, d], sensor_rad[rows, :, d], solves))
+        return found
 
 
 def _run(
@@ -278,11 +308,13 @@ def _follow(
     tolerance_rad: float,
     longest_step_s: float = LONGEST_STEP_S,
     most_solves_per_sample: float,
+    near: Sequence[tuple[Rod, Array]] = (),
 ) -> _Followed:
     """Follow trials of one rod, with or without a torque on the tip all of them, each from `state`."""
     # numba takes longer to import than most trials to solve
     from needle_rig.physics.kernel import layout
     from needle_rig.physics.kernel.run import Series, run
+    from needle_rig.physics.kernel.tangent import Neighbours
 
     coefficients = rod.coefficients
     loads = bool(paths[0].tip_nm.size)
@@ -343,6 +375,12 @@ def _follow(
     )
     states = np.empty((layout.SLOTS, *packed.shape))
     counts = np.zeros((len(paths), layout.COUNTS), dtype=np.int64)
+    neighbours = Neighbours(
+        rods=_near_rods([other for other, _ in near], nodes),
+        friction_factor=np.column_stack([f for _, f in near]) if near else np.empty((0, 0)),
+        torque_change_nm=np.empty((samples if near else 0, len(near))),
+        sensor_change_rad=np.empty((samples if near else 0, len(sensors), len(near))),
+    )
     run(
         np.ascontiguousarray(rod.stiffness_nm_per_rad, dtype=np.float64),
         coefficients,
@@ -355,18 +393,38 @@ def _follow(
         packed,
         states,
         output,
+        neighbours,
         counts,
     )
     del keep
     packed = states[0].copy()
     _check_followed(rod, drive.time_s, first_sample, counts, output, packed, most_solves_per_sample)
+    would = None
+    if near:
+        torque_nm = output.torque_nm[:, None] + neighbours.torque_change_nm
+        mounts = np.array([other.mount_compliance_rad_per_nm for other, _ in near])
+        sensor_rad = output.sensor_rad[:, :, None] + neighbours.sensor_change_rad
+        would = output._replace(torque_nm=torque_nm, sensor_rad=sensor_rad + (mounts * torque_nm)[:, None, :])
     if mount:
         turned_rad = mount * output.torque_nm
         output.tip_rad[:] += turned_rad
         for angles_rad in (output.sensor_rad, output.shaft_rad):
             angles_rad += turned_rad[: len(angles_rad), np.newaxis]
         _turn(packed, turned_rad[-1])
-    return _Followed(first_sample, output, packed, counts)
+    return _Followed(first_sample, output, packed, counts, would)
+
+
+def _near_rods(rods: Sequence[Rod], nodes: int) -> Array:
+    """Springs, slip limits in both directions and compliances of rods (4, nodes, rods)."""
+    from needle_rig.physics.kernel import layout
+
+    found = np.zeros((4, nodes, len(rods)))
+    for d, rod in enumerate(rods):
+        coefficients = rod.coefficients
+        found[0, :-1, d] = rod.stiffness_nm_per_rad
+        found[1:, :, d] = coefficients[[layout.PLUS, layout.MINUS, layout.COMPLIANCE]]
+        found[3, 0, d] = rod.base_compliance_rad_per_nm + rod.mount_compliance_rad_per_nm
+    return found
 
 
 def _check_followed(

@@ -36,6 +36,7 @@ from needle_rig.physics.kernel.layout import (
 from needle_rig.physics.kernel.play import start_sides
 from needle_rig.physics.kernel.quasi_static import follow_quasi_static, reach_first_sample
 from needle_rig.physics.kernel.sdirk import follow_sdirk
+from needle_rig.physics.kernel.tangent import Neighbours, Tangents, begin_tangents
 
 _ROW, _ROWS, _BLOCK, _INDICES = (
     types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1], types.int64[::1]
@@ -65,6 +66,7 @@ def run(
     start: Any,
     states: Any,
     output: Output,
+    neighbours: Neighbours,
     counts: Any,
 ) -> None:
     """Follow the base paths of the trials of `series`, which stand in `laws.drive` one behind another.
@@ -73,22 +75,29 @@ def run(
     begins, `states` (SLOTS, 6, nodes), `counts` zeros of (trials, COUNTS); `sensors` are nodes, and `by_rate`
     says whether the rod depends on rates. ENDED of a trial's counts is DONE, or NO_SOLUTION or
     TOO_MANY_SOLVES, after which no further trial is followed. The last state is in slot 0 of `states`.
+    Changes to neighbours are written for a rod that depends on no rate.
     """
     # numba takes 10 µs to recognise the records, so they are taken apart here and put together again there
     _run(
         stiffness, rod, np.array(settings), *has, by_rate, *laws[:3], *laws.drive, sensors, *series, start,
-        states, np.empty((WORK_ROWS, rod.shape[1])), np.empty_like(rod), *output, counts,
+        states, np.empty((WORK_ROWS, rod.shape[1])), np.empty_like(rod), *output, *neighbours,
+        np.empty_like(neighbours.rods), np.empty((3, *neighbours.rods.shape[1:])),
+        np.empty(rod.shape[1] if neighbours.rods.size else 0), counts,
     )  # fmt: skip
 
 
 @compiled
-def follow(rod, settings, has, by_rate, laws, sensors, states, work, output, counts):
+def follow(rod, settings, has, by_rate, laws, sensors, states, work, output, tangents, counts):
     """Follow one trial from the state in every slot. Returns how it ended."""
     drive = laws.drive
-    if not reach_first_sample(rod, settings, has, laws, drive, sensors, states, work, output, counts):
+    if not reach_first_sample(
+        rod, settings, has, laws, drive, sensors, states, work, output, tangents, counts
+    ):
         return NO_SOLUTION
     if not by_rate:
-        return follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, output, counts)
+        return follow_quasi_static(
+            rod, settings, has, laws, drive, sensors, states, work, output, tangents, counts
+        )
     if has.memory:
         return follow_extrapolated(rod, settings, has, laws, drive, sensors, states, work, output, counts)
     return follow_sdirk(rod, settings, has, laws, drive, sensors, states, work, output, counts)
@@ -97,7 +106,8 @@ def follow(rod, settings, has, by_rate, laws, sensors, states, work, output, cou
 @kept(
     types.void(
         _ROW, _ROWS, _ROW, *(_FLAG,) * 8, _INDICES, _INDICES, _ROWS, _ROW, _ROW, _ROW, _INDICES, _INDICES,
-        _ROW, _ROWS, _BLOCK, _ROWS, _ROWS, _ROW, _ROWS, _ROW, _ROWS, types.int64[:, ::1],
+        _ROW, _ROWS, _BLOCK, _ROWS, _ROWS, _ROW, _ROWS, _ROW, _ROWS, _BLOCK, _ROWS, _ROWS, _BLOCK, _BLOCK,
+        _BLOCK, _ROW, types.int64[:, ::1],
     ),
     fastmath=FLOATS,
     **OPTIONS,
@@ -105,7 +115,8 @@ def follow(rod, settings, has, by_rate, laws, sensors, states, work, output, cou
 def _run(
     stiffness, coefficients, scalars, creep, viscous, memory, loaded, with_laws, play, dry, by_rate,
     addresses, parameters, weights_m, time_s, base_rad, tip_nm, sensors, first_sample, friction_factor,
-    start, states, work, rod, torque_nm, sensor_rad, tip_rad, shaft_rad, counts,
+    start, states, work, rod, torque_nm, sensor_rad, tip_rad, shaft_rad, near_rods, near_factors,
+    torque_change_nm, sensor_change_rad, changes, of_state, ratio, counts,
 ):  # fmt: skip
     has = Features(creep, viscous, memory, loaded, with_laws, play, dry)
     coefficients, start, rod = borrowed(coefficients), borrowed(start), borrowed(rod)
@@ -113,6 +124,9 @@ def _run(
     time_s, base_rad, tip_nm = borrowed(time_s), borrowed(base_rad), borrowed(tip_nm)
     torque_nm, sensor_rad = borrowed(torque_nm), borrowed(sensor_rad)
     tip_rad, shaft_rad = borrowed(tip_rad), borrowed(shaft_rad)
+    near_rods, near_factors = borrowed(near_rods), borrowed(near_factors)
+    torque_change_nm, sensor_change_rad = borrowed(torque_change_nm), borrowed(sensor_change_rad)
+    changes, of_state, ratio = borrowed(changes), borrowed(of_state), borrowed(ratio)
     settings = Settings(
         scalars[0],
         scalars[1],
@@ -127,7 +141,7 @@ def _run(
         scalars[10],
     )
     n = states.shape[2]
-    loads, shafts = tip_nm.size > 0, shaft_rad.shape[0] > 0
+    loads, shafts, near = tip_nm.size > 0, shaft_rad.shape[0] > 0, ratio.size > 0
     for t in range(friction_factor.size):
         first, end = first_sample[t], first_sample[t + 1]
         drive = Drive(
@@ -162,7 +176,19 @@ def _run(
             work[LIMIT_MINUS, i] = rod[MINUS, i]
         if has.play:
             start_sides(rod, states, np.intp(0), work)
-        ended = follow(rod, settings, has, by_rate, laws, sensors, states, work, output, counts[t])
+        tangents = Tangents(
+            changes,
+            of_state,
+            ratio,
+            torque_change_nm[first if near else 0 : end if near else 0],
+            sensor_change_rad[first if near else 0 : end if near else 0],
+        )
+        if near:
+            begin_tangents(
+                tangents, near_rods, near_factors[t], friction_factor[t], coefficients[PLUS],
+                coefficients[MINUS], work,
+            )  # fmt: skip
+        ended = follow(rod, settings, has, by_rate, laws, sensors, states, work, output, tangents, counts[t])
         counts[t, ENDED] = ended
         if ended != DONE:
             break

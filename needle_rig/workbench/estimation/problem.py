@@ -173,6 +173,22 @@ class Problem:
         models = [self.model(parameters, vector)] * len(self.trials)
         return self.readings(models, every, np.exp(vector.trial_friction), most_solves)
 
+    def near(
+        self,
+        parameters: Sequence[FreeParameter],
+        vector: ParameterVector,
+        others: Sequence[ParameterVector],
+        most_solves: float = math.inf,
+    ) -> list[list[Array] | None]:
+        """Bin means (C, K) of every trial at vectors near `vector`; see `Simulator.near`."""
+        return self.simulator.near(
+            self.model(parameters, vector),
+            np.exp(vector.trial_friction),
+            [(self.model(parameters, other), np.exp(other.trial_friction)) for other in others],
+            self.trials,
+            most_solves,
+        )
+
     def residuals(self, readings: Sequence[Array], trials: Sequence[int]) -> list[Array]:
         """Whitened data minus model (n,) for each reading."""
         return [self.whiteners[t](self.trials[t].mean - r) for r, t in zip(readings, trials, strict=True)]

@@ -13,7 +13,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Path, Sampled, solve_series
+from needle_rig.physics.solver import Path, Sampled, in_reach, solve_series
 from needle_rig.workbench.observations.binning import BinnedTrial
 
 Key = tuple[tuple[Effect, ...], float, float, float, float, int]
@@ -59,17 +59,52 @@ class Simulator:
             places.setdefault(id(model), []).append(place)
         found: list[Array] = [np.empty(0)] * len(trials)
         for of_model in places.values():
-            model = models[of_model[0]]
-            solved = self._solved(model, [trials[k].trial for k in of_model], factors[of_model], most_solves)
-            observes = bool(model.acting("observe"))
-            for k, sampled in zip(of_model, solved, strict=True):
-                torque_nm, hall_rad = sampled.torque_nm, sampled.sensor_rad
-                if observes:
-                    seen = model.observed(trials[k].trial, sampled)
-                    torque_nm, hall_rad = seen.torque_nm, seen.hall_rad
-                found[k] = trials[k].averaged(np.vstack([torque_nm[None, :], hall_rad.T]))
+            model, of_trials = models[of_model[0]], [trials[k] for k in of_model]
+            solved = self._solved(model, [b.trial for b in of_trials], factors[of_model], most_solves)
+            for k, means in zip(of_model, _means(model, of_trials, solved), strict=True):
+                found[k] = means
         while len(self._kept) > CACHE_ENTRIES:
             self._kept.popitem(last=False)
+        return found
+
+    # as in `readings`
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def near(
+        self,
+        model: NeedleModel,
+        friction_factors: Array,
+        others: Sequence[tuple[NeedleModel, Array]],
+        trials: Sequence[BinnedTrial],
+        most_solves: float = math.inf,
+    ) -> list[list[Array] | None]:
+        """Bin means (C, K) in all trials that models near `model` give, each with its factors on friction.
+
+        What moves the needle is taken to first order, by one solution for all of them; what the sensors make
+        of it is exact. None for a model out of the tangent's reach. Raises SolverError, BadInput.
+        """
+        drives = [b.trial for b in trials]
+        rod, one_rod = _one_rod(model, drives)
+        reached: dict[int, Rod] = {}
+        for k, (other, _) in enumerate(others):
+            its_rod, its_one = _one_rod(other, drives)
+            if (
+                one_rod
+                and its_one
+                and other.acting("drive") == model.acting("drive")
+                and in_reach(rod, its_rod)
+            ):
+                reached[k] = its_rod
+        found: list[list[Array] | None] = [None] * len(others)
+        if reached:
+            _, *would = solve_series(
+                rod,
+                [self._held(model, drive) for drive in drives],
+                friction_factors,
+                most_solves_per_sample=most_solves,
+                near=[(its_rod, others[k][1]) for k, its_rod in reached.items()],
+            )
+            for k, sampled in zip(reached, would, strict=True):
+                found[k] = _means(others[k][0], trials, sampled)
         return found
 
     def _solved(
@@ -79,25 +114,26 @@ class Simulator:
         moving = _moving(model)
         keys = [(*moving, float(f), id(t)) for f, t in zip(factors, trials, strict=True)]
         new = list({key: k for k, key in enumerate(keys) if key not in self._kept}.values())
-        driven = bool(model.acting("drive"))
         of_rod: dict[int, tuple[Rod, list[int]]] = {}
         for k, rod in zip(new, model.rods([trials[k] for k in new]), strict=True):
             of_rod.setdefault(id(rod), (rod, []))[1].append(k)
         for rod, which in of_rod.values():
-            paths = [self._path(trials[k]) for k in which]
-            if driven:
-                held = [model.held_path(trials[k])[0] for k in which]
-                paths = [
-                    Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
-                    for path, base_rad in zip(paths, held, strict=True)
-                ]
-            solved = solve_series(rod, paths, factors[which], most_solves_per_sample=most_solves)
+            paths = [self._held(model, trials[k]) for k in which]
+            (solved,) = solve_series(rod, paths, factors[which], most_solves_per_sample=most_solves)
             for k, sampled in zip(which, solved, strict=True):
                 self._kept[keys[k]] = trials[k], sampled
         found = [self._kept[key][1] for key in keys]
         if any(s.solves > most_solves * s.torque_nm.size for s in found):
             raise SolverError(f"{model.name}: the needle snaps through too many balances to follow")
         return found
+
+    def _held(self, model: NeedleModel, trial: Trial) -> Path:
+        """Path of the needle's held end."""
+        path = self._path(trial)
+        if not model.acting("drive"):
+            return path
+        base_rad, _ = model.held_path(trial)
+        return Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
 
     def _path(self, trial: Trial) -> Path:
         """A trial's path, checked once."""
@@ -107,6 +143,25 @@ class Simulator:
             if len(self._paths) > CACHE_ENTRIES:
                 self._paths.popitem(last=False)
         return self._paths[id(trial)][1]
+
+
+def _means(model: NeedleModel, trials: Sequence[BinnedTrial], solved: Sequence[Sampled]) -> list[Array]:
+    """Bin means (C, K) of what the sensors read of each trial's solution."""
+    found = []
+    observes = bool(model.acting("observe"))
+    for binned, sampled in zip(trials, solved, strict=True):
+        torque_nm, hall_rad = sampled.torque_nm, sampled.sensor_rad
+        if observes:
+            seen = model.observed(binned.trial, sampled)
+            torque_nm, hall_rad = seen.torque_nm, seen.hall_rad
+        found.append(binned.averaged(np.vstack([torque_nm[None, :], hall_rad.T])))
+    return found
+
+
+def _one_rod(model: NeedleModel, trials: Sequence[Trial]) -> tuple[Rod, bool]:
+    """The rod of the first trial, and whether it serves all."""
+    rods = model.rods(trials)
+    return rods[0], all(rod is rods[0] for rod in rods)
 
 
 def _moving(model: NeedleModel) -> tuple[tuple[Effect, ...], float, float, float]:

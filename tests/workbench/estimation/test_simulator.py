@@ -34,7 +34,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many trials each call solved."""
     counts: list[int] = []
 
-    def counted(rod: Rod, paths: Sequence[Path], factors: Array, **options: Any) -> list[Sampled]:
+    def counted(rod: Rod, paths: Sequence[Path], factors: Array, **options: Any) -> list[list[Sampled]]:
         counts.append(len(paths))
         return solve_series(rod, paths, factors, **options)
 
