@@ -115,7 +115,9 @@ def command(
         question = dataclasses.replace(question, names=question.names or PAIR)
         if not set(PAIR) <= set(question.names):
             raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
-        _each(question, doing, over.format("worst error of the shaft in °, "), as_json)
+        with doing.work(question) as work:
+            doing = dataclasses.replace(doing, at=work)
+            _each(question, doing, over.format("worst error of the shaft in °, "), as_json)
         return
     found = question.answer(doing)
     if pictures is not None:

@@ -174,6 +174,7 @@ def experiment(
     *,
     effects: Sequence[PathLike] = (),
     rig: PathLike | None = None,
+    jobs: int | None = None,
 ) -> Experiment:
     """The trial that would best tell two effects apart, within the limits of a rig file.
 
@@ -182,7 +183,7 @@ def experiment(
     question = ExperimentQuestion(
         data=given(data), model=known(model), effects=several(effects), between=between, rig=rig
     )
-    return Experiment(question.answer(at_work()))
+    return Experiment(question.answer(at_work(jobs)))
 
 
 @asked

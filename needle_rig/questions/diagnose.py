@@ -69,13 +69,14 @@ class Diagnose(About):
     def answer(self, doing: Doing = SILENT) -> Diagnosed:
         """Raises BadInput, SolverError."""
         saved, library, observed = self.saved(), self.library(doing), self.observed()
-        found = observed.diagnose(
-            library,
-            None if saved is None else saved.model,
-            max_effects=self.max_effects,
-            quick=self.quick,
-            seed=self.seed,
-            work=doing.work(),
-            say=doing.say,
-        )
+        with doing.work(self) as work:
+            found = observed.diagnose(
+                library,
+                None if saved is None else saved.model,
+                max_effects=self.max_effects,
+                quick=self.quick,
+                seed=self.seed,
+                work=work,
+                say=doing.say,
+            )
         return Diagnosed(found, observed, saved)

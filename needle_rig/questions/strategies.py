@@ -58,16 +58,19 @@ class Strategies(Question):
         for _, sentence in find_strategies().broken:
             doing.tell(f"warning: {sentence}")
         noise = Noise(friction_scatter=self.friction_scatter)
-        return contest(
-            self.plant(doing),
-            Asked(tuple(self.names) or all_strategies(), tuple(self.targets_deg), self.seeds, noise),
-            self.library(doing),
-            self.read_model(self.model),
-            diagnose=self.diagnose,
-            workers=doing.work,
-            say=doing.say,
-            tell=doing.tell,
-        )
+        plant, library, model = self.plant(doing), self.library(doing), self.read_model(self.model)
+        asked = Asked(tuple(self.names) or all_strategies(), tuple(self.targets_deg), self.seeds, noise)
+        with doing.work(self) as work:
+            return contest(
+                plant,
+                asked,
+                library,
+                model,
+                diagnose=self.diagnose,
+                work=work,
+                say=doing.say,
+                tell=doing.tell,
+            )
 
 
 def made(hidden: Sequence[Hidden], library: Mapping[str, type[Effect]]) -> list[Effect]:

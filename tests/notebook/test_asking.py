@@ -21,7 +21,7 @@ UNGUARDED = """
 import needle_rig as nr
 from needle_rig.notebook.asking import at_work
 print("begun")
-with at_work(2).work() as work:
+with at_work(2).work("it") as work:
     work.share(2)
     print(work.run(pow, [(5,), (3,)]))
 """

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from needle_rig.dataset import Dataset
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
@@ -65,7 +66,7 @@ def contest(
     saved: SavedModel | None = None,
     *,
     diagnose: bool = False,
-    workers: Callable[[], Work] = Work,
+    work: Work,
     say: Say = lambda _: None,
     tell: Say = lambda _: None,
 ) -> Contest:
@@ -79,14 +80,20 @@ def contest(
         say("making eight runs with reed2008 and fitting a model to them")
         dataset = simulate_dataset(plant, load_protocol("standard"), seed=1, noise=asked.noise)
         if diagnose:
-            saved = learn(dataset, library, work=workers(), say=say).after
+            saved = learn(dataset, library, work=work, say=say).after
         else:
-            saved = fit_known(dataset, library, [e.name() for e in plant.effects if not e.is_off()])
+            work.share(library)
+            present = [e.name() for e in plant.effects if not e.is_off()]
+            saved = work.run(_identified, [(dataset, present)])[0]
     bout = Bout(plant, plant.torsional_rigidity_nm2, asked.noise, saved)
     told = None
     if saved is not None:
-        told = foretold(bout, asked.targets_deg)
+        told = foretold(bout, asked.targets_deg, work=work)
         tell(told.sentence)
     say(f"running {len(asked.strategies)} strategies to {len(asked.targets_deg)} targets")
-    table = compare_strategies(bout, asked.strategies, asked.targets_deg, asked.seeds, work=workers())
+    table = compare_strategies(bout, asked.strategies, asked.targets_deg, asked.seeds, work=work)
     return Contest(saved, told, table)
+
+
+def _identified(library: Mapping[str, type[Effect]], dataset: Dataset, present: Sequence[str]) -> SavedModel:
+    return fit_known(dataset, library, present)

@@ -181,7 +181,7 @@ def tell_law_story(
     target_deg: float = 45.0,
     runs: int = 8,
     seed: int = 1,
-    workers: Callable[[], Work] = Work,
+    work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Story:
     """The same with a law hidden that no library holds, learnt and drafted as an effect file at `draft`.
@@ -192,7 +192,7 @@ def tell_law_story(
     return _story(
         bare.with_effects(law),
         (untold_law.in_words(law),),
-        lambda dataset: learn_law(dataset, library, draft, workers=workers, say=say),
+        lambda dataset: learn_law(dataset, library, draft, work=work, say=say),
         target_deg=target_deg,
         runs=runs,
         seed=seed,

@@ -90,12 +90,12 @@ class Result:
     """The planner found its model wrong and went on as reed2008."""
 
 
-def one_result(bout: Bout, name: str, target_deg: float, start: str, seed: int) -> Result:
-    """Run `name` once."""
+def one_result(bout: Bout, kind: type[Strategy], target_deg: float, start: str, seed: int) -> Result:
+    """Run a strategy once."""
     try:
-        run = bout.run(make_strategy(name, {}), target_deg, start, seed)
+        run = bout.run(kind(), target_deg, start, seed)
     except BadInput as refusal:
-        return Result(name, target_deg, start, {}, refused=str(refusal))
+        return Result(kind.name, target_deg, start, {}, refused=str(refusal))
     target = rad(target_deg)
     values = {
         "tip_lag_deg": deg(abs(run.history[-1].base_angle_rad - run.tip_rad)),
@@ -107,7 +107,7 @@ def one_result(bout: Bout, name: str, target_deg: float, start: str, seed: int) 
         "time_s": run.time_s,
     }
     gave_way = any(motion.reason is not Reason.STRATEGY for motion in run.history)
-    return Result(name, target_deg, start, values, gave_way=gave_way)
+    return Result(kind.name, target_deg, start, values, gave_way=gave_way)
 
 
 class Spread(TypedDict):
@@ -248,8 +248,9 @@ def compare_strategies(
 ) -> Table:
     """Run every strategy from every start to every target, `seeds` times. Raises BadInput, SolverError."""
     check_asked(strategies, targets_deg)
+    found = find_strategies()
     tasks = [
-        (name, float(target), start, first_seed + seed)
+        (found[name], float(target), start, first_seed + seed)
         for name in strategies
         for target in targets_deg
         for start in starts
@@ -283,7 +284,9 @@ class Foretold:
         return self.reed2008_deg < MUCH_BETTER * self.planned_deg
 
 
-def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = STARTS) -> Foretold:
+def foretold(
+    bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = STARTS, work: Work | None = None
+) -> Foretold:
     """What the two will leave on needles of the model, for the same targets and starts, medians in degrees.
 
     Said before the plant is touched: whether planning will be `MUCH_BETTER` times as good, or why not.
@@ -298,7 +301,7 @@ def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = S
     seeds = max(1, round(FORETELLING_RUNS / (len(targets_deg) * len(starts))))
     names = ("planned", "reed2008")
     table = compare_strategies(
-        twin, names, targets_deg, seeds, starts=starts, first_seed=FORETELLING_SEED
+        twin, names, targets_deg, seeds, starts=starts, first_seed=FORETELLING_SEED, work=work
     ).overall()
     ours, q95 = table[0]["worst_deg"]["median"], table[0]["worst_deg"]["q95"]
     plain = table[1]["worst_deg"]["median"]

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from needle_rig.cli.strategies import command
-from needle_rig.control.strategy import make_strategy
+from needle_rig.control.strategy import find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel, load_parameters
 from needle_rig.simulation.build import build_plant
@@ -84,7 +84,7 @@ def test_every_strategy_runs_and_meets_the_same_needles() -> None:
 
 
 def test_rigid_uniform_tissue_is_aligned_by_the_papers_sequence() -> None:
-    found = one_result(_bout("rig_rigid"), "reed2008", 45.0, "relaxed", 3)
+    found = one_result(_bout("rig_rigid"), find_strategies()["reed2008"], 45.0, "relaxed", 3)
     assert found.values["tip_lag_deg"] < 0.5
 
 
