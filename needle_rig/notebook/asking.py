@@ -1,18 +1,15 @@
-"""How questions are asked from Python: what counts as data and as a model, progress, words of errors."""
+"""How questions are asked from Python: what counts as data and as a model, progress."""
 
 from __future__ import annotations
 
-import functools
 import os
-import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ParamSpec, TypeAlias, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
-from needle_rig.errors import NeedleRigError
 from needle_rig.model import SavedModel
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
@@ -26,33 +23,7 @@ AnyData: TypeAlias = Data | Run | Dataset | SettledData | PathLike
 AnyModel: TypeAlias = Model | PathLike
 """A model, a model file's path or a parameter set's name."""
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
 WARNING = "warning: "
-_OPTION = re.compile(r"--([a-z][a-z-]*[a-z])")
-
-
-def in_python(text: str) -> str:
-    """A sentence that names options of the command line, with the arguments that they are here.
-
-    The workbench names none. The rooms of the rig do (`recording`, `control`): who runs one has a terminal.
-    """
-    return _OPTION.sub(lambda found: found[1].replace("-", "_"), text)
-
-
-def asked(question: Callable[P, R]) -> Callable[P, R]:
-    """The same function, whose errors name arguments instead of options."""
-
-    @functools.wraps(question)
-    def answered(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return question(*args, **kwargs)
-        except NeedleRigError as error:
-            error.args = tuple(in_python(a) if isinstance(a, str) else a for a in error.args)
-            raise
-
-    return answered
 
 
 def given(data: AnyData) -> Dataset | SettledData | PathLike:
@@ -80,7 +51,7 @@ def at_work(jobs: int | None = None) -> Doing:
 def told(sentence: str) -> None:
     """A warning points at the cell or the line that asked; anything else is printed as a step is."""
     if sentence.startswith(WARNING):
-        warnings.warn(sentence.removeprefix(WARNING), stacklevel=6)
+        warnings.warn(sentence.removeprefix(WARNING), stacklevel=5)
     else:
         step(sentence)
 

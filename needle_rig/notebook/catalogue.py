@@ -9,7 +9,7 @@ from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.model import ParameterSet, load_parameter_set, parameter_sets
-from needle_rig.notebook.asking import PathLike, asked, several
+from needle_rig.notebook.asking import PathLike, several
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, table_of
 from needle_rig.physics.effect import Effect
@@ -86,13 +86,11 @@ class ParameterSets(Shown, Mapping[str, ParameterSet]):
         )
 
 
-@asked
 def effects(*folders: PathLike) -> Effects:
     """Every effect by name, those of further `folders` among them. Raises BadInput."""
     return Effects(_library(folders))
 
 
-@asked
 def parameters() -> ParameterSets:
     """Every parameter set by name. Raises BadInput."""
     return ParameterSets({name: load_parameter_set(path) for name, path in parameter_sets().items()})

@@ -55,6 +55,8 @@ OWN_DESCRIPTORS = 256
 OF_A_MODEL = ("compare", "figure", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
 OF_DATA = ("compare", "figure", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
 """Kinds of work that are given a model or none, and that are given data."""
+OF_VALUES = ("refit", "fixed", "free")
+"""Fields of a comparison, which its record checks."""
 
 Document = dict[str, Any]
 
@@ -137,7 +139,7 @@ class Page:
             given["model"] = self._model(asked.get("model"))
         drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
         if kind in ("compare", "figure"):
-            given |= held_values(asked)
+            given |= {field: asked[field] for field in OF_VALUES if field in asked}
         if kind == "figure":
             given["what"] = str(asked.get("what"))
         elif kind == "diagnose":
@@ -366,17 +368,6 @@ def texts(given: object) -> list[str]:
     if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
         raise BadInput("no data was chosen; choose a dataset, or runs")
     return given
-
-
-def held_values(asked: Document) -> Document:
-    """Which values a comparison holds and which it fits; raises BadInput."""
-    fixed, free = asked.get("fixed", {}), asked.get("free", [])
-    numbers = isinstance(fixed, dict) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in fixed.values()
-    )
-    if not numbers or not isinstance(free, list) or not all(isinstance(name, str) for name in free):
-        raise BadInput("give a number for each value that is fixed, and names of those that are free")
-    return {"refit": asked.get("refit") is True, "fixed": fixed, "free": free}
 
 
 async def refuse(_: Request, error: Exception) -> Response:
