@@ -56,15 +56,22 @@ def told(sentence: str) -> None:
         step(sentence)
 
 
+def in_notebook() -> bool:
+    """Whether a notebook's kernel runs this."""
+    return "ipykernel" in sys.modules
+
+
 def step(text: str) -> None:
-    """The step that begins, on a terminal: a notebook keeps what is printed."""
-    if sys.stderr.isatty():
+    """The step that begins: a line on a terminal and in a notebook, and nothing in the output of a script."""
+    if in_notebook():
+        print(f"{text} …")  # noqa: T201 - stderr is red there, as an error is
+    elif sys.stderr.isatty():
         print(f"{text} …", file=sys.stderr)  # noqa: T201 - how far a script is
 
 
 def progress(results: Iterable[Any], total: int) -> Iterable[Any]:
     """Hands on `results` with a bar: tqdm's in a notebook that has it, otherwise the terminal's."""
-    if "ipykernel" in sys.modules:
+    if in_notebook():
         try:
             from tqdm.auto import tqdm
         except ImportError:

@@ -28,7 +28,7 @@ def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
     compared, said = asked("compare", tmp_path, **about, model=None)
     assert compared["name"] == "reed2008"
     assert compared["traces"] is None
-    assert said[0] == "holding the model against the data, and fitting it"
+    assert said[0] == "fitting the model to the settled values"
     found, said = asked("diagnose", tmp_path, **about, model=None, quick=True)
     assert (found["ties"], found["quick"], found["candidates"]) == (TIED, True, {})
     assert "policy" not in found
