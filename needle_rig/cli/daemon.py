@@ -122,10 +122,13 @@ def _build(
     needle = trust = None
     if model is not None:
         from needle_rig.control.strategy import Trust
-        from needle_rig.model import load_saved
+        from needle_rig.model import load_saved, parameters_path
 
         saved = load_saved(model)
         needle, trust = saved.model, Trust(saved.uncertainties, saved.error_over_floor)
+        if rig.recording.watch is not None:  # each run names the model that it is watched with
+            watched = str(parameters_path(model).absolute())
+            rig = load_rig_config(config, options | {"recording.watch.model": watched})
     runs = out or Path(rig.recording.directory)
     return build_daemon(
         rig,
