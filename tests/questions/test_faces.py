@@ -27,7 +27,6 @@ from needle_rig.questions.learn import Learn
 from needle_rig.questions.question import Request
 from needle_rig.questions.recordings import Understand
 from needle_rig.questions.strategies import Strategies
-from needle_rig.web.pictures import Drawn
 from needle_rig.web.server import OF_A_MODEL, OF_DATA
 from needle_rig.web.work import QUESTIONS
 
@@ -111,7 +110,7 @@ def test_every_question_has_its_faces() -> None:
         if isinstance(kind, type) and issubclass(kind, Request) and hasattr(kind, "answer")
     }
     assert asked == COMMANDS.keys() | FUNCTIONS.keys()
-    assert {kind for kind, _ in QUESTIONS.values()} < asked | {Drawn}
+    assert {kind for kind, _ in QUESTIONS.values()} < asked
     assert QUESTIONS.keys() <= {*OF_A_MODEL, *OF_DATA}
 
 

@@ -197,6 +197,13 @@ class TraceComparison:
             "notes": list(self.notes),
         }
 
+    def worst_trials(self) -> list[int]:
+        """All trials: those of the worst places, the worst first, then those of the largest error."""
+        files = [binned.file for binned in self.baseline.problem.trials]
+        worst = sorted(self.shown.places, key=lambda place: -place.sigmas)
+        largest = np.argsort(-self.shown.trial_errors).tolist()
+        return list(dict.fromkeys((*(files.index(place.trial) for place in worst), *largest)))
+
 
 def known_value(model: NeedleModel, name: str) -> None:
     """Raises BadInput where the model has no value of this name."""
