@@ -155,7 +155,7 @@ def _each(question: Strategies, doing: Doing, title: str, as_json: bool) -> None
 def _show_one(effect: str, found: Contest) -> str:
     """Print one line a hidden effect; the answer says why planning will not help much, or is empty."""
     rows = {row["strategy"]: row for row in found.table.overall()}
-    saved, told = found.saved, found.foretold
+    saved, told = found.saved, found.predicted
     assert saved is not None
     assert told is not None
     names = ", ".join(e.name() for e in saved.model.effects) or "none"

@@ -83,7 +83,7 @@ class Strategies(Shown):
 
     def headline(self) -> str:
         """The rig, and what is predicted of planned."""
-        told = self.found.foretold
+        told = self.found.predicted
         return self.title if told is None else f"{self.title}: {told.sentence}"
 
     def table(self) -> Table:

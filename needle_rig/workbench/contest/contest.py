@@ -13,11 +13,11 @@ from needle_rig.records import JsonObject
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.workbench.contest.strategies_table import (
     Bout,
-    Foretold,
+    Predicted,
     Table,
     check_asked,
     compare_strategies,
-    foretold,
+    predicted,
 )
 from needle_rig.workbench.learning.learn import fit_known, learn
 from needle_rig.workbench.parallel import Work
@@ -42,13 +42,13 @@ class Contest:
     """The strategies on one rig: the model that planned had, what was said beforehand, and what came."""
 
     saved: SavedModel | None
-    foretold: Foretold | None
+    predicted: Predicted | None
     table: Table
 
     def as_json(self) -> JsonObject:
         """The stated form of the answer."""
-        told = self.foretold.sentence if self.foretold else ""
-        document: JsonObject = {"rows": self.table.rows(), "overall": self.table.overall(), "foretold": told}
+        told = self.predicted.sentence if self.predicted else ""
+        document: JsonObject = {"rows": self.table.rows(), "overall": self.table.overall(), "predicted": told}
         if self.saved is not None:
             document["model"] = {
                 name: {"value": value, "uncertainty": self.saved.uncertainties.get(name)}
@@ -88,7 +88,7 @@ def contest(
     bout = Bout(plant, plant.torsional_rigidity_nm2, asked.noise, saved)
     told = None
     if saved is not None:
-        told = foretold(bout, asked.targets_deg, work=work)
+        told = predicted(bout, asked.targets_deg, work=work)
         tell(told.sentence)
     say(f"running {len(asked.strategies)} strategies to {len(asked.targets_deg)} targets")
     table = compare_strategies(bout, asked.strategies, asked.targets_deg, asked.seeds, work=work)

@@ -33,7 +33,7 @@ MUCH_BETTER = 3.0
 FARTHEST_TARGET_DEG = 360.0
 STRAIGHT_DEG = 3.0
 """Worst error of reed2008 below which there is little to gain: two or three times the Hall sensors' noise."""
-FORETELLING_RUNS = 8
+PREDICTION_RUNS = 8
 
 
 @dataclass(frozen=True)
@@ -262,12 +262,12 @@ def compare_strategies(
     return Table(tuple(results), tuple(strategies), tuple(float(t) for t in targets_deg))
 
 
-FORETELLING_SEED = 70_000
+PREDICTION_SEED = 70_000
 """Needles of the model, that no run on the plant will meet."""
 
 
 @dataclass(frozen=True)
-class Foretold:
+class Predicted:
     """What planned and reed2008 should leave at the worst place of the shaft, and a sentence; NaN if refused.
 
     `q95_deg` is planned's 95 % quantile.
@@ -284,9 +284,9 @@ class Foretold:
         return self.reed2008_deg < MUCH_BETTER * self.planned_deg
 
 
-def foretold(
+def predicted(
     bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = STARTS, work: Work | None = None
-) -> Foretold:
+) -> Predicted:
     """What the two will leave on needles of the model, for the same targets and starts, medians in degrees.
 
     Said before the plant is touched: whether planning will be `MUCH_BETTER` times as good, or why not.
@@ -296,12 +296,12 @@ def foretold(
     try:
         make_strategy("planned", {}).check(bout.task(targets_deg[0]))
     except BadInput as refusal:
-        return Foretold(math.nan, math.nan, math.nan, str(refusal))
+        return Predicted(math.nan, math.nan, math.nan, str(refusal))
     twin = dataclasses.replace(bout, plant=bout.saved.model)
-    seeds = max(1, round(FORETELLING_RUNS / (len(targets_deg) * len(starts))))
+    seeds = max(1, round(PREDICTION_RUNS / (len(targets_deg) * len(starts))))
     names = ("planned", "reed2008")
     table = compare_strategies(
-        twin, names, targets_deg, seeds, starts=starts, first_seed=FORETELLING_SEED, work=work
+        twin, names, targets_deg, seeds, starts=starts, first_seed=PREDICTION_SEED, work=work
     ).overall()
     ours, q95 = table[0]["worst_deg"]["median"], table[0]["worst_deg"]["q95"]
     plain = table[1]["worst_deg"]["median"]
@@ -318,7 +318,7 @@ def foretold(
             else "no sequence within the bound on the overshoot leaves this needle straighter"
         )
         told += f": less than {MUCH_BETTER:g} times better, because {why}"
-    return Foretold(ours, q95, plain, told)
+    return Predicted(ours, q95, plain, told)
 
 
 def _round(value: Any) -> float:

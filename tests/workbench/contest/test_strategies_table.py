@@ -19,8 +19,8 @@ from needle_rig.workbench.contest.strategies_table import (
     Bout,
     all_strategies,
     compare_strategies,
-    foretold,
     one_result,
+    predicted,
 )
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
@@ -52,7 +52,7 @@ def test_the_command_identifies_a_model_and_prints_the_stated_rows(tmp_path: Pat
     stiffness = told["model"]["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
     assert stiffness["value"] == pytest.approx(0.278, rel=0.05)
     assert told["model_error_over_floor"] < 2.0
-    assert told["foretold"].startswith("planned should leave 0.")
+    assert told["predicted"].startswith("planned should leave 0.")
     assert (tmp_path / "strategies.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -103,14 +103,14 @@ def test_planned_without_a_model_is_a_refusal_in_the_table() -> None:
 
 @pytest.mark.slow
 def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
-    told = foretold(_bout("rig_rigid", "rig_rigid"), (45.0,), ("relaxed",))
+    told = predicted(_bout("rig_rigid", "rig_rigid"), (45.0,), ("relaxed",))
     assert told.planned_deg <= told.q95_deg < told.reed2008_deg < 3.0
     assert "less than 3 times better, because reed2008 leaves little to gain" in told.sentence
 
 
 def test_what_is_predicted_is_of_the_targets_and_starts_that_are_run() -> None:
     bout = _bout(model="rig_elastic")
-    small, large = (foretold(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))
+    small, large = (predicted(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))
     # a turn that hardly slips leaves no more than itself
     assert small.reed2008_deg < 2.0 < 6.0 < large.reed2008_deg
 
