@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 End = TypeVar("End")
 
+speed_option = click.option(
+    "--speed",
+    type=float,
+    metavar="DEG/S",
+    help="Speed of the base, degrees per second; default: of the config.",
+)
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from needle_rig.errors import BadInput
 from needle_rig.model import ParameterSet, load_parameter_set, parameter_sets
@@ -16,14 +16,16 @@ from needle_rig.physics.effect import Effect
 from needle_rig.questions.doing import SILENT
 from needle_rig.questions.question import Question
 
+Thing = TypeVar("Thing")
 
-class Effects(Shown, Mapping[str, type[Effect]]):
-    """Effects by name."""
 
-    def __init__(self, found: Mapping[str, type[Effect]]) -> None:
+class _ByName(Shown, Mapping[str, Thing]):
+    """Things by name."""
+
+    def __init__(self, found: Mapping[str, Thing]) -> None:
         self._found = dict(found)
 
-    def __getitem__(self, name: str) -> type[Effect]:
+    def __getitem__(self, name: str) -> Thing:
         return self._found[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -31,6 +33,10 @@ class Effects(Shown, Mapping[str, type[Effect]]):
 
     def __len__(self) -> int:
         return len(self._found)
+
+
+class Effects(_ByName[type[Effect]]):
+    """Effects by name."""
 
     def headline(self) -> str:
         """How many there are."""
@@ -53,20 +59,8 @@ class Effects(Shown, Mapping[str, type[Effect]]):
         )
 
 
-class ParameterSets(Shown, Mapping[str, ParameterSet]):
+class ParameterSets(_ByName[ParameterSet]):
     """Published parameter sets by name."""
-
-    def __init__(self, found: Mapping[str, ParameterSet]) -> None:
-        self._found = dict(found)
-
-    def __getitem__(self, name: str) -> ParameterSet:
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
 
     def headline(self) -> str:
         """How many there are."""

@@ -44,10 +44,7 @@ class Demo(Question):
         from needle_rig.workbench.contest.demo import tell_law_story, tell_story
         from needle_rig.workbench.contest.untold_law import SECTION
 
-        library, rig = self.library(doing), self.read_model(self.parameters)
-        if rig is None:
-            raise BadInput("parameters is None; name a parameter set or a model file")
-        plant = rig.model
+        library, plant = self.library(doing), self.needle(self.parameters)
         if not self.law:
             hidden = self.hidden or (() if plant.effects else ("tissue_elasticity=0.3",))
             with doing.work(self) as work:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from needle_rig.errors import BadInput
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
 from needle_rig.questions.question import AnyModel, Question
@@ -43,10 +42,8 @@ class Strategies(Question):
 
     def plant(self, doing: Doing = SILENT) -> NeedleModel:
         """The rig with its hidden effects. Raises BadInput."""
-        rig = self.read_model(self.parameters)
-        if rig is None:
-            raise BadInput("parameters is None; name a parameter set or a model file")
-        return rig.model.with_effects(*made(self.hidden, self.library(doing))) if self.hidden else rig.model
+        rig = self.needle(self.parameters)
+        return rig.with_effects(*made(self.hidden, self.library(doing))) if self.hidden else rig
 
     def answer(self, doing: Doing = SILENT) -> Contest:
         """Raises BadInput, SolverError."""
