@@ -22,6 +22,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+from pydantic import BaseModel
+
 from needle_rig.config.python_file import PACKAGE as OWN
 from needle_rig.folders import cache_folder
 
@@ -138,6 +140,11 @@ class _Stated(pickle.Pickler):
     def reducer_override(self, thing: Any) -> Any:
         if isinstance(thing, type | FunctionType):
             self.modules.add(thing.__module__)
+        if isinstance(thing, BaseModel):
+            # which fields were given is a set, whose order differs from process to process
+            reduced: Any = thing.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+            made, arguments, state, *_ = reduced
+            return made, arguments, {**state, "__pydantic_fields_set__": sorted(thing.model_fields_set)}
         return NotImplemented
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import os
 import resource
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from needle_rig.questions.doing import Doing
 from needle_rig.workbench import answers
 from needle_rig.workbench.answers import answers_of, digest_of
 from needle_rig.workbench.parallel import Work, workers
@@ -271,3 +273,55 @@ def test_a_command_that_is_stopped_three_times_says_what_one_says_that_is_not(
     assert again == whole
     assert WENT_ON.format(kept) in said
     assert list(cache.iterdir()) == []
+
+
+def test_a_question_that_is_a_part_of_another_ends_without_it(asking: Asking, cache: Path) -> None:
+    """As one rig of several: what it took stays until all are answered."""
+    doing = Doing(jobs=1, say=asking.said.append)
+
+    def parts(stopped: bool) -> None:
+        with doing.work("all") as whole:
+            for part in range(2):
+                with dataclasses.replace(doing, at=whole).work(part) as work:
+                    work.share(asking.place)
+                    work.run(noted, [(part,)])
+                if stopped:
+                    raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        parts(stopped=True)
+    (asking.place / "done").write_text("")
+    parts(stopped=False)
+    assert (asking.place / "done").read_text() == "1\n"
+    assert asking.said == [WENT_ON.format(1)]
+    assert list(cache.iterdir()) == []
+
+
+STATED = """
+from needle_rig.physics.library import find_effects
+from needle_rig.workbench.answers import digest_of
+from needle_rig.workbench.contest.strategies_table import Bout
+from needle_rig.workbench.learning.learn import fit_known
+from needle_rig.workbench.virtual.noise import Noise
+from tests.workbench.hidden import dataset
+
+saved = fit_known(dataset(), find_effects(), ())
+print(digest_of(Bout(saved.model, 1e-4, Noise(), saved)), digest_of(find_effects()))
+"""
+
+
+def test_one_task_has_one_name_in_every_process() -> None:
+    """A set of names has an order of its own in each."""
+    root = str(Path(__file__).parents[2])
+    named = [
+        subprocess.run(
+            [sys.executable, "-c", STATED],
+            env=os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": root},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2", "3")
+    ]
+    assert len(named[0].split()) == 2
+    assert set(named) == {named[0]}

@@ -92,6 +92,7 @@ class Result:
 
 def one_result(bout: Bout, kind: type[Strategy], target_deg: float, start: str, seed: int) -> Result:
     """Run a strategy once."""
+    find_strategies()  # names them, also in a process that begins with this
     try:
         run = bout.run(kind(), target_deg, start, seed)
     except BadInput as refusal:

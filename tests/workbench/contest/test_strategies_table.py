@@ -22,6 +22,7 @@ from needle_rig.workbench.contest.strategies_table import (
     one_result,
     predicted,
 )
+from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
@@ -150,3 +151,10 @@ def test_bad_use_is_a_sentence() -> None:
     answer = CliRunner().invoke(command, ["--targets", "45;90", "--strategy", "none"])
     assert isinstance(answer.exception, BadInput)
     assert "--targets 45;90: write degrees" in str(answer.exception)
+
+
+def test_in_processes_the_table_is_the_same() -> None:
+    asked = (_bout(), ["reed2008", "reed2008_elastic"], [30.0], 1)
+    here = compare_strategies(*asked, starts=("relaxed",))
+    assert compare_strategies(*asked, starts=("relaxed",), work=workers(2, None)) == here
+    assert {r.strategy for r in here.results} == {"reed2008", "reed2008_elastic"}
