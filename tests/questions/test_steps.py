@@ -51,6 +51,7 @@ def test_each_step_is_told_once_with_its_number(
 def test_a_notebook_tells_each_step_in_a_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
     step("fitting")
     assert capsys.readouterr() == ("", "")
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
