@@ -14,7 +14,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib.metadata import version
 from io import BytesIO
@@ -44,31 +44,23 @@ def answers_of(asked: str, say: Say, tell: Say) -> Iterator[Answers | None]:
 
     None where they cannot be kept, which `tell` hears.
     """
-    name = _digest(_stamp(), os.getcwd().encode(), asked.encode()).hex()
-    try:
-        place = cache_folder() / "answers"
-        whole = _own_folder(place)
-    except (OSError, RuntimeError) as error:
-        tell(_cannot_keep(error))
-        yield None
-        return
-    try:
-        _tidy(whole, name)
+    with ExitStack() as stack:
+        answers = None
         try:
+            name = _digest(_stamp(), os.fsencode(os.getcwd()), asked.encode()).hex()
+            whole = _own_folder(cache_folder() / "answers")
+            stack.callback(os.close, whole)
+            _tidy(whole, name)
             with suppress(FileExistsError):
                 os.mkdir(name, 0o700, dir_fd=whole)
             folder = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=whole)
-        except OSError as error:
+            stack.callback(os.close, folder)
+            answers = Answers(folder, say, tell)
+        except (OSError, RuntimeError) as error:
             tell(_cannot_keep(error))
-            yield None
-            return
-        try:
-            yield Answers(folder, say, tell)
-        finally:
-            os.close(folder)
-        shutil.rmtree(name, ignore_errors=True, dir_fd=whole)
-    finally:
-        os.close(whole)
+        yield answers
+        if answers is not None:
+            shutil.rmtree(name, ignore_errors=True, dir_fd=whole)
 
 
 class Answers:
