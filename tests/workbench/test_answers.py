@@ -325,3 +325,14 @@ def test_one_task_has_one_name_in_every_process() -> None:
     ]
     assert len(named[0].split()) == 2
     assert set(named) == {named[0]}
+
+
+def test_a_working_folder_that_is_gone_costs_nothing_but_the_work(
+    asking: Asking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert asking.answered(2) == [0, 1]
+    assert len(asking.told) == 1
