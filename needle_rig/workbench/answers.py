@@ -55,6 +55,7 @@ def answers_of(asked: str, say: Say, tell: Say) -> Iterator[Answers | None]:
                 os.mkdir(name, 0o700, dir_fd=whole)
             folder = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=whole)
             stack.callback(os.close, folder)
+            stack.callback(_remove_empty, whole, name)
             answers = Answers(folder, say, tell)
         except (OSError, RuntimeError) as error:
             tell(_cannot_keep(error))
@@ -149,6 +150,12 @@ def _own_folder(place: Path) -> int:
         os.close(folder)
         raise PermissionError(0, f"{place} is open to others; remove it")
     return folder
+
+
+def _remove_empty(whole: int, name: str) -> None:
+    """Leave nothing of a question that ended before any task was done."""
+    with suppress(OSError):
+        os.rmdir(name, dir_fd=whole)
 
 
 def _tidy(whole: int, name: str) -> None:

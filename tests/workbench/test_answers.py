@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from needle_rig.errors import BadInput
 from needle_rig.questions.doing import Doing
 from needle_rig.workbench import answers
 from needle_rig.workbench.answers import answers_of, digest_of
@@ -336,3 +337,9 @@ def test_a_working_folder_that_is_gone_costs_nothing_but_the_work(
     gone.rmdir()
     assert asking.answered(2) == [0, 1]
     assert len(asking.told) == 1
+
+
+def test_a_question_that_is_refused_before_any_task_leaves_nothing(asking: Asking, cache: Path) -> None:
+    with pytest.raises(BadInput), asking.work():
+        raise BadInput("no")
+    assert list(cache.iterdir()) == []
