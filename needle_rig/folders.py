@@ -1,4 +1,7 @@
-"""Temporary folders that outlive no process: those of killed ones are removed by the next that makes one."""
+"""The user's folder for caches, and temporary folders that outlive no process.
+
+Those of killed processes are removed by the next that makes one.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+
+def cache_folder() -> Path:
+    """Where this program may keep what it can make again. Raises RuntimeError without a home folder."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "needle-rig"
 
 
 @contextmanager

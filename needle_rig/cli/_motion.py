@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 End = TypeVar("End")
 
+speed_option = click.option(
+    "--speed",
+    type=float,
+    metavar="DEG/S",
+    help="Speed of the base, degrees per second; default: of the config.",
+)
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -49,9 +55,10 @@ def holder(command: str) -> str:
 
 def end_as_by_ctrl_c() -> None:
     """SIGTERM and a closed terminal end this command as Ctrl-C does; what is ignored stays ignored."""
+    ctrl_c = signal.getsignal(signal.SIGINT)
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
+            signal.signal(number, ctrl_c if callable(ctrl_c) else signal.default_int_handler)
 
 
 def follow(

@@ -3,8 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import click
+
+from needle_rig.cli._complete import completing
 from needle_rig.errors import BadInput
+
+_OPTIONS = (
+    click.option(
+        "--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one."
+    ),
+    click.option(
+        "--parameters",
+        shell_complete=completing("parameters"),
+        help="Parameter set of the simulated needle, such as rig_rigid.",
+    ),
+    click.option("--model", type=click.Path(), help="Model file that planning strategies use."),
+    click.option("--seed", type=int, help="Seed of the simulated rig's noise."),
+    click.option("--simulated", is_flag=True, help="The simulated rig, also where a real one is set up."),
+    click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware."),
+    click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images, not the library."),
+    click.option("--fast", is_flag=True, help="The simulated rig in virtual time instead of real time."),
+)
+
+
+def rig_options(command: Any) -> Any:
+    """The options of a command that starts a rig, or the daemon of one."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
 
 
 def simulated_rig_file() -> Path:

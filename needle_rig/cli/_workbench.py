@@ -80,10 +80,12 @@ def of_field(kind: type[Question], field: str, *declared: str, **more: Any) -> C
 
 
 def terminal(jobs: int | None = None, cluster: str | None = None) -> Doing:
-    """Works with a bar, steps and warnings on stderr."""
+    """Works with a bar, steps and warnings on stderr, until it is done or stopped."""
+    from needle_rig.cli._motion import end_as_by_ctrl_c
     from needle_rig.workbench.parallel import on_terminal, one_thread_each
 
     one_thread_each()
+    end_as_by_ctrl_c()
     return Doing(
         jobs=jobs,
         cluster=cluster,

@@ -143,7 +143,7 @@ def _show(result: SavedModel, out: Path) -> None:
     if errors.held_out_after is None:
         click.echo(
             "note: all trials are of one command, so that none could be left out to check what the effect"
-            " foretells; add trials with another target, speed or dwell"
+            " predicts; add trials with another target, speed or dwell"
         )
     for name, value in result.model.values().items():
         error = result.uncertainties.get(name)

@@ -16,7 +16,8 @@ import click
 
 from needle_rig.cli._complete import completing
 from needle_rig.cli._live import moving_bar
-from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, view
+from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, speed_option, view
+from needle_rig.cli._rig import rig_options
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.records import JsonObject
 
@@ -57,24 +58,8 @@ _RELAX: Message = {"target_deg": 0.0, "strategy": "decay"}
 @click.option(
     "--settle", type=float, metavar="S", help="Seconds that each motion settles; default: of the config."
 )
-@click.option(
-    "--speed",
-    type=float,
-    metavar="DEG/S",
-    help="Speed of the base, degrees per second; default: of the config.",
-)
-@click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
-@click.option(
-    "--parameters",
-    shell_complete=completing("parameters"),
-    help="Parameter set of the simulated needle, such as rig_rigid.",
-)
-@click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
-@click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
-@click.option("--simulated", is_flag=True, help="The simulated rig, also where a real one is set up.")
-@click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
-@click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images instead of the library.")
-@click.option("--fast", is_flag=True, help="The simulated rig in virtual time instead of real time.")
+@speed_option
+@rig_options
 @click.option("--out", type=click.Path(file_okay=False), help="Folder of the run; default: of the config.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object, nothing else.")
 @click.option(

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from needle_rig.cli._complete import completing
-from needle_rig.cli._rig import bench_nodes, simulated_rig_file
+from needle_rig.cli._rig import bench_nodes, rig_options, simulated_rig_file
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.records import JsonObject
 
@@ -24,18 +23,7 @@ _ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 @click.command()
-@click.option("--config", type=click.Path(), help="Rig file; default: config/rig.yaml, or the shipped one.")
-@click.option(
-    "--parameters",
-    shell_complete=completing("parameters"),
-    help="Parameter set of the simulated needle, such as rig_rigid.",
-)
-@click.option("--model", type=click.Path(), help="Model file that planning strategies use.")
-@click.option("--seed", type=int, help="Seed of the simulated rig's noise.")
-@click.option("--simulated", is_flag=True, help="The simulated rig, also where a real one is set up.")
-@click.option("--rig", type=click.Choice(["bench"]), help="The simulated rig with its firmware.")
-@click.option("--image", is_flag=True, help="With --rig bench: the Cortex-M images instead of the library.")
-@click.option("--fast", is_flag=True, help="The simulated rig in virtual time.")
+@rig_options
 @click.option("--socket", type=click.Path(path_type=Path), help="Where to listen; default: the usual place.")
 @click.option("--group", help="Group whose members may use the socket.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the runs.")
@@ -122,10 +110,13 @@ def _build(
     needle = trust = None
     if model is not None:
         from needle_rig.control.strategy import Trust
-        from needle_rig.model import load_saved
+        from needle_rig.model import load_saved, parameters_path
 
         saved = load_saved(model)
         needle, trust = saved.model, Trust(saved.uncertainties, saved.error_over_floor)
+        if rig.recording.watch is not None:  # each run names the model that it is watched with
+            watched = str(parameters_path(model).absolute())
+            rig = load_rig_config(config, options | {"recording.watch.model": watched})
     runs = out or Path(rig.recording.directory)
     return build_daemon(
         rig,

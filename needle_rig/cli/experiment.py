@@ -12,6 +12,7 @@ from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import (
     data_argument,
     effects_option,
+    jobs_option,
     json_option,
     model_option,
     terminal,
@@ -33,15 +34,16 @@ from needle_rig.questions.experiment import Experiment
     type=click.Path(path_type=Path),
     help="Rig file whose limits hold; default: the shipped one.",
 )
+@jobs_option
 @json_option
-def command(out: Path | None, as_json: bool, **asked: Any) -> None:
+def command(out: Path | None, jobs: int | None, as_json: bool, **asked: Any) -> None:
     """Propose the trial that would best separate two effects, as a protocol that the rig can run.
 
     \b
     needle-rig experiment data/mine --between tissue_elasticity chuck_compliance
     needle-rig compensate --protocol tissue_elasticity-or-chuck_compliance.yaml
     """
-    found = Experiment(**asked).answer(terminal())
+    found = Experiment(**asked).answer(terminal(jobs))
     path = out or Path(f"{'-or-'.join(found.between)}.yaml")
     found.save(path)
     if as_json:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._motion import move, socket_option, told_base
+from needle_rig.cli._motion import move, socket_option, speed_option, told_base
 from needle_rig.errors import BadInput
 
 
@@ -15,12 +15,7 @@ from needle_rig.errors import BadInput
 @click.option(
     "--here", type=float, metavar="DEG", help="Where the base stands, degrees, as a person sees it."
 )
-@click.option(
-    "--speed",
-    type=float,
-    metavar="DEG/S",
-    help="Speed of the base, degrees per second; default: of the config.",
-)
+@speed_option
 @socket_option
 def command(by: str | None, here: float | None, speed: float | None, socket: Path | None) -> None:
     """Turn the base to 0°, or find its zero again after the drive node lost it.

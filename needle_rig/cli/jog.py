@@ -6,19 +6,14 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._motion import move, socket_option, told_base
+from needle_rig.cli._motion import move, socket_option, speed_option, told_base
 from needle_rig.errors import BadInput
 
 
 @click.command()
 @click.option("--by", type=float, metavar="DEG", help="How far to turn, degrees; negative: the other way.")
 @click.option("--to", type=float, metavar="DEG", help="Where to turn, degrees.")
-@click.option(
-    "--speed",
-    type=float,
-    metavar="DEG/S",
-    help="Speed of the base, degrees per second; default: of the config.",
-)
+@speed_option
 @socket_option
 def command(by: float | None, to: float | None, speed: float | None, socket: Path | None) -> None:
     """Turn the base of the running daemon's rig by or to an angle, without a run's file.

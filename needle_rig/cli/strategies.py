@@ -115,7 +115,9 @@ def command(
         question = dataclasses.replace(question, names=question.names or PAIR)
         if not set(PAIR) <= set(question.names):
             raise BadInput(f"--each compares {' with '.join(PAIR)}: name both with --strategy, or none")
-        _each(question, doing, over.format("worst error of the shaft in °, "), as_json)
+        with doing.work(question) as work:
+            doing = dataclasses.replace(doing, at=work)
+            _each(question, doing, over.format("worst error of the shaft in °, "), as_json)
         return
     found = question.answer(doing)
     if pictures is not None:
@@ -153,7 +155,7 @@ def _each(question: Strategies, doing: Doing, title: str, as_json: bool) -> None
 def _show_one(effect: str, found: Contest) -> str:
     """Print one line a hidden effect; the answer says why planning will not help much, or is empty."""
     rows = {row["strategy"]: row for row in found.table.overall()}
-    saved, told = found.saved, found.foretold
+    saved, told = found.saved, found.predicted
     assert saved is not None
     assert told is not None
     names = ", ".join(e.name() for e in saved.model.effects) or "none"

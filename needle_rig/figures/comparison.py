@@ -23,7 +23,7 @@ SHOWN_SAMPLES = 2000
 
 def traces(found: TraceComparison) -> Figure:
     """Measured and modelled traces with the ±2σ noise band, the worst trial first, few of all."""
-    problem, shown = found.baseline.problem, worst_trials(found)
+    problem, shown = found.baseline.problem, found.worst_trials()[:SHOWN_TRIALS]
     names = ("torque", *found.baseline.dataset.sensor_names)
     width, height = 4.0 * len(shown), 1.7 * len(names) + 1.25
     figure = Figure(figsize=(width, height))
@@ -99,15 +99,6 @@ def traces(found: TraceComparison) -> Figure:
     figure.suptitle(f"{name}: {count} of {of} trials, those of the worst places first{hidden}", fontsize=9)
     figure.align_ylabels(axes[:, 0])
     return figure
-
-
-def worst_trials(found: TraceComparison) -> list[int]:
-    """Places of the trials that are drawn: those of the worst places, then those of the largest error."""
-    files = [binned.file for binned in found.baseline.problem.trials]
-    worst = sorted(found.shown.places, key=lambda place: -place.sigmas)
-    largest = np.argsort(-found.shown.trial_errors).tolist()
-    ordered = [*(files.index(place.trial) for place in worst), *largest]
-    return list(dict.fromkeys(ordered))[:SHOWN_TRIALS]
 
 
 def residual_map(found: TraceComparison) -> Figure:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import betaincinv, ndtri
 
 from needle_rig.errors import BadInput
-from needle_rig.figures.comparison import pulls, residual_map, traces, trial_title, worst_trials
+from needle_rig.figures.comparison import pulls, residual_map, traces, trial_title
 from needle_rig.figures.figure import Figure
 from needle_rig.figures.refit import correlation, profile
 from needle_rig.figures.style import (
@@ -46,7 +46,7 @@ MOST_LAGS = 30
 
 def loop(found: TraceComparison) -> Figure:
     """Torque against the base angle in the worst trial: the hysteresis loop, measured and modelled."""
-    t = worst_trials(found)[0]
+    t = found.worst_trials()[0]
     given, binned = found.baseline.dataset.trials[t], found.baseline.problem.trials[t]
     factor, unit = scale_of(0)
     figure, (axis,) = column(2.9)
@@ -70,7 +70,7 @@ def strips(found: TraceComparison) -> Figure:
 
     A strip's scale is even up to 3 σ, where its dotted lines are, and logarithmic beyond.
     """
-    problem, t = found.baseline.problem, worst_trials(found)[0]
+    problem, t = found.baseline.problem, found.worst_trials()[0]
     given, binned = found.baseline.dataset.trials[t], problem.trials[t]
     names = _names(found)
     figure, axes = column(
@@ -159,7 +159,7 @@ def autocorrelation(found: TraceComparison) -> Figure:
 
 def band(found: TraceComparison) -> Figure:
     """The worst trial with the 95 % band of the refit: its values, a trial's own friction, and the noise."""
-    problem, of, t = found.baseline.problem, found.baseline.current, worst_trials(found)[0]
+    problem, of, t = found.baseline.problem, found.baseline.current, found.worst_trials()[0]
     binned = problem.trials[t]
     root = np.linalg.cholesky(of.covariance + 1e-18 * np.eye(len(of.covariance)))
     directions = np.zeros((root.shape[0] + 1, root.shape[0] + 1))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import importlib.util
-import os
 import shutil
 import tempfile
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 from needle_rig.extras import missing
 from needle_rig.firmware.build import build
 from needle_rig.firmware.sources import firmware_folder
+from needle_rig.folders import cache_folder
 
 _NEEDED = {"ziglang": "the compiler", "cffi": "the bridge to C", "elftools": "the reader of images"}
 
@@ -26,7 +26,7 @@ def built_firmware(*, images: bool = False) -> Path:
     for module, what in needed.items():
         if importlib.util.find_spec(module) is None:
             raise missing(f"running the firmware here ({what})", module, "bench")
-    kept = _cache() / f"{_fingerprint()}-{'images' if images else 'host'}"
+    kept = cache_folder() / "firmware" / f"{_fingerprint()}-{'images' if images else 'host'}"
     if kept.is_dir():
         return kept
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -40,11 +40,6 @@ def built_firmware(*, images: bool = False) -> Path:
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
     return kept
-
-
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "needle-rig" / "firmware"
 
 
 def _fingerprint() -> str:

@@ -1,18 +1,15 @@
-"""How questions are asked from Python: what counts as data and as a model, progress, words of errors."""
+"""How questions are asked from Python: what counts as data and as a model, progress."""
 
 from __future__ import annotations
 
-import functools
 import os
-import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ParamSpec, TypeAlias, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.settled import SettledData
-from needle_rig.errors import NeedleRigError
 from needle_rig.model import SavedModel
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
@@ -26,33 +23,7 @@ AnyData: TypeAlias = Data | Run | Dataset | SettledData | PathLike
 AnyModel: TypeAlias = Model | PathLike
 """A model, a model file's path or a parameter set's name."""
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
 WARNING = "warning: "
-_OPTION = re.compile(r"--([a-z][a-z-]*[a-z])")
-
-
-def in_python(text: str) -> str:
-    """A sentence that names options of the command line, with the arguments that they are here.
-
-    The workbench names none. The rooms of the rig do (`recording`, `control`): who runs one has a terminal.
-    """
-    return _OPTION.sub(lambda found: found[1].replace("-", "_"), text)
-
-
-def asked(question: Callable[P, R]) -> Callable[P, R]:
-    """The same function, whose errors name arguments instead of options."""
-
-    @functools.wraps(question)
-    def answered(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return question(*args, **kwargs)
-        except NeedleRigError as error:
-            error.args = tuple(in_python(a) if isinstance(a, str) else a for a in error.args)
-            raise
-
-    return answered
 
 
 def given(data: AnyData) -> Dataset | SettledData | PathLike:
@@ -80,20 +51,27 @@ def at_work(jobs: int | None = None) -> Doing:
 def told(sentence: str) -> None:
     """A warning points at the cell or the line that asked; anything else is printed as a step is."""
     if sentence.startswith(WARNING):
-        warnings.warn(sentence.removeprefix(WARNING), stacklevel=6)
+        warnings.warn(sentence.removeprefix(WARNING), stacklevel=5)
     else:
         step(sentence)
 
 
+def in_notebook() -> bool:
+    """Whether a notebook's kernel runs this."""
+    return "ipykernel" in sys.modules
+
+
 def step(text: str) -> None:
-    """The step that begins, on a terminal: a notebook keeps what is printed."""
-    if sys.stderr.isatty():
+    """The step that begins: a line on a terminal and in a notebook, and nothing in the output of a script."""
+    if in_notebook():
+        print(f"{text} …")  # noqa: T201 - stderr is red there, as an error is
+    elif sys.stderr.isatty():
         print(f"{text} …", file=sys.stderr)  # noqa: T201 - how far a script is
 
 
 def progress(results: Iterable[Any], total: int) -> Iterable[Any]:
     """Hands on `results` with a bar: tqdm's in a notebook that has it, otherwise the terminal's."""
-    if "ipykernel" in sys.modules:
+    if in_notebook():
         try:
             from tqdm.auto import tqdm
         except ImportError:

@@ -5,25 +5,27 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from needle_rig.errors import BadInput
 from needle_rig.model import ParameterSet, load_parameter_set, parameter_sets
-from needle_rig.notebook.asking import PathLike, asked, several
+from needle_rig.notebook.asking import PathLike, several
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, table_of
 from needle_rig.physics.effect import Effect
 from needle_rig.questions.doing import SILENT
 from needle_rig.questions.question import Question
 
+Thing = TypeVar("Thing")
 
-class Effects(Shown, Mapping[str, type[Effect]]):
-    """Effects by name."""
 
-    def __init__(self, found: Mapping[str, type[Effect]]) -> None:
+class _ByName(Shown, Mapping[str, Thing]):
+    """Things by name."""
+
+    def __init__(self, found: Mapping[str, Thing]) -> None:
         self._found = dict(found)
 
-    def __getitem__(self, name: str) -> type[Effect]:
+    def __getitem__(self, name: str) -> Thing:
         return self._found[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -31,6 +33,10 @@ class Effects(Shown, Mapping[str, type[Effect]]):
 
     def __len__(self) -> int:
         return len(self._found)
+
+
+class Effects(_ByName[type[Effect]]):
+    """Effects by name."""
 
     def headline(self) -> str:
         """How many there are."""
@@ -53,20 +59,8 @@ class Effects(Shown, Mapping[str, type[Effect]]):
         )
 
 
-class ParameterSets(Shown, Mapping[str, ParameterSet]):
+class ParameterSets(_ByName[ParameterSet]):
     """Published parameter sets by name."""
-
-    def __init__(self, found: Mapping[str, ParameterSet]) -> None:
-        self._found = dict(found)
-
-    def __getitem__(self, name: str) -> ParameterSet:
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
 
     def headline(self) -> str:
         """How many there are."""
@@ -86,13 +80,11 @@ class ParameterSets(Shown, Mapping[str, ParameterSet]):
         )
 
 
-@asked
 def effects(*folders: PathLike) -> Effects:
     """Every effect by name, those of further `folders` among them. Raises BadInput."""
     return Effects(_library(folders))
 
 
-@asked
 def parameters() -> ParameterSets:
     """Every parameter set by name. Raises BadInput."""
     return ParameterSets({name: load_parameter_set(path) for name, path in parameter_sets().items()})

@@ -9,15 +9,15 @@ from functools import cached_property
 
 import numpy as np
 
-from needle_rig.model import SavedModel, save_model
+from needle_rig.model import save_model
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.params import Param, Params, correl_of
 from needle_rig.notebook.tables import Table, or_nan, table_of
 from needle_rig.notebook.traced import Traced
-from needle_rig.notebook.wording import all_as_python
+from needle_rig.questions.identify import Identified
 from needle_rig.workbench.learning.compare import TraceComparison, compared
 from needle_rig.workbench.learning.fit_effects import correlations, fitted_model, intervals
-from needle_rig.workbench.learning.identify import Identification as _Identified
+from needle_rig.workbench.learning.identify import Identification as Found
 from needle_rig.workbench.selection.answer import left_out_error
 
 
@@ -75,7 +75,7 @@ class Fit(Traced):
     @property
     def notes(self) -> tuple[str, ...]:
         """What else is to be known of the data and of the fit."""
-        return all_as_python(self.found.notes)
+        return tuple(self.found.notes)
 
     @property
     def model(self) -> Model:
@@ -116,14 +116,17 @@ class Fit(Traced):
 class Identification(Traced):
     """Constants of a rig from its own recording, or the experiment that would give them."""
 
-    found: _Identified
-    before: SavedModel | None
-    """The model whose values counted, too."""
+    answer: Identified
+
+    @property
+    def found(self) -> Found:
+        """The answer of the workbench."""
+        return self.answer.found
 
     @cached_property
     def params(self) -> Params:
         """What the recording gives, by name."""
-        correl = self._saved("identified").correlations
+        correl = self.answer.saved("identified").correlations
         return Params(
             self.found.baseline.problem.name,
             {
@@ -176,18 +179,15 @@ class Identification(Traced):
 
     def report(self) -> str:
         """Every constant in a sentence, and notes."""
-        return "\n".join(all_as_python(self.found.sentences()))
+        return "\n".join(self.found.sentences())
 
     def model(self, name: str = "identified") -> Model:
         """The model with these values; those not identified stay as they were known before."""
-        return Model(self._saved(name))
+        return Model(self.answer.saved(name))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model file, named as its file."""
-        save_model(path, self._saved(os.path.splitext(os.path.basename(path))[0]))
-
-    def _saved(self, name: str) -> SavedModel:
-        return self.found.saved(self.before, name)
+        save_model(path, self.answer.saved(os.path.splitext(os.path.basename(path))[0]))
 
     def _traces(self) -> TraceComparison:
         return compared(self.found.baseline)

@@ -11,7 +11,6 @@ from needle_rig.errors import BadInput
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, or_nan, table_of
-from needle_rig.notebook.wording import as_python
 from needle_rig.simulation.protocol import Protocol
 from needle_rig.workbench.contest.contest import Contest
 from needle_rig.workbench.laws.learnt import Learnt
@@ -44,9 +43,7 @@ class Laws(Shown):
 
     def headline(self) -> str:
         """The verdict in a sentence."""
-        return as_python(
-            f"{self.found.origin.dataset}: {self.verdict.replace('_', ' ')}. {self.found.sentence}"
-        )
+        return f"{self.found.origin.dataset}: {self.verdict.replace('_', ' ')}. {self.found.sentence}"
 
     def table(self) -> Table:
         """A row a parameter of each law's formula."""
@@ -86,7 +83,7 @@ class Strategies(Shown):
 
     def headline(self) -> str:
         """The rig, and what is predicted of planned."""
-        told = self.found.foretold
+        told = self.found.predicted
         return self.title if told is None else f"{self.title}: {told.sentence}"
 
     def table(self) -> Table:
@@ -128,7 +125,7 @@ class Experiment(Shown):
 
     def headline(self) -> str:
         """The proposal, and what it gives."""
-        return as_python(" ".join(self.found.sentences()))
+        return " ".join(self.found.sentences())
 
     def table(self) -> Table:
         """A row a candidate."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from needle_rig.control.strategy import make_strategy
 from needle_rig.errors import BadInput
-from needle_rig.notebook.asking import AnyData, AnyModel, PathLike, asked, at_work, given, known, several
+from needle_rig.notebook.asking import AnyData, AnyModel, PathLike, at_work, given, known, several
 from needle_rig.notebook.catalogue import hidden_effects
 from needle_rig.notebook.fit import Fit, Identification
 from needle_rig.notebook.learnt import Experiment, Laws, Strategies
@@ -25,7 +25,6 @@ from needle_rig.workbench.contest.strategies_table import Bout
 from needle_rig.workbench.virtual.noise import NO_NOISE
 
 
-@asked
 def compare(
     data: AnyData,
     model: AnyModel | None = None,
@@ -52,7 +51,6 @@ def compare(
     return Comparison(question.answer(at_work()))
 
 
-@asked
 def fit(
     data: AnyData,
     effects: Sequence[str] = (),
@@ -76,7 +74,6 @@ def fit(
     return Fit(question.answer(at_work()))
 
 
-@asked
 def identify(
     data: AnyData,
     model: AnyModel | None = None,
@@ -90,11 +87,9 @@ def identify(
     predicts, BadInput, SolverError.
     """
     question = Identify(data=given(data), model=known(model), effects=several(effects), update=update)
-    answer = question.answer(at_work())
-    return Identification(answer.found, answer.before)
+    return Identification(question.answer(at_work()))
 
 
-@asked
 def diagnose(
     data: AnyData,
     model: AnyModel | None = None,
@@ -118,11 +113,9 @@ def diagnose(
         quick=quick,
         seed=seed,
     )
-    answer = question.answer(at_work(jobs))
-    return Diagnosis(answer.found, answer.observed, answer.started)
+    return Diagnosis(question.answer(at_work(jobs)))
 
 
-@asked
 def adopt(diagnosis: Diagnosis, *effects: str, force: bool = False) -> Model:
     """The model that was diagnosed with all effects that the diagnosis names, as they were fitted.
 
@@ -130,10 +123,10 @@ def adopt(diagnosis: Diagnosis, *effects: str, force: bool = False) -> Model:
     """
     if not isinstance(diagnosis, Diagnosis):
         raise BadInput(f"diagnosis is of type {type(diagnosis).__name__}; give what diagnose answers")
-    return Model(Adopt(diagnosis=diagnosis.kept, chosen=effects, force=force).answer(at_work()))
+    question = Adopt(diagnosis=diagnosis.answer.keep(), chosen=effects, force=force)
+    return Model(question.answer(at_work()))
 
 
-@asked
 def add_effect(
     data: AnyData,
     effect: str,
@@ -152,7 +145,6 @@ def add_effect(
     return Model(question.answer(at_work()))
 
 
-@asked
 def learn(
     data: AnyData,
     model: AnyModel | None = None,
@@ -166,7 +158,6 @@ def learn(
     return Laws(question.answer(at_work(jobs)).found)
 
 
-@asked
 def experiment(
     data: AnyData,
     between: tuple[str, str],
@@ -174,6 +165,7 @@ def experiment(
     *,
     effects: Sequence[PathLike] = (),
     rig: PathLike | None = None,
+    jobs: int | None = None,
 ) -> Experiment:
     """The trial that would best tell two effects apart, within the limits of a rig file.
 
@@ -182,10 +174,9 @@ def experiment(
     question = ExperimentQuestion(
         data=given(data), model=known(model), effects=several(effects), between=between, rig=rig
     )
-    return Experiment(question.answer(at_work()))
+    return Experiment(question.answer(at_work(jobs)))
 
 
-@asked
 def plan(model: AnyModel, target_deg: float, strategy: str = "planned") -> Plan:
     """A strategy's sequence to `target_deg`, carried out on `model` itself without noise. Raises BadInput."""
     saved = Question().read_model(known(model))
@@ -195,7 +186,6 @@ def plan(model: AnyModel, target_deg: float, strategy: str = "planned") -> Plan:
     return Plan(target_deg, strategy, bout.run(make_strategy(strategy, {}), target_deg, "relaxed", 0))
 
 
-@asked
 def strategies(
     *names: str,
     parameters: str = "rig_elastic",

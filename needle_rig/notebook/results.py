@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
-from needle_rig.model import SavedModel
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, or_nan, table_of
 from needle_rig.notebook.traced import Traced
-from needle_rig.notebook.wording import all_as_python, as_python
-from needle_rig.workbench.learning.compare import TraceComparison, compared
-from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, save_diagnosis
+from needle_rig.questions.diagnose import Diagnosed
+from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.observations import Comparison as _Compared
-from needle_rig.workbench.learning.observations import Observations
 from needle_rig.workbench.selection.answer import Answer
-from needle_rig.workbench.selection.diagnose import Diagnosis as FromTraces
 
 if TYPE_CHECKING:
     from needle_rig.figures.page import Figure
@@ -100,7 +95,7 @@ class Comparison(Traced):
     @property
     def notes(self) -> tuple[str, ...]:
         """What else is to be known of the data and of the fit."""
-        return all_as_python(self.found.as_json()["notes"])
+        return tuple(self.found.as_json()["notes"])
 
     def _traces(self) -> TraceComparison:
         return self.found.traces()
@@ -110,10 +105,12 @@ class Comparison(Traced):
 class Diagnosis(Shown):
     """Which effect is missing."""
 
-    found: Answer
-    observed: Observations
-    started: SavedModel | None
-    """The model that was diagnosed; None for the null model."""
+    answer: Diagnosed
+
+    @property
+    def found(self) -> Answer:
+        """The answer of the workbench."""
+        return self.answer.found
 
     @property
     def verdict(self) -> str:
@@ -128,7 +125,7 @@ class Diagnosis(Shown):
     @property
     def notes(self) -> tuple[str, ...]:
         """What else is to be known: of the data, of what was taken for noise, of what was not asked."""
-        return all_as_python(self.found.notes)
+        return self.found.notes
 
     def _repr_html_(self) -> str:
         from needle_rig.figures import page
@@ -138,17 +135,15 @@ class Diagnosis(Shown):
     def headline(self) -> str:
         """The verdict with the error left out, before and after."""
         found = self.found
-        return as_python(
+        return (
             f"{found.dataset} against the model {found.model}: {found.sentence()} {found.errors_sentence()}"
         )
 
     @property
     def model_values(self) -> tuple[str, ...]:
         """Whether the values of the model hold as they stand, in words; empty for the null model."""
-        if self.started is None or not isinstance(self.found, FromTraces):
-            return ()
-        held = compared(self.found.baseline, self.started)
-        return all_as_python(held.verdict_on_values(structure_holds=self.verdict == "none"))
+        values = self.answer.model_values()
+        return () if values is None else tuple(values["sentences"])
 
     def table(self) -> Table:
         """The ranking: a row a candidate."""
@@ -179,11 +174,6 @@ class Diagnosis(Shown):
 
         return ranking_figure(self.found)
 
-    @cached_property
-    def kept(self) -> KeptDiagnosis:
-        """The diagnosis with its fits, as it is written."""
-        return keep(self.found, self.observed, self.started)
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the diagnosis file that `needle-rig adopt` takes."""
-        save_diagnosis(path, self.kept)
+        self.answer.save(path)

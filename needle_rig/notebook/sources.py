@@ -10,7 +10,7 @@ from typing import Literal
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters, load_saved
-from needle_rig.notebook.asking import PathLike, asked, at_work
+from needle_rig.notebook.asking import PathLike, at_work
 from needle_rig.notebook.catalogue import hidden_effects
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
@@ -23,25 +23,21 @@ from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
 
-@asked
 def read_dataset(*paths: PathLike) -> Data:
     """The trials of dataset folders and run files, or settled values, by path or by name. Raises BadInput."""
     return Data(read_observed(paths))
 
 
-@asked
 def read_run(path: PathLike) -> Run:
     """A run file. Raises BadInput."""
     return Run(RunFile(path))
 
 
-@asked
 def read_model(path: PathLike, *, effects: Iterable[PathLike] = ()) -> Model:
     """A model file or a parameter set; `effects` are further folders with effects. Raises BadInput."""
     return Model(load_saved(path, effects=[Path(e) for e in effects]))
 
 
-@asked
 def simulate(
     effects: Mapping[str, float | Mapping[str, float]] | None = None,
     *,
@@ -69,7 +65,6 @@ def simulate(
     return Data(dataset)
 
 
-@asked
 def import_recording(
     *files: PathLike,
     out: PathLike,
@@ -93,7 +88,6 @@ def import_recording(
         return Data(imported.dataset)
 
 
-@asked
 def export(run: Run | PathLike, out: PathLike, form: Literal["csv", "mcap", "dataset"] = "csv") -> Path:
     """Write a run to `out`, which must be new: a folder of CSV, an MCAP file, or a dataset folder.
 

@@ -29,5 +29,5 @@ class Compare(About):
         from needle_rig.workbench.learning.compare import Held
 
         saved, library, observed = self.saved(), self.library(doing), self.observed()
-        doing.say("holding the model against the data, and fitting it")
-        return observed.compare(library, saved, Held(self.refit, self.fixed, tuple(self.free)))
+        held = Held(self.refit, self.fixed, tuple(self.free))
+        return observed.compare(library, saved, held, doing.say)

@@ -44,27 +44,25 @@ class Demo(Question):
         from needle_rig.workbench.contest.demo import tell_law_story, tell_story
         from needle_rig.workbench.contest.untold_law import SECTION
 
-        library, rig = self.library(doing), self.read_model(self.parameters)
-        if rig is None:
-            raise BadInput("parameters is None; name a parameter set or a model file")
-        plant = rig.model
+        library, plant = self.library(doing), self.needle(self.parameters)
         if not self.law:
             hidden = self.hidden or (() if plant.effects else ("tissue_elasticity=0.3",))
-            return tell_story(
-                plant.with_effects(*made(hidden, library)),
-                library,
-                target_deg=self.target_deg,
-                runs=self.runs,
-                seed=self.seed,
-                work=doing.work(),
-                say=doing.say,
-            )
+            with doing.work(self) as work:
+                return tell_story(
+                    plant.with_effects(*made(hidden, library)),
+                    library,
+                    target_deg=self.target_deg,
+                    runs=self.runs,
+                    seed=self.seed,
+                    work=work,
+                    say=doing.say,
+                )
         if (sections := len(plant.layout.tissue_sections_m)) < SECTION:
             raise BadInput(
                 f"the law acts in tissue section {SECTION}, and {plant.name} has {sections}; name another"
                 " parameter set"
             )
-        with TemporaryDirectory(prefix="needle-rig-") as folder:
+        with TemporaryDirectory(prefix="needle-rig-") as folder, doing.work(self) as work:
             draft = Path(folder) / "learnt_law.py" if self.draft is None else Path(self.draft)
             return tell_law_story(
                 plant,
@@ -73,6 +71,6 @@ class Demo(Question):
                 target_deg=self.target_deg,
                 runs=self.runs,
                 seed=self.seed,
-                workers=doing.work,
+                work=work,
                 say=doing.say,
             )

@@ -12,6 +12,7 @@ from needle_rig.questions.question import About
 
 if TYPE_CHECKING:
     from needle_rig.model import SavedModel
+    from needle_rig.workbench.learning.compare import TraceComparison
     from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis
     from needle_rig.workbench.learning.observations import Observations
     from needle_rig.workbench.selection.answer import Answer
@@ -27,14 +28,21 @@ class Diagnosed:
     started: SavedModel | None
     """The model that was diagnosed; None for the null model."""
 
-    def model_values(self) -> ValuesDocument | None:
-        """Whether the model's values hold as they stand; None for settled values and the null model."""
-        from needle_rig.workbench.learning.compare import compared, values_document
+    def compared(self) -> TraceComparison | None:
+        """Where the model that was diagnosed fails; None for settled values."""
+        from needle_rig.workbench.learning.compare import compared
         from needle_rig.workbench.selection.diagnose import Diagnosis
 
-        if self.started is None or not isinstance(self.found, Diagnosis):
+        found = self.found
+        return compared(found.baseline, self.started) if isinstance(found, Diagnosis) else None
+
+    def model_values(self) -> ValuesDocument | None:
+        """Whether the model's values hold as they stand; None for settled values and the null model."""
+        from needle_rig.workbench.learning.compare import values_document
+
+        held = None if self.started is None else self.compared()
+        if held is None:
             return None
-        held = compared(self.found.baseline, self.started)
         return values_document(held, structure_holds=self.found.verdict == "none")
 
     def as_json(self) -> DiagnoseDocument:
@@ -69,13 +77,14 @@ class Diagnose(About):
     def answer(self, doing: Doing = SILENT) -> Diagnosed:
         """Raises BadInput, SolverError."""
         saved, library, observed = self.saved(), self.library(doing), self.observed()
-        found = observed.diagnose(
-            library,
-            None if saved is None else saved.model,
-            max_effects=self.max_effects,
-            quick=self.quick,
-            seed=self.seed,
-            work=doing.work(),
-            say=doing.say,
-        )
+        with doing.work(self) as work:
+            found = observed.diagnose(
+                library,
+                None if saved is None else saved.model,
+                max_effects=self.max_effects,
+                quick=self.quick,
+                seed=self.seed,
+                work=work,
+                say=doing.say,
+            )
         return Diagnosed(found, observed, saved)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,8 @@ class Doing:
     """How one question is worked; the answer does not depend on it.
 
     A worker of the page is cancelled by its end, a command and a cell by KeyboardInterrupt: nothing here
-    catches it, and `work` ends its processes.
+    catches it, and `work` ends its processes. A question that was stopped so, or by a machine without power,
+    goes on from what was done when it is asked again.
     """
 
     jobs: int | None = None
@@ -37,11 +39,23 @@ class Doing:
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = _uncounted
     """Hands on the results of a step, of which there will be so many, and counts them."""
 
-    def work(self) -> Work:
-        """Where tasks run. Raises BadInput."""
+    at: Work | None = None
+    """Where tasks run already, for a question that is a part of another."""
+
+    @contextmanager
+    def work(self, question: object) -> Iterator[Work]:
+        """Where tasks of `question` run: what is done is kept until it is answered. Raises BadInput."""
+        from needle_rig.workbench.answers import answers_of
         from needle_rig.workbench.parallel import workers
 
-        return workers(self.jobs, self.cluster, self.progress)
+        if self.at is not None:
+            yield self.at
+            return
+        with (
+            answers_of(repr(question), self.say, self.tell) as answers,
+            workers(self.jobs, self.cluster, self.progress, answers) as work,
+        ):
+            yield work
 
 
 SILENT = Doing()

@@ -27,4 +27,7 @@ class Experiment(About):
 
         saved, library, dataset = self.saved(), self.library(doing), self.traces("fit both effects")
         model, rig = saved.model if saved else None, None if self.rig is None else Path(self.rig)
-        return propose_experiment(dataset, self.between, library, model, rig=rig, say=doing.say)
+        with doing.work(self) as work:
+            return propose_experiment(
+                dataset, self.between, library, model, rig=rig, work=work, say=doing.say
+            )

@@ -26,5 +26,4 @@ class Fit(About):
         from needle_rig.workbench.learning.fit_effects import fit_effects
 
         saved, library, dataset = self.saved(), self.library(doing), self.traces("fit values one by one")
-        doing.say(f"fitting the model with {', '.join(self.added)}" if self.added else "fitting the model")
-        return fit_effects(dataset, library, saved, self.added, self.fixed)
+        return fit_effects(dataset, library, saved, self.added, self.fixed, doing.say)

@@ -41,7 +41,6 @@ class Identify(About):
         if self.update and saved is None:
             raise BadInput("update needs a model whose values count; name one")
         library, dataset = self.library(doing), self.traces("identify constants")
-        doing.say("identifying constants")
         if saved is not None and self.update:
-            return Identified(update(dataset, library, saved), saved)
-        return Identified(identify(dataset, library, saved.model if saved else None), None)
+            return Identified(update(dataset, library, saved, doing.say), saved)
+        return Identified(identify(dataset, library, saved.model if saved else None, doing.say), None)

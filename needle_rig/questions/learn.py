@@ -40,9 +40,10 @@ class Learn(About):
         from needle_rig.workbench.learning.observations import Traces
 
         present = saved.model if saved else None
-        found = learn_law.laws_of(
-            Traces(dataset), library, present, seed=self.seed, workers=doing.work, say=doing.say
-        )
+        with doing.work(self) as work:
+            found = learn_law.laws_of(
+                Traces(dataset), library, present, seed=self.seed, work=work, say=doing.say
+            )
         return Laws(found, found.write_drafts(draft) if draft is not None else ())
 
 

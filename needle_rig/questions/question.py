@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from needle_rig.dataset.settled import SettledData
     from needle_rig.model import SavedModel
     from needle_rig.physics.effect import Effect
+    from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.workbench.learning.observations import Observations
 
     AnyData: TypeAlias = PathLike | Sequence[PathLike] | Dataset | SettledData
@@ -78,6 +79,13 @@ class Question(Request):
         if not isinstance(model, str | os.PathLike):
             raise BadInput(f"model is of type {type(model).__name__}; give a path, or a model")
         return load_saved(model, effects=self.folders())
+
+    def needle(self, parameters: AnyModel) -> NeedleModel:
+        """The needle of a simulated rig. Raises BadInput."""
+        saved = self.read_model(parameters)
+        if saved is None:
+            raise BadInput("parameters is None; name a parameter set or a model file")
+        return saved.model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

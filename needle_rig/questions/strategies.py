@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from needle_rig.errors import BadInput
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
 from needle_rig.questions.question import AnyModel, Question
@@ -43,10 +42,8 @@ class Strategies(Question):
 
     def plant(self, doing: Doing = SILENT) -> NeedleModel:
         """The rig with its hidden effects. Raises BadInput."""
-        rig = self.read_model(self.parameters)
-        if rig is None:
-            raise BadInput("parameters is None; name a parameter set or a model file")
-        return rig.model.with_effects(*made(self.hidden, self.library(doing))) if self.hidden else rig.model
+        rig = self.needle(self.parameters)
+        return rig.with_effects(*made(self.hidden, self.library(doing))) if self.hidden else rig
 
     def answer(self, doing: Doing = SILENT) -> Contest:
         """Raises BadInput, SolverError."""
@@ -58,16 +55,19 @@ class Strategies(Question):
         for _, sentence in find_strategies().broken:
             doing.tell(f"warning: {sentence}")
         noise = Noise(friction_scatter=self.friction_scatter)
-        return contest(
-            self.plant(doing),
-            Asked(tuple(self.names) or all_strategies(), tuple(self.targets_deg), self.seeds, noise),
-            self.library(doing),
-            self.read_model(self.model),
-            diagnose=self.diagnose,
-            workers=doing.work,
-            say=doing.say,
-            tell=doing.tell,
-        )
+        plant, library, model = self.plant(doing), self.library(doing), self.read_model(self.model)
+        asked = Asked(tuple(self.names) or all_strategies(), tuple(self.targets_deg), self.seeds, noise)
+        with doing.work(self) as work:
+            return contest(
+                plant,
+                asked,
+                library,
+                model,
+                diagnose=self.diagnose,
+                work=work,
+                say=doing.say,
+                tell=doing.tell,
+            )
 
 
 def made(hidden: Sequence[Hidden], library: Mapping[str, type[Effect]]) -> list[Effect]:

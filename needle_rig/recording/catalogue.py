@@ -55,13 +55,11 @@ def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
 
 def _unlistable(directory: Path, error: OSError) -> BadInput:
     if error.errno != errno.ELOOP:
-        return BadInput(
-            f"{show_path(directory)}: cannot be listed ({error.strerror}); name a folder of runs with --dir"
-        )
+        return BadInput(f"{show_path(directory)}: cannot be listed ({error.strerror}); name a folder of runs")
     links = [place for place in (*reversed(directory.absolute().parents), directory) if place.is_symlink()]
     link = next((one for one in links if _loops(one)), directory)
     return BadInput(
-        f"{show_path(link)}: this link leads to itself; remove it, or name another folder with --dir"
+        f"{show_path(link)}: this link leads to itself; remove it, or name another folder of runs"
     )
 
 

@@ -28,7 +28,7 @@ def export_csv(run: RunFile, folder: str | os.PathLike[str]) -> list[Path]:
     try:
         target.mkdir(parents=True)
     except FileExistsError:
-        raise BadInput(f"{show_path(target)}: exists already; name another place with --out") from None
+        raise BadInput(f"{show_path(target)}: exists already; name another place") from None
     except OSError as error:
         raise BadInput(f"{show_path(target)}: cannot be made: {error.strerror}") from None
     begin_s = run.span_s[0]

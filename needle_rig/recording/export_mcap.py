@@ -31,7 +31,7 @@ def export_mcap(run: RunFile, path: str | os.PathLike[str]) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         file = target.open("xb")
     except FileExistsError:
-        raise BadInput(f"{show_path(target)}: exists already; name another place with --out") from None
+        raise BadInput(f"{show_path(target)}: exists already; name another place") from None
     except OSError as error:
         raise BadInput(f"{show_path(target)}: cannot be made: {error.strerror}") from None
     begin_s, begin_ns = run.span_s[0], _started_ns(run)

@@ -4,30 +4,23 @@ that takes the latter over.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
-from needle_rig.questions.compare import Compare
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.identify import Identify
 from needle_rig.web.models import kept_document
+from needle_rig.web.places import COMPARISON
 from needle_rig.workbench.learning.observations import Comparison
 
 FORMATS = ("svg", "png", "pdf")
 """The first is shown, all can be saved."""
 
 Document = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn(Compare):
-    """One figure of a comparison."""
-
-    what: str
-    """Its name, as `loop` or `qq`."""
 
 
 def values_of(found: Comparison) -> Document:
@@ -42,15 +35,20 @@ def values_of(found: Comparison) -> Document:
     }
 
 
-def figure(question: Drawn, doing: Doing, out: str) -> Document:
-    """One figure of a comparison in every format, with its words. Raises BadInput, SolverError."""
+def keep(found: Comparison, out: str) -> None:
+    """Keep a comparison for its figures."""
+    (Path(out) / COMPARISON).write_bytes(pickle.dumps(found, protocol=pickle.HIGHEST_PROTOCOL))
+
+
+def figure(say: Callable[[str], None], *, comparison: str, what: str, out: str) -> Document:
+    """One figure of a comparison that was kept, in every format, with its words. Raises BadInput."""
     needed("matplotlib", "a figure", "figures")
     from needle_rig.figures.residuals import described, function, write_figure
 
-    what = question.what
     function(what)
-    found = question.answer(doing).traces()
-    doing.say(f"drawing {what.replace('_', ' ')}")
+    kept: Comparison = pickle.loads(Path(comparison).read_bytes())
+    found = kept.traces()
+    say(f"drawing {what.replace('_', ' ')}")
     files = {kind: f"{what}.{kind}" for kind in FORMATS}
     for name in files.values():
         write_figure(found, Path(out) / name)

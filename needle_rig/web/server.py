@@ -34,10 +34,10 @@ from needle_rig.web.guard import LOOPBACK, Guard
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.lessons_process import Lessons
 from needle_rig.web.live import STOP_BYTES, live
-from needle_rig.web.places import DATASET, DIAGNOSIS, MODEL
+from needle_rig.web.places import COMPARISON, DATASET, DIAGNOSIS, MODEL
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.sources import NOTES_BYTES, Sources
-from needle_rig.web.uploads import TooMuch, Uploads, data_in
+from needle_rig.web.uploads import TooMuch, Uploads, data_in, model_in
 from needle_rig.workbench.contest.strategies_table import NEEDS_OTHERS
 
 STATIC = Path(__file__).parent / "static"
@@ -52,9 +52,11 @@ SEEDS = 10
 OWN_DESCRIPTORS = 256
 """Files of jobs and uploads, and connections to the daemon."""
 
-OF_A_MODEL = ("compare", "figure", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
-OF_DATA = ("compare", "figure", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
+OF_A_MODEL = ("compare", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
+OF_DATA = ("compare", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
 """Kinds of work that are given a model or none, and that are given data."""
+OF_VALUES = ("refit", "fixed", "free")
+"""Fields of a comparison, which its record checks."""
 
 Document = dict[str, Any]
 
@@ -136,10 +138,16 @@ class Page:
         if kind in OF_A_MODEL:
             given["model"] = self._model(asked.get("model"))
         drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
-        if kind in ("compare", "figure"):
-            given |= held_values(asked)
-        if kind == "figure":
+        if kind == "compare":
+            given |= {field: asked[field] for field in OF_VALUES if field in asked}
+        elif kind == "figure":
+            given["comparison"] = self._file(str(asked.get("compared")), COMPARISON)
             given["what"] = str(asked.get("what"))
+        elif kind == "open":
+            upload = self.uploads.get(str(asked.get("upload")))
+            if (dropped := model_in(upload.folder)) is None:
+                raise BadInput(f"{upload.name}: holds no model file")
+            given["model"] = str(dropped)
         elif kind == "diagnose":
             given["quick"] = asked.get("quick") is True
         elif kind == "adopt":
@@ -164,7 +172,7 @@ class Page:
             given |= await self._recordings(str(kind), asked, out)
         elif "data" not in given and kind != "undo":
             raise BadInput("this is no computation that the page knows")
-        if kind in OF_A_MODEL or kind == "adopt":
+        if kind in (*OF_A_MODEL, "adopt", "open"):
             given["effects"] = [*self._settings.effects, *drafts]
         out.mkdir(parents=True, exist_ok=True)
         key = self.jobs.start(str(kind), {**given, "out": str(out), "jobs": self._settings.jobs})
@@ -249,7 +257,8 @@ class Page:
             raise BadInput(f"{path[:80]}: the upload broke off; drop it again") from None
         found = self.uploads.get(key)
         data = await asyncio.to_thread(data_in, found.folder)
-        return JSONResponse({"files": len(found.files), "data": len(data)}, 201)
+        model = await asyncio.to_thread(model_in, found.folder)
+        return JSONResponse({"files": len(found.files), "data": len(data), "model": model is not None}, 201)
 
     # runs
 
@@ -366,17 +375,6 @@ def texts(given: object) -> list[str]:
     if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
         raise BadInput("no data was chosen; choose a dataset, or runs")
     return given
-
-
-def held_values(asked: Document) -> Document:
-    """Which values a comparison holds and which it fits; raises BadInput."""
-    fixed, free = asked.get("fixed", {}), asked.get("free", [])
-    numbers = isinstance(fixed, dict) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in fixed.values()
-    )
-    if not numbers or not isinstance(free, list) or not all(isinstance(name, str) for name in free):
-        raise BadInput("give a number for each value that is fixed, and names of those that are free")
-    return {"refit": asked.get("refit") is True, "fixed": fixed, "free": free}
 
 
 async def refuse(_: Request, error: Exception) -> Response:

@@ -14,7 +14,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.learning.places import motion_words, scale_of
 
 TRIALS = 12
-"""Drawn at most; of each command one first."""
+"""Drawn at most, the worst first."""
 SAMPLES = 900
 """Of a trace: more than a plot of half a screen's width has dots across."""
 _DIGITS_BELOW_NOISE = 1
@@ -37,14 +37,6 @@ def channels_document(problem: Problem, dataset: Dataset) -> list[Document]:
 def digits(noise: float) -> int:
     """Decimals that a reading with this noise deserves."""
     return 4 if noise <= 0 else int(np.clip(-np.floor(np.log10(noise)) + _DIGITS_BELOW_NOISE, 0, 6))
-
-
-def shown_trials(problem: Problem) -> list[int]:
-    """Places of the trials that are drawn, one of each command before its repetitions."""
-    groups = problem.groups
-    first = [group[0] for group in groups]
-    rest = sorted(t for group in groups for t in group[1:])
-    return sorted([*first, *rest][:TRIALS])
 
 
 def measured_document(dataset: Dataset, trial: DatasetTrial, decimals: list[int]) -> Document:

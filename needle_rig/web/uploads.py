@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import secrets
 import stat
 import time
@@ -26,6 +27,9 @@ UPLOAD_S = 60.0
 UNPACK_S = 30.0
 UPLOADS = 20
 _CHUNK_BYTES = 1 << 16
+HEAD_BYTES = 4096
+"""Of a YAML file in which its format is looked for; it is the first key of a file that was written here."""
+_A_MODEL = re.compile(rb"^format:\s*['\"]?needle-rig-model/", re.MULTILINE)
 SUFFIXES = frozenset(
     [
         ".csv",
@@ -216,6 +220,15 @@ def data_in(folder: Path) -> list[Path]:
         return found
     named_so = (path for path in folder.rglob("*") if path.suffix.lower() in (".h5", ".hdf5"))
     return sorted(path for path in named_so if _is_run(path))
+
+
+def model_in(folder: Path) -> Path | None:
+    """The first model file below `folder`, by the format that it states; None where there is none."""
+    for path in sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".yaml", ".yml")):
+        with path.open("rb") as file:
+            if _A_MODEL.search(file.read(HEAD_BYTES)):
+                return path
+    return None
 
 
 def _is_run(path: Path) -> bool:

@@ -13,6 +13,7 @@ from typing import Any
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput, SolverError
+from needle_rig.model import load_saved
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.diagnose import Diagnose
@@ -49,9 +50,10 @@ def work(kind: str, request: Document, doing: Doing) -> Document:
     return view(asked.from_request(request), doing, out)
 
 
-def compare(question: Compare, doing: Doing, _out: str) -> Document:
+def compare(question: Compare, doing: Doing, out: str) -> Document:
     """Where a model fails: traces with the noise band, and every place of the residual map."""
     found = question.answer(doing)
+    pictures.keep(found, out)
     doing.say("drawing the traces")
     headings, rows = found.rows()
     document: Document = {
@@ -78,7 +80,7 @@ def _traces(found: TraceComparison) -> Document:
     told = traces.channels_document(problem, dataset)
     decimals = [channel["digits"] for channel in told]
     trials = []
-    for t in traces.shown_trials(problem):
+    for t in found.worst_trials()[: traces.TRIALS]:
         trial = dataset.trials[t]
         drawn = traces.measured_document(dataset, trial, decimals)
         drawn["model"] = traces.model_document(problem, found.shown.fit, t, trial, decimals)
@@ -103,28 +105,28 @@ def diagnose(question: Diagnose, doing: Doing, out: str) -> Document:
         "quick": question.quick,
         "candidates": {},
     }
-    if isinstance(found, Diagnosis):
+    compared = answer.compared()
+    if isinstance(found, Diagnosis) and compared is not None:
         doing.say("drawing what each candidate predicts")
-        document["candidates"] = _candidates(found)
+        document["candidates"] = _candidates(found, compared)
     return document
 
 
-def _candidates(found: Diagnosis) -> Document:
-    """By effect: what its fit predicts for every drawn trial, by channel."""
+def _candidates(found: Diagnosis, compared: TraceComparison) -> Document:
+    """By effect and file: what its fit predicts for every drawn trial, by channel."""
     told = traces.channels_document(found.baseline.problem, found.baseline.dataset)
     decimals = [channel["digits"] for channel in told]
+    trials = {t: found.baseline.dataset.trials[t] for t in compared.worst_trials()[: traces.TRIALS]}
     drawn: Document = {}
     for row in found.ranking[:CANDIDATES]:
         fit = _fit_with(found, row.effect)
         if fit is None:
             continue
         try:
-            drawn[row.effect] = [
-                traces.model_document(
-                    found.search.problem, fit, t, found.baseline.dataset.trials[t], decimals
-                )
-                for t in traces.shown_trials(found.baseline.problem)
-            ]
+            drawn[row.effect] = {
+                trial.file: traces.model_document(found.search.problem, fit, t, trial, decimals)
+                for t, trial in trials.items()
+            }
         except SolverError:
             continue
     return drawn
@@ -141,6 +143,12 @@ def _fit_with(found: Diagnosis, effect: str) -> Fit | None:
 def adopt(question: Adopt | AddEffect, doing: Doing, out: str) -> Document:
     """The model with what it learnt, and the ladder of its errors."""
     return kept_document(question.answer(doing), out)
+
+
+def opened(say: Say, *, model: str, effects: list[str], out: str) -> Document:
+    """A model file that a person dropped. Raises BadInput."""
+    say("reading the model")
+    return kept_document(load_saved(model, effects=effects), out)
 
 
 def undo(question: Undo, doing: Doing, out: str) -> Document:
@@ -195,7 +203,6 @@ def packed(folder: Path) -> Path:
 
 QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
     "compare": (Compare, compare),
-    "figure": (pictures.Drawn, pictures.figure),
     "diagnose": (Diagnose, diagnose),
     "take_values": (Identify, pictures.take_values),
     "adopt": (Adopt, adopt),
@@ -207,6 +214,8 @@ QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
 FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
     "import": recordings.imported,
+    "figure": pictures.figure,
+    "open": opened,
     "show": show,
     "export": export,
 }

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
+from functools import partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any, Self
 
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.extras import missing
+from needle_rig.folders import temporary_folder
+from needle_rig.workbench.answers import Answers, digest_of
 
 Task = tuple[Any, ...]
+Keep = Callable[[bytes], None]
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 """Hands on results as they come, of which there will be so many, and shows how far they are."""
 
@@ -33,31 +39,75 @@ def on_terminal(results: Iterable[Any], total: int) -> Iterable[Any]:
 
 
 class Work:
-    """Runs `function(shared, *task)` for every task: in this process."""
+    """Runs `function(shared, *task)` for every task: in this process.
+
+    A `with` within that of its owner leaves it open.
+    """
 
     processes = 1
     """That run at once."""
 
-    def __init__(self, progress: Progress | None = None) -> None:
+    def __init__(self, progress: Progress | None = None, answers: Answers | None = None) -> None:
         self._progress = progress or (lambda results, _: results)
+        self._answers = answers
         self._shared: Any = None
+        self._asked = ""
+        self._within = 0
 
     def share(self, shared: Any) -> None:
         """Give every later task this first argument."""
-        self._shared = shared
+        self._shared = self._placed(shared)
+        if self._answers is not None:
+            self._asked = digest_of(shared)
 
     def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
         """The results, in the order of the tasks. Raises what a task raises."""
-        return list(self._progress(self._results(function, tasks), len(tasks)))
+        asked = [self._ask(function, task) for task in tasks]
+        return list(self._progress((answer() for answer in asked), len(tasks)))
 
-    def _results(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
-        return (function(self._shared, *task) for task in tasks)
+    def _ask(self, function: Callable[..., Any], task: Task) -> Callable[[], Any]:
+        """What gives the answer: that of an earlier process, which was stopped, or of a task begun now."""
+        if self._answers is None:
+            return self._begin(function, task, lambda _: None)
+        key = self._answers.key(self._asked, function, task)
+        known = self._answers.find(key)
+        if known is not None:
+            return lambda: known[0]
+        return self._begin(function, task, partial(self._answers.keep, key))
+
+    def _placed(self, shared: Any) -> Any:
+        """`shared` where tasks find it."""
+        return shared
+
+    def _begin(self, function: Callable[..., Any], task: Task, keep: Keep) -> Callable[[], Any]:
+        """Begin a task; `keep` gets its pickled answer as soon as that is there."""
+
+        def answer() -> Any:
+            if self._answers is None:
+                return function(self._shared, *task)
+            answered = _pickled(function, self._shared, *task)
+            keep(answered)
+            return pickle.loads(answered)
+
+        return answer
+
+    def _end(self, kind: type[BaseException] | None) -> None:  # noqa: ARG002 nothing else runs here
+        """Free what this holds; `kind` is what ended the work early."""
+        self._shared = None
 
     def __enter__(self) -> Self:
+        self._within += 1
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._shared = None
+        self._within -= 1
+        if not self._within:
+            self._end(kind)
+
+
+def _pickled(function: Callable[..., Any], *arguments: Any) -> bytes:
+    """The answer in the form that is kept, so that one that was kept and one that is new are the same."""
+    return pickle.dumps(function(*arguments), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 class _Afresh(SpawnProcess):
@@ -79,57 +129,83 @@ class _AfreshContext(SpawnContext):
 class Processes(Work):
     """In `jobs` processes, started afresh (spawn), so that nothing of this one leaks into them."""
 
-    def __init__(self, jobs: int, progress: Progress | None = None) -> None:
-        super().__init__(progress)
+    def __init__(self, jobs: int, progress: Progress | None = None, answers: Answers | None = None) -> None:
+        super().__init__(progress, answers)
         if jobs < 1:
             raise BadInput(f"jobs {jobs}: give at least 1")
         one_thread_each()
         self.processes = jobs
-        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext())
-        self._folder = TemporaryDirectory(prefix="needle-rig-")
+        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext(), initializer=_end_with_parent)
+        self._stack = ExitStack()
+        self._folder = self._stack.enter_context(temporary_folder("needle-rig-tasks-"))
         self._round = 0
 
-    def share(self, shared: Any) -> None:
-        """Write it to a file, which every process reads once."""
+    def _placed(self, shared: Any) -> Path:
+        """Written to a file, which every process reads once."""
         self._round += 1
-        self._shared = Path(self._folder.name) / f"shared-{self._round}.pickle"
-        self._shared.write_bytes(pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL))
+        place = self._folder / f"shared-{self._round}.pickle"
+        place.write_bytes(pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL))
+        return place
 
-    def _results(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
-        futures = [self._pool.submit(_call, self._shared, function, task) for task in tasks]
-        try:
-            for future in futures:
-                yield future.result()
-        except BrokenProcessPool:
-            raise NeedleRigError(
-                "one of the jobs was ended from outside, as a machine does that is short of memory; "
-                "try again with fewer"
-            ) from None
+    def _begin(self, function: Callable[..., Any], task: Task, keep: Keep) -> Callable[[], Any]:
+        future = self._pool.submit(_call, self._shared, function, task)
+        future.add_done_callback(partial(_keep, keep))
+        return partial(_answered, future)
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def _end(self, kind: type[BaseException] | None) -> None:
         if kind is not None:
             # what they do takes minutes and is wanted no more
             for process in multiprocessing.active_children():
                 process.terminate()
         self._pool.shutdown(cancel_futures=True)
-        self._folder.cleanup()
+        self._stack.close()
+
+
+def _answered(future: Future[bytes]) -> Any:
+    try:
+        return pickle.loads(future.result())
+    except BrokenProcessPool:
+        raise NeedleRigError(
+            "one of the jobs was ended from outside, as a machine does that is short of memory; "
+            "try again with fewer"
+        ) from None
+
+
+def _keep(keep: Keep, done: Future[bytes]) -> None:
+    """Keep the answer of a future that has one."""
+    if not done.cancelled() and done.exception() is None:
+        keep(done.result())
+
+
+def _end_with_parent() -> None:
+    """Leave no process behind one that was killed: nobody else would end it."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 _SHARED: dict[Path, Any] = {}
 
 
-def _call(path: Path, function: Callable[..., Any], task: Task) -> Any:
+def _call(path: Path, function: Callable[..., Any], task: Task) -> bytes:
     if path not in _SHARED:
         _SHARED.clear()
         _SHARED[path] = pickle.loads(path.read_bytes())
-    return function(_SHARED[path], *task)
+    return _pickled(function, _SHARED[path], *task)
 
 
 class Cluster(Work):
     """On a Dask cluster. Raises BadInput when `distributed` is not installed or nothing answers."""
 
-    def __init__(self, address: str, progress: Progress | None = None) -> None:
-        super().__init__(progress)
+    def __init__(
+        self, address: str, progress: Progress | None = None, answers: Answers | None = None
+    ) -> None:
+        super().__init__(progress, answers)
         try:
             from distributed import Client
         except ImportError as error:
@@ -141,24 +217,32 @@ class Cluster(Work):
             raise BadInput(f"cluster {address}: no scheduler answers there ({error})") from error
         self.processes = max(1, sum(self._client.ncores().values()))
 
-    def share(self, shared: Any) -> None:
-        """Send it to every worker."""
-        self._shared = self._client.scatter(shared, broadcast=True, hash=False)
+    def _placed(self, shared: Any) -> Any:
+        """Sent to every worker."""
+        return self._client.scatter(shared, broadcast=True, hash=False)
 
-    def _results(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
-        futures = [self._client.submit(function, self._shared, *task, pure=False) for task in tasks]
-        return (future.result() for future in futures)
+    def _begin(self, function: Callable[..., Any], task: Task, keep: Keep) -> Callable[[], Any]:
+        future = self._client.submit(_pickled, function, self._shared, *task, pure=False)
 
-    def __exit__(self, *_: object) -> None:
+        def answer() -> Any:
+            answered = future.result()
+            keep(answered)
+            return pickle.loads(answered)
+
+        return answer
+
+    def _end(self, kind: type[BaseException] | None) -> None:  # noqa: ARG002 tasks end with their client
         self._client.close()
 
 
-def workers(jobs: int | None, cluster: str | None, progress: Progress | None = None) -> Work:
+def workers(
+    jobs: int | None, cluster: str | None, progress: Progress | None = None, answers: Answers | None = None
+) -> Work:
     """Where tasks run: a cluster when given, else `jobs` processes (default: one a core), else here."""
     if cluster:
-        return Cluster(cluster, progress)
+        return Cluster(cluster, progress, answers)
     count = len(os.sched_getaffinity(0)) if jobs is None else jobs
-    return Work(progress) if count == 1 else Processes(count, progress)
+    return Work(progress, answers) if count == 1 else Processes(count, progress, answers)
 
 
 def one_thread_each() -> None:

@@ -155,7 +155,7 @@ def test_no_waypoint_beyond_the_bound_or_the_drive() -> None:
 
 def test_refusals_are_sentences() -> None:
     plant = load_parameters("rig_elastic")
-    with pytest.raises(BadInput, match="planned needs a model of this rig: give --model FILE"):
+    with pytest.raises(BadInput, match="planned needs a model of this rig: give a model file"):
         Planned().check(_task(None))
     with pytest.raises(BadInput, match=r"its error was 7\.2 times the noise floor, limit 5"):
         Planned().check(_task(plant, trust=Trust({}, 7.2)))

@@ -12,8 +12,6 @@ from typing import Any
 import pytest
 
 import needle_rig as nr
-from needle_rig.notebook.asking import in_python
-from needle_rig.notebook.wording import QUESTIONS, as_python
 from tests.notebook.notebooks import ROOT
 from tests.workbench.hidden import PROTOCOL
 
@@ -21,7 +19,7 @@ UNGUARDED = """
 import needle_rig as nr
 from needle_rig.notebook.asking import at_work
 print("begun")
-with at_work(2).work() as work:
+with at_work(2).work("it") as work:
     work.share(2)
     print(work.run(pow, [(5,), (3,)]))
 """
@@ -89,29 +87,6 @@ def data() -> Any:
 def test_an_effect_that_does_not_help_is_refused_without_options() -> None:
     with pytest.raises(nr.NeedleRigError, match=r"With force it is added all the same\.$"):
         nr.add_effect(data(), "torque_bias", nr.add_effect(data(), "tissue_elasticity"))
-
-
-def test_options_become_arguments() -> None:
-    assert in_python("name a folder of runs with --dir; 5 - -3") == "name a folder of runs with dir; 5 - -3"
-    assert in_python("--scatter-percent 80: give 0 to 50") == "scatter_percent 80: give 0 to 50"
-
-
-@pytest.mark.parametrize(
-    ("said", "told"),
-    [
-        ("find what it lacks: needle-rig diagnose mine", "find what it lacks: nr.diagnose"),
-        ("nothing is missing; ask needle-rig identify", "nothing is missing; ask nr.identify"),
-        ("no such set; needle-rig reproduce runs it", "no such set; needle-rig reproduce runs it"),
-        ("was not asked. Without --quick it is.", "was not asked. Without quick it is."),
-        ("`compensate --strategy planned` turns", "`compensate --strategy planned` turns"),
-    ],
-)
-def test_a_sentence_names_questions_of_python_and_leaves_what_a_shell_takes(said: str, told: str) -> None:
-    assert as_python(said) == told
-
-
-def test_every_question_that_a_sentence_may_name_is_one() -> None:
-    assert set(QUESTIONS) <= set(nr.__all__)
 
 
 def test_what_a_recording_lacks_is_asked_in_python() -> None:

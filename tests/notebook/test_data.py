@@ -84,7 +84,7 @@ def test_a_run_is_exported_once(run_path: Path, tmp_path: Path) -> None:
     assert (nr.export(run, tmp_path / "csv") / "events.csv").is_file()
     assert nr.export(run_path, tmp_path / "run.mcap", "mcap").read_bytes()
     assert len(nr.read_dataset(nr.export(run, tmp_path / "data", "dataset"))) == 1
-    with pytest.raises(nr.BadInput, match=r"exists already; name another place with out$"):
+    with pytest.raises(nr.BadInput, match=r"exists already; name another place$"):
         nr.export(run, tmp_path / "csv")
 
 

@@ -14,6 +14,7 @@ import pytest
 import needle_rig as nr
 from needle_rig import questions
 from needle_rig.notebook import questions as functions
+from needle_rig.notebook.sources import import_recording
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.demo import Demo
@@ -23,13 +24,13 @@ from needle_rig.questions.fields import defaults, hints
 from needle_rig.questions.fit import Fit
 from needle_rig.questions.identify import Identify
 from needle_rig.questions.learn import Learn
-from needle_rig.questions.question import Question
+from needle_rig.questions.question import Request
+from needle_rig.questions.recordings import Understand
 from needle_rig.questions.strategies import Strategies
-from needle_rig.web.pictures import Drawn
 from needle_rig.web.server import OF_A_MODEL, OF_DATA
 from needle_rig.web.work import QUESTIONS
 
-COMMANDS: dict[type[Question], str] = {
+COMMANDS: dict[type[Request], str] = {
     Compare: "compare",
     Diagnose: "diagnose",
     Identify: "identify",
@@ -40,6 +41,7 @@ COMMANDS: dict[type[Question], str] = {
     Experiment: "experiment",
     Strategies: "strategies",
     Demo: "demo",
+    Understand: "import",
 }
 NO_COMMAND = {
     (Identify, "update"): "--update FILE names the model that counts, and is one option with it",
@@ -51,8 +53,10 @@ NO_COMMAND = {
     (AddEffect, "name"): "the name of --out",
     (Strategies, "friction_scatter"): "--scatter-percent has its unit in its name",
     (Demo, "draft"): "stands beside --out",
+    (Understand, "name"): "the name of --out",
+    (Understand, "folder"): "files are named from where the command is typed",
 }
-FUNCTIONS: dict[type[Question], Callable[..., Any]] = {
+FUNCTIONS: dict[type[Request], Callable[..., Any]] = {
     Compare: functions.compare,
     Fit: functions.fit,
     Diagnose: functions.diagnose,
@@ -62,6 +66,7 @@ FUNCTIONS: dict[type[Question], Callable[..., Any]] = {
     Learn: functions.learn,
     Experiment: functions.experiment,
     Strategies: functions.strategies,
+    Understand: import_recording,
 }
 OTHERWISE = {
     (Fit, "added"): "effects",
@@ -77,10 +82,20 @@ NO_ARGUMENT = {
     (Adopt, "name"): "save names the model",
     (AddEffect, "name"): "save names the model",
     (Learn, "draft"): "save writes it",
+    (Understand, "name"): "the name of out",
+    (Understand, "folder"): "files are named from where Python runs",
 }
+BESIDE = {
+    functions.diagnose: {"jobs"},
+    functions.learn: {"jobs"},
+    functions.experiment: {"jobs"},
+    functions.strategies: {"jobs"},
+    import_recording: {"out", "accept_doubts"},
+}
+"""How it is worked, and what is done with the answer."""
 
 
-def given_nothing(kind: type[Question]) -> dict[str, Any]:
+def given_nothing(kind: type[Request]) -> dict[str, Any]:
     """What the question's command hands on when nothing is typed."""
     command: click.Command = importlib.import_module(f"needle_rig.cli.{COMMANDS[kind]}").command
     return command.make_context("it", [], resilient_parsing=True).params
@@ -92,17 +107,17 @@ def test_every_question_has_its_faces() -> None:
         kind
         for module in map(importlib.import_module, modules)
         for kind in vars(module).values()
-        if isinstance(kind, type) and issubclass(kind, Question) and hasattr(kind, "answer")
+        if isinstance(kind, type) and issubclass(kind, Request) and hasattr(kind, "answer")
     }
     assert asked == COMMANDS.keys() | FUNCTIONS.keys()
-    assert {kind for kind, _ in QUESTIONS.values()} < asked | {Drawn}
+    assert {kind for kind, _ in QUESTIONS.values()} < asked
     assert QUESTIONS.keys() <= {*OF_A_MODEL, *OF_DATA}
 
 
 @pytest.mark.parametrize(
     ("kind", "field"), [(kind, field) for kind in COMMANDS for field in hints(kind)], ids=str
 )
-def test_a_field_is_an_option_with_its_default(kind: type[Question], field: str) -> None:
+def test_a_field_is_an_option_with_its_default(kind: type[Request], field: str) -> None:
     if (kind, field) in NO_COMMAND:
         assert field not in given_nothing(kind).keys() - {"data"}
     else:
@@ -112,7 +127,7 @@ def test_a_field_is_an_option_with_its_default(kind: type[Question], field: str)
 @pytest.mark.parametrize(
     ("kind", "field"), [(kind, field) for kind in FUNCTIONS for field in hints(kind)], ids=str
 )
-def test_a_field_is_an_argument_with_its_default(kind: type[Question], field: str) -> None:
+def test_a_field_is_an_argument_with_its_default(kind: type[Request], field: str) -> None:
     arguments = inspect.signature(FUNCTIONS[kind]).parameters
     if (kind, field) in NO_ARGUMENT:
         assert field not in arguments or field in OTHERWISE.values()
@@ -123,9 +138,10 @@ def test_a_field_is_an_argument_with_its_default(kind: type[Question], field: st
 
 
 @pytest.mark.parametrize("kind", FUNCTIONS, ids=lambda kind: kind.__name__)
-def test_a_function_asks_nothing_else(kind: type[Question]) -> None:
+def test_a_function_asks_nothing_else(kind: type[Request]) -> None:
     named = {OTHERWISE.get((kind, field), field) for field in hints(kind)}
-    assert inspect.signature(FUNCTIONS[kind]).parameters.keys() <= named | {"jobs"}
+    more = BESIDE.get(FUNCTIONS[kind], set())
+    assert inspect.signature(FUNCTIONS[kind]).parameters.keys() <= named | more
 
 
 def test_what_a_request_states_too_much_lacks_or_mistakes_is_one_sentence() -> None:

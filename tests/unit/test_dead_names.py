@@ -33,6 +33,7 @@ CALLED_BY_LIBRARIES = {
     "model_config": "pydantic",
     "no_compile": "numba",
     "padding": "intelhex",
+    "reducer_override": "pickle",
     "send_message": "canopen",
     "typing_context": "numba",
     "yaml_implicit_resolvers": "PyYAML",

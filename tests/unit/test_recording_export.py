@@ -99,7 +99,7 @@ def test_csv_has_one_file_a_source_in_degrees(
     assert about["result"]["target_deg"] == 45.0
     assert parse_rig_config(write_yaml(about["config"])) == run.config
     assert needle_rig(["export", "last", "--csv", "--out", "out"]) == 2
-    assert capsys.readouterr().err == "out: exists already; name another place with --out\n"
+    assert capsys.readouterr().err == "out: exists already; name another place\n"
 
 
 def test_mcap_has_every_row_with_its_schema(

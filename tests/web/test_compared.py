@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from needle_rig.model import load_saved, save_model
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
@@ -112,7 +113,7 @@ def test_a_diagnosis_says_first_whether_the_values_fail_and_takes_them_over(visi
     page.get_by_role("button", name="Undo").click()
     page.get_by_text("values contradict these data").wait_for()
     # what was learnt can still be held against other data
-    assert page.get_by_label("Model to hold").locator("option", has_text="learnt here").count() == 1
+    assert page.get_by_label("Model to hold").locator("option", has_text="rig elastic: ").count() == 1
 
 
 def test_a_broken_effect_of_ones_own_is_named_where_effects_are_listed(
@@ -138,3 +139,13 @@ def test_a_run_that_contradicts_the_model_of_the_rig_file_is_said_where_the_need
         page = visit("live", served=served)
         page.get_by_role("alert").filter(has_text=said).wait_for()
         look_at(page, "live-contradicted")
+
+
+def test_a_model_file_that_is_dropped_is_held_against_the_data(visit: Open, tmp_path: Path) -> None:
+    page = visit("workbench")
+    page.get_by_label("data/mine").check()
+    page.wait_for_selector(".map")
+    save_model(tmp_path / "found.yaml", load_saved("rig_elastic"))
+    page.get_by_label("choose files").set_input_files(tmp_path / "found.yaml")
+    page.get_by_role("heading", name="Values: as the model says, and refitted").wait_for()
+    assert row(page, STIFFNESS)[0] == "0.278"

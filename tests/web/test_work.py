@@ -8,10 +8,13 @@ from typing import Any
 import pytest
 
 from needle_rig.errors import BadInput
+from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.strategies import Strategies
-from needle_rig.web.places import DIAGNOSIS, MODEL
+from needle_rig.web import traces
+from needle_rig.web.places import COMPARISON, DIAGNOSIS, MODEL
 from needle_rig.web.work import work
+from tests.workbench.hidden import dataset
 
 TIED = ["chuck_compliance", "torque_gain"]
 
@@ -28,7 +31,7 @@ def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
     compared, said = asked("compare", tmp_path, **about, model=None)
     assert compared["name"] == "reed2008"
     assert compared["traces"] is None
-    assert said[0] == "holding the model against the data, and fitting it"
+    assert said[0] == "fitting the model to the settled values"
     found, said = asked("diagnose", tmp_path, **about, model=None, quick=True)
     assert (found["ties"], found["quick"], found["candidates"]) == (TIED, True, {})
     assert "policy" not in found
@@ -65,3 +68,20 @@ def test_a_request_that_asks_something_else_is_refused_before_anything_is_read(t
 def test_no_target_is_refused_in_a_sentence() -> None:
     with pytest.raises(BadInput, match="no target was named; give one angle at least"):
         Strategies(names=["none"], targets_deg=()).answer()
+
+
+def test_the_worst_trials_are_drawn_first_and_a_figure_needs_no_second_comparison(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(traces, "TRIALS", 2)
+    data = dataset(TissueElasticity(0.35))
+    found, _ = asked("compare", tmp_path, data=data, model=None, effects=[])
+    drawn = [trial["file"] for trial in found["traces"]["trials"]]
+    worst = max((place for place in found["places"] if place["sigmas"]), key=lambda place: place["sigmas"])
+    assert drawn[0] == worst["trial"] != data.trials[0].file
+    assert (len(drawn), found["traces"]["of"]) == (2, len(data.trials))
+    figure, said = asked("figure", tmp_path, comparison=str(tmp_path / COMPARISON), what="loop")
+    assert said == ["drawing loop"]
+    assert all((tmp_path / file).is_file() for file in figure["files"].values())
+    told, _ = asked("diagnose", tmp_path, data=data, model=None, effects=[], quick=True)
+    assert {tuple(candidate) for candidate in told["candidates"].values()} == {tuple(drawn)}

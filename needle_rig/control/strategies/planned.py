@@ -99,8 +99,8 @@ class Planned(Strategy):
         model = task.model
         if model is None:
             raise BadInput(
-                "planned needs a model of this rig: give --model FILE (needle-rig adopt makes one from runs),"
-                " or choose --strategy reed2008"
+                "planned needs a model of this rig: give a model file (needle-rig adopt makes one from runs),"
+                " or choose reed2008"
             )
         sections, sensors = len(model.layout.tissue_sections_m), len(model.layout.sensor_positions_m)
         have = task.layout
@@ -115,7 +115,7 @@ class Planned(Strategy):
             raise BadInput(
                 f"planned refuses the model {model.name}: on runs held out of its fit its error was"
                 f" {error:.1f} times the noise floor, limit {self.largest_error:g} (option largest_error);"
-                " look for the missing effect (needle-rig diagnose), or choose --strategy reed2008"
+                " look for the missing effect (needle-rig diagnose), or choose reed2008"
             )
 
     def next(self, task: Task, history: History) -> Waypoint | None:

@@ -28,7 +28,7 @@ class Reed2008Elastic(Strategy):
         """Refuse when there is nothing to take the extra turn from."""
         if self.extra_deg is None and task.lag_left_rad is None:
             raise BadInput(
-                "reed2008_elastic does not know its extra turn: give it (--extra 12), or run reed2008 on this"
+                "reed2008_elastic does not know its extra turn: give it in degrees, or run reed2008 on this"
                 " rig first: the lag that it leaves is the extra turn"
             )
 

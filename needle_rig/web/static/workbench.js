@@ -34,7 +34,7 @@ const over = signal("");
 const everyRow = signal(false);
 const SHOWN_ROWS = 6;
 
-/** Models that were learnt on this page; each can be held against other data. @type {{value: any[]}} */
+/** Models that were learnt on this page or dropped on it; each can be held against other data. @type {{value: any[]}} */
 const made = signal([]);
 /** Where models start: a parameter set or a learnt model; empty for the null model. */
 const start = signal("");
@@ -62,7 +62,7 @@ async function compareAgain() {
   const found = await run({ kind: "compare", data: chosen.value, model: model(), ...held.value });
   if (!found) return;
   compared.value = found;
-  trial.value = worstTrial(found);
+  trial.value = 0; // the worst
 }
 
 /** Compare with other data, or with another model: nothing of the form holds any more. */
@@ -72,20 +72,12 @@ export async function compareChosen() {
   await compareAgain();
 }
 
-/** Place of the drawn trial with the worst place. @param {any} found */
-function worstTrial(found) {
-  const drawn = (found.traces?.trials ?? []).map((/** @type {any} */ t) => t.file);
-  const places = found.places.filter((/** @type {any} */ p) => drawn.includes(p.trial));
-  const worst = places.reduce((/** @type {any} */ a, /** @type {any} */ b) => ((a?.sigmas ?? -1) >= (b.sigmas ?? -1) ? a : b), null);
-  return Math.max(drawn.indexOf(worst?.trial), 0);
-}
-
 /** Take a model that was learnt, and compare with it. @param {any} found */
 async function goOnWith(found) {
   if (!found) return;
   models.value = [...models.value, found];
   made.value = [...made.value, found];
-  await compareChosen();
+  if (chosen.value.length) await compareChosen();
 }
 
 /** @param {boolean} quick for one effect alone */
@@ -157,29 +149,31 @@ async function take(items) {
   const files = await everyFile(items);
   if (!files.length) return;
   const name = files[0].path.split("/")[0];
+  let upload = "";
+  let data = 0;
+  let opens = false;
   try {
-    const { upload } = await ask("POST", "uploads", { name });
+    ({ upload } = await ask("POST", "uploads", { name }));
     proposal.value = null;
-    let data = 0;
     for (const { path, file } of files) {
       job.value = { step: `taking ${path}`, done: 0, total: 0, state: "running" };
-      ({ data } = await ask("PUT", `uploads/${upload}/${path.split("/").map(encodeURIComponent).join("/")}`, file));
+      ({ data, model: opens } = await ask("PUT", `uploads/${upload}/${path.split("/").map(encodeURIComponent).join("/")}`, file));
     }
-    if (!data) {
-      await guess(upload);
-      return;
-    }
-    const key = `upload:${upload}`;
-    dropped.value = [...dropped.value, { key, name, kind: "upload" }];
-    chosen.value = [key];
   } catch (error) {
     refused.value = /** @type {Error} */ (error).message;
     return;
   } finally {
     job.value = null;
   }
-  models.value = [];
-  await compareChosen();
+  if (data) {
+    const key = `upload:${upload}`;
+    dropped.value = [...dropped.value, { key, name, kind: "upload" }];
+    chosen.value = [key];
+    models.value = [];
+  }
+  if (opens) await goOnWith(await run({ kind: "open", upload }));
+  else if (data) await compareChosen();
+  else await guess(upload);
 }
 
 /** @param {DataTransferItemList | FileList} items @returns {Promise<{path: string, file: File}[]>} */
@@ -233,12 +227,12 @@ function Choose() {
       <ul class="sources">${all.map((source) => html`<li><label class="row"><input type="radio" name="source" checked=${chosen.value[0] === source.key}
         onChange=${() => { chosen.value = [source.key]; models.value = []; compareChosen(); }} /> ${source.name} <span class="quiet">${source.kind}</span></label></li>`)}
         ${runs.length ? html`<li><strong>${runs.length} recorded ${runs.length === 1 ? "run" : "runs"}</strong></li>` : null}</ul>
-      <p>Drop a dataset here, as a folder or a ZIP, run files, or recordings of any kind (CSV, XLSX, MATLAB, HDF5, MCAP, ROS bags, NumPy); or${" "}
+      <p>Drop a dataset here, as a folder or a ZIP, run files, a model file, or recordings of any kind (CSV, XLSX, MATLAB, HDF5, MCAP, ROS bags, NumPy); or${" "}
         <label class="row">choose files <input type="file" multiple onChange=${(/** @type {any} */ e) => take(e.target.files)} /></label></p>
     </div>
     <p><label>Model to hold against them <select value=${model() ?? ""} onChange=${(/** @type {any} */ e) => startFrom(e.target.value)}>
       <option value="">rigid tissue and uniform friction, both fitted</option>
-      ${made.value.map((m) => html`<option value=${m.key}>${words(m.model)}, learnt here: ${m.added.map(words).join(", ")}</option>`)}
+      ${made.value.map((m) => html`<option value=${m.key}>${words(m.model)}: ${m.added.map(words).join(", ") || "rigid tissue"}</option>`)}
       ${(about.value?.parameters ?? []).map((/** @type {string} */ p) => html`<option value=${p}>${words(p)}</option>`)}</select></label></p></section>`;
 }
 
@@ -274,7 +268,7 @@ function Compared() {
 }
 
 /** @param {string} what */
-const draw = (what) => run({ kind: "figure", data: chosen.value, model: model(), what, ...held.value });
+const draw = (what) => run({ kind: "figure", compared: compared.value.key, what });
 
 /** @param {{found: any}} props */
 function ResidualMap({ found }) {
@@ -314,7 +308,7 @@ function Traces({ found }) {
   const { channels, trials, of } = found.traces;
   const shown = trials[Math.min(trial.value, trials.length - 1)];
   const k = trials.indexOf(shown);
-  const candidate = over.value ? diagnosed.value?.candidates?.[over.value]?.[k] : null;
+  const candidate = over.value ? diagnosed.value?.candidates?.[over.value]?.[shown.file] : null;
   return html`<section class="card wide"><h2>Traces</h2>
     <div class="tabs" role="group" aria-label="Trials">${trials.map((/** @type {any} */ t, /** @type {number} */ i) => html`<button aria-pressed=${i === k}
       onClick=${() => { trial.value = i; stretch.value = null; }}>${i + 1} · ${t.title}</button>`)}

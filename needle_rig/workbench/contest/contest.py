@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from needle_rig.dataset import Dataset
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
@@ -12,11 +13,11 @@ from needle_rig.records import JsonObject
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.workbench.contest.strategies_table import (
     Bout,
-    Foretold,
+    Predicted,
     Table,
     check_asked,
     compare_strategies,
-    foretold,
+    predicted,
 )
 from needle_rig.workbench.learning.learn import fit_known, learn
 from needle_rig.workbench.parallel import Work
@@ -41,13 +42,13 @@ class Contest:
     """The strategies on one rig: the model that planned had, what was said beforehand, and what came."""
 
     saved: SavedModel | None
-    foretold: Foretold | None
+    predicted: Predicted | None
     table: Table
 
     def as_json(self) -> JsonObject:
         """The stated form of the answer."""
-        told = self.foretold.sentence if self.foretold else ""
-        document: JsonObject = {"rows": self.table.rows(), "overall": self.table.overall(), "foretold": told}
+        told = self.predicted.sentence if self.predicted else ""
+        document: JsonObject = {"rows": self.table.rows(), "overall": self.table.overall(), "predicted": told}
         if self.saved is not None:
             document["model"] = {
                 name: {"value": value, "uncertainty": self.saved.uncertainties.get(name)}
@@ -65,7 +66,7 @@ def contest(
     saved: SavedModel | None = None,
     *,
     diagnose: bool = False,
-    workers: Callable[[], Work] = Work,
+    work: Work,
     say: Say = lambda _: None,
     tell: Say = lambda _: None,
 ) -> Contest:
@@ -79,14 +80,20 @@ def contest(
         say("making eight runs with reed2008 and fitting a model to them")
         dataset = simulate_dataset(plant, load_protocol("standard"), seed=1, noise=asked.noise)
         if diagnose:
-            saved = learn(dataset, library, work=workers(), say=say).after
+            saved = learn(dataset, library, work=work, say=say).after
         else:
-            saved = fit_known(dataset, library, [e.name() for e in plant.effects if not e.is_off()])
+            work.share(library)
+            present = [e.name() for e in plant.effects if not e.is_off()]
+            saved = work.run(_identified, [(dataset, present)])[0]
     bout = Bout(plant, plant.torsional_rigidity_nm2, asked.noise, saved)
     told = None
     if saved is not None:
-        told = foretold(bout, asked.targets_deg)
+        told = predicted(bout, asked.targets_deg, work=work)
         tell(told.sentence)
     say(f"running {len(asked.strategies)} strategies to {len(asked.targets_deg)} targets")
-    table = compare_strategies(bout, asked.strategies, asked.targets_deg, asked.seeds, work=workers())
+    table = compare_strategies(bout, asked.strategies, asked.targets_deg, asked.seeds, work=work)
     return Contest(saved, told, table)
+
+
+def _identified(library: Mapping[str, type[Effect]], dataset: Dataset, present: Sequence[str]) -> SavedModel:
+    return fit_known(dataset, library, present)

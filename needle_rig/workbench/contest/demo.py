@@ -17,7 +17,7 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.contest import untold_law
-from needle_rig.workbench.contest.strategies_table import Bout, Spread, foretold
+from needle_rig.workbench.contest.strategies_table import Bout, Spread, predicted
 from needle_rig.workbench.learning.learn import Lesson, learn
 from needle_rig.workbench.learning.learn_law import LawLesson, learn_law
 from needle_rig.workbench.parallel import Work
@@ -67,7 +67,7 @@ class StoryNumbers(TypedDict):
     found: bool
     parameters: dict[str, LearntParameter]
     held_out_error: ErrorLeftOut
-    foretold: str
+    predicted: str
     reed2008: RunsInShort
     planned: RunsInShort | None
     times_better: float | None
@@ -120,7 +120,7 @@ class Story:
                 "after": errors.held_out_after,
                 "noise_floor": errors.floor,
             },
-            "foretold": self.told_before,
+            "predicted": self.told_before,
             "reed2008": self._summary(self.plain),
             "planned": self._summary(self.planned) if self.planned else None,
             "times_better": self.times_better,
@@ -181,7 +181,7 @@ def tell_law_story(
     target_deg: float = 45.0,
     runs: int = 8,
     seed: int = 1,
-    workers: Callable[[], Work] = Work,
+    work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Story:
     """The same with a law hidden that no library holds, learnt and drafted as an effect file at `draft`.
@@ -192,7 +192,7 @@ def tell_law_story(
     return _story(
         bare.with_effects(law),
         (untold_law.in_words(law),),
-        lambda dataset: learn_law(dataset, library, draft, workers=workers, say=say),
+        lambda dataset: learn_law(dataset, library, draft, work=work, say=say),
         target_deg=target_deg,
         runs=runs,
         seed=seed,
@@ -215,7 +215,7 @@ def _story(
     dataset = simulate_dataset(plant, load_protocol("standard"), seed=seed, noise=noise, name="runs")
     lesson = teach(dataset)
     bout = Bout(plant, dataset.needle.torsional_rigidity_nm2, noise, lesson.after)
-    told = foretold(bout, (target_deg,), ("relaxed",)).sentence
+    told = predicted(bout, (target_deg,), ("relaxed",)).sentence
     say(told)
     say(f"{runs} fresh needles to {target_deg:g}° with each strategy")
     plain, planned = [], []

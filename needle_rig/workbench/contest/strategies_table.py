@@ -33,7 +33,7 @@ MUCH_BETTER = 3.0
 FARTHEST_TARGET_DEG = 360.0
 STRAIGHT_DEG = 3.0
 """Worst error of reed2008 below which there is little to gain: two or three times the Hall sensors' noise."""
-FORETELLING_RUNS = 8
+PREDICTION_RUNS = 8
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,13 @@ class Result:
     """The planner found its model wrong and went on as reed2008."""
 
 
-def one_result(bout: Bout, name: str, target_deg: float, start: str, seed: int) -> Result:
-    """Run `name` once."""
+def one_result(bout: Bout, kind: type[Strategy], target_deg: float, start: str, seed: int) -> Result:
+    """Run a strategy once."""
+    find_strategies()  # names them, also in a process that begins with this
     try:
-        run = bout.run(make_strategy(name, {}), target_deg, start, seed)
+        run = bout.run(kind(), target_deg, start, seed)
     except BadInput as refusal:
-        return Result(name, target_deg, start, {}, refused=str(refusal))
+        return Result(kind.name, target_deg, start, {}, refused=str(refusal))
     target = rad(target_deg)
     values = {
         "tip_lag_deg": deg(abs(run.history[-1].base_angle_rad - run.tip_rad)),
@@ -107,7 +108,7 @@ def one_result(bout: Bout, name: str, target_deg: float, start: str, seed: int) 
         "time_s": run.time_s,
     }
     gave_way = any(motion.reason is not Reason.STRATEGY for motion in run.history)
-    return Result(name, target_deg, start, values, gave_way=gave_way)
+    return Result(kind.name, target_deg, start, values, gave_way=gave_way)
 
 
 class Spread(TypedDict):
@@ -248,8 +249,9 @@ def compare_strategies(
 ) -> Table:
     """Run every strategy from every start to every target, `seeds` times. Raises BadInput, SolverError."""
     check_asked(strategies, targets_deg)
+    found = find_strategies()
     tasks = [
-        (name, float(target), start, first_seed + seed)
+        (found[name], float(target), start, first_seed + seed)
         for name in strategies
         for target in targets_deg
         for start in starts
@@ -261,12 +263,12 @@ def compare_strategies(
     return Table(tuple(results), tuple(strategies), tuple(float(t) for t in targets_deg))
 
 
-FORETELLING_SEED = 70_000
+PREDICTION_SEED = 70_000
 """Needles of the model, that no run on the plant will meet."""
 
 
 @dataclass(frozen=True)
-class Foretold:
+class Predicted:
     """What planned and reed2008 should leave at the worst place of the shaft, and a sentence; NaN if refused.
 
     `q95_deg` is planned's 95 % quantile.
@@ -283,7 +285,9 @@ class Foretold:
         return self.reed2008_deg < MUCH_BETTER * self.planned_deg
 
 
-def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = STARTS) -> Foretold:
+def predicted(
+    bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = STARTS, work: Work | None = None
+) -> Predicted:
     """What the two will leave on needles of the model, for the same targets and starts, medians in degrees.
 
     Said before the plant is touched: whether planning will be `MUCH_BETTER` times as good, or why not.
@@ -293,12 +297,12 @@ def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = S
     try:
         make_strategy("planned", {}).check(bout.task(targets_deg[0]))
     except BadInput as refusal:
-        return Foretold(math.nan, math.nan, math.nan, str(refusal))
+        return Predicted(math.nan, math.nan, math.nan, str(refusal))
     twin = dataclasses.replace(bout, plant=bout.saved.model)
-    seeds = max(1, round(FORETELLING_RUNS / (len(targets_deg) * len(starts))))
+    seeds = max(1, round(PREDICTION_RUNS / (len(targets_deg) * len(starts))))
     names = ("planned", "reed2008")
     table = compare_strategies(
-        twin, names, targets_deg, seeds, starts=starts, first_seed=FORETELLING_SEED
+        twin, names, targets_deg, seeds, starts=starts, first_seed=PREDICTION_SEED, work=work
     ).overall()
     ours, q95 = table[0]["worst_deg"]["median"], table[0]["worst_deg"]["q95"]
     plain = table[1]["worst_deg"]["median"]
@@ -315,7 +319,7 @@ def foretold(bout: Bout, targets_deg: Sequence[float], starts: Sequence[str] = S
             else "no sequence within the bound on the overshoot leaves this needle straighter"
         )
         told += f": less than {MUCH_BETTER:g} times better, because {why}"
-    return Foretold(ours, q95, plain, told)
+    return Predicted(ours, q95, plain, told)
 
 
 def _round(value: Any) -> float:

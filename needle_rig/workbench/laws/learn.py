@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -46,24 +46,23 @@ def learn_laws(
     *,
     origin: Origin,
     seed: int = 0,
-    workers: Callable[[], Work] = Work,
+    work: Work | None = None,
     say: Say = lambda _: None,
 ) -> Learnt:
     """Hold the library against a dataset, then laws that it does not hold.
 
     Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
     """
-    diagnosis = diagnose(
-        dataset, library, model, max_effects=1, quick=True, seed=seed, work=workers(), say=say
-    )
-    with workers() as work, LawSearch(diagnosis.search.problem, work, origin, say) as search:
-        learning = _Learning(diagnosis, search, dataset.sensor_names, origin)
-        learnt = learning.answer()
-    if learnt.verdict != "cannot_tell":
-        return learnt
-    say("no law was found: holding several effects of the library at once against it")
-    whole = diagnose(dataset, library, model, seed=seed, work=workers(), say=say)
-    return learning.answered_by(whole) or learnt
+    with work or Work() as at:
+        diagnosis = diagnose(dataset, library, model, max_effects=1, quick=True, seed=seed, work=at, say=say)
+        with LawSearch(diagnosis.search.problem, at, origin, say) as search:
+            learning = _Learning(diagnosis, search, dataset.sensor_names, origin)
+            learnt = learning.answer()
+        if learnt.verdict != "cannot_tell":
+            return learnt
+        say("no law was found: holding several effects of the library at once against it")
+        whole = diagnose(dataset, library, model, seed=seed, work=at, say=say)
+        return learning.answered_by(whole) or learnt
 
 
 def goes_on(steps: int, reached: bool) -> bool:

@@ -24,7 +24,8 @@ from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import shared_names
 from needle_rig.workbench.learning.misfit import Misfit, finite, misfit
-from needle_rig.workbench.selection.answer import left_out_error
+from needle_rig.workbench.learning.steps import numbered
+from needle_rig.workbench.selection.answer import Say, left_out_error
 from needle_rig.workbench.selection.documents import (
     ChannelError,
     CompareDocument,
@@ -196,6 +197,13 @@ class TraceComparison:
             "notes": list(self.notes),
         }
 
+    def worst_trials(self) -> list[int]:
+        """All trials: those of the worst places, the worst first, then those of the largest error."""
+        files = [binned.file for binned in self.baseline.problem.trials]
+        worst = sorted(self.shown.places, key=lambda place: -place.sigmas)
+        largest = np.argsort(-self.shown.trial_errors).tolist()
+        return list(dict.fromkeys((*(files.index(place.trial) for place in worst), *largest)))
+
 
 def known_value(model: NeedleModel, name: str) -> None:
     """Raises BadInput where the model has no value of this name."""
@@ -214,6 +222,7 @@ def compare(
     library: Mapping[str, type[Effect]],
     saved: SavedModel | None = None,
     held: Held | None = None,
+    say: Say = lambda _: None,
 ) -> TraceComparison:
     """Hold a model against the dataset, and fit it; the null model is fitted alone.
 
@@ -230,11 +239,18 @@ def compare(
         if held.free and (saved is None or held.refit_only):
             raise BadInput(f"free {min(held.free)}: it is fitted already; leave it out")
         model = model.replaced(held.fixed)
-    baseline = fit_baseline(dataset, model, library, fixed=tuple(held.fixed))
+    stands = saved is not None and not held.refit_only
+    step = numbered(say, 3 if stands else 2)
+    step("measuring the noise")
+    baseline = fit_baseline(
+        dataset, model, library, beginning=lambda _: step("fitting the model"), fixed=tuple(held.fixed)
+    )
     if saved is not None and model is not None:
         known = {name: size for name, size in saved.uncertainties.items() if name not in held.fixed}
         saved = dataclasses.replace(saved, model=model, uncertainties=known)
-    return compared(baseline, None if held.refit_only else saved, tuple(held.free))
+    if stands:
+        step("holding its values as they stand")
+    return compared(baseline, saved if stands else None, tuple(held.free))
 
 
 def compared(

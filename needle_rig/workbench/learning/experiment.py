@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from needle_rig.config.loader import load_rig_config
@@ -13,7 +14,8 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.records import JsonObject
 from needle_rig.simulation.protocol import Protocol, save_protocol
-from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
+from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.candidates import try_effect
 from needle_rig.workbench.selection.design import (
     REPLICATES,
@@ -101,6 +103,7 @@ def propose_experiment(
     model: NeedleModel | None = None,
     *,
     rig: Path | None = None,
+    work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Experiment:
     """Fit both effects on top of `model`, and rank the trials that the rig's limits allow.
@@ -113,20 +116,28 @@ def propose_experiment(
     if between[0] == between[1]:
         raise BadInput(f"between {between[0]} {between[1]}: name two different effects")
     say("fitting both effects")
-    baseline = fit_baseline(dataset, model, library)
-    fits = []
-    for name in between:
-        found = try_effect(baseline.problem, baseline.current, name).fit
-        if found is None:
-            raise BadInput(f"{name} cannot be fitted to {dataset.name}; name another effect")
-        fits.append(found)
-    first, second = sorted(zip(fits, between, strict=True), key=lambda f: f[0].objective)
-    drive = load_rig_config(rig, {}).drive
-    among = commands(drive.velocity_limit_deg_s, drive.angle_limit_deg)
-    say("simulating the candidates")
-    ranked = proposals(baseline.problem, first[0], second[0], dataset.sensor_names, among)
-    if not ranked:
-        raise BadInput("no candidate trial could be simulated with both effects")
-    power_sigma = expected_power(baseline.problem, first[0], second[0], ranked[0].command, REPLICATES)
+    with work or Work() as at:
+        at.share(library)
+        baseline: Baseline = at.run(_baseline, [(dataset, model)])[0]
+        at.share(baseline.problem)
+        fits = []
+        for tried in at.run(try_effect, [(baseline.current, name) for name in between]):
+            if tried.fit is None:
+                raise BadInput(f"{tried.effect} cannot be fitted to {dataset.name}; name another effect")
+            fits.append(tried.fit)
+        first, second = sorted(zip(fits, between, strict=True), key=lambda f: f[0].objective)
+        drive = load_rig_config(rig, {}).drive
+        among = commands(drive.velocity_limit_deg_s, drive.angle_limit_deg)
+        say("simulating the candidates")
+        both = first[0], second[0]
+        simulated = at.run(proposals, [(*both, dataset.sensor_names, (command,)) for command in among])
+        ranked = sorted(chain(*simulated), key=lambda proposal: -proposal.worth)
+        if not ranked:
+            raise BadInput("no candidate trial could be simulated with both effects")
+        power_sigma: float = at.run(expected_power, [(*both, ranked[0].command, REPLICATES)])[0]
     sentence = ranked[0].sentence(first[1], second[1])
     return Experiment(between, tuple(ranked), power_sigma, sentence, first[1], second[1])
+
+
+def _baseline(library: Mapping[str, type[Effect]], dataset: Dataset, model: NeedleModel | None) -> Baseline:
+    return fit_baseline(dataset, model, library)

@@ -22,7 +22,8 @@ from needle_rig.workbench.estimation.file_units import in_file_units, within_bou
 from needle_rig.workbench.estimation.parameters import shared_names
 from needle_rig.workbench.learning.compare import Held, TraceComparison, compare, known_value
 from needle_rig.workbench.learning.learn import saved_fit
-from needle_rig.workbench.selection.answer import SIGMAS_95
+from needle_rig.workbench.learning.steps import numbered
+from needle_rig.workbench.selection.answer import SIGMAS_95, Say
 from needle_rig.workbench.selection.candidates import try_effect
 
 CONFIDENCE = 0.95
@@ -34,6 +35,7 @@ def fit_effects(
     saved: SavedModel | None = None,
     effects: Sequence[str] = (),
     fixed: Mapping[str, float] | None = None,
+    say: Say = lambda _: None,
 ) -> TraceComparison:
     """Fit the model (default: the null model) with `effects` more; `fixed` values, in file units, stay.
 
@@ -52,10 +54,15 @@ def fit_effects(
         known_value(whole, name)
     whole = whole.replaced(fixed)
     free = [name for name in added if not _fixed(whole, name, fixed)]
+    step = numbered(say, 3 + len(free))
     if free:
-        whole = _begun(dataset, library, whole.without(*free), free, fixed)
+        whole = _begun(dataset, library, whole.without(*free), free, fixed, step)
     start = SavedModel(whole, "null" if saved is None else saved.starts_from) if effects or saved else None
-    return compare(dataset, library, start, Held(refit_only=True, fixed=fixed))
+    held = Held(refit_only=True, fixed=fixed)
+    if not free:
+        return compare(dataset, library, start, held, say)
+    step("fitting all of it together")
+    return compare(dataset, library, start, held)
 
 
 def intervals(found: TraceComparison) -> dict[str, tuple[float, float]]:
@@ -108,12 +115,21 @@ def _begun(
     model: NeedleModel,
     effects: Sequence[str],
     fixed: Mapping[str, float],
+    step: Say,
 ) -> NeedleModel:
     """The model with each effect fitted on top of those before it: where the fit of all begins."""
     there = model.values()
-    began = fit_baseline(dataset, model, library, fixed=tuple(name for name in fixed if name in there))
+    step("measuring the noise")
+    began = fit_baseline(
+        dataset,
+        model,
+        library,
+        beginning=lambda _: step("fitting the model"),
+        fixed=tuple(name for name in fixed if name in there),
+    )
     problem, parent = began.problem, began.current
     for effect in effects:
+        step(f"fitting {effect} on top")
         parameters = problem.parameters([effect])
         held = {p.full_name: p.scaled_value(fixed[p.full_name]) for p in parameters if p.full_name in fixed}
         problem = problem.fixing(held)

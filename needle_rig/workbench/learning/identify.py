@@ -46,7 +46,9 @@ from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.information import Information
 from needle_rig.workbench.estimation.parameters import FreeParameter, shared_names
 from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.learning.steps import numbered
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.answer import Say
 from needle_rig.workbench.selection.values import CONTRADICTS
 
 SCATTER = "friction_scatter"
@@ -179,21 +181,26 @@ class Identification:
 
 
 def identify(
-    dataset: Dataset, library: Mapping[str, type[Effect]], model: NeedleModel | None = None
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    model: NeedleModel | None = None,
+    say: Say = lambda _: None,
 ) -> Identification:
     """Friction, its scatter, torsional rigidity, damping and the parameters of `model` from a recording.
 
     `model` (default: the null model) gets damping where it has none. Raises BadInput, SolverError.
     """
-    return _identified(dataset, library, model, None)
+    return _identified(dataset, library, model, None, say)
 
 
-def update(dataset: Dataset, library: Mapping[str, type[Effect]], saved: SavedModel) -> Identification:
+def update(
+    dataset: Dataset, library: Mapping[str, type[Effect]], saved: SavedModel, say: Say = lambda _: None
+) -> Identification:
     """The same with a model file's values and uncertainties as prior.
 
     Raises Contradiction where the recording is not what they predict, BadInput, SolverError.
     """
-    return _identified(dataset, library, saved.model, saved)
+    return _identified(dataset, library, saved.model, saved, say)
 
 
 def _identified(
@@ -201,11 +208,15 @@ def _identified(
     library: Mapping[str, type[Effect]],
     model: NeedleModel | None,
     saved: SavedModel | None,
+    say: Say,
 ) -> Identification:
+    step = numbered(say, 3)
     start = model or null_model(dataset)
     if dataset.layout.tissue_sections_m and DAMPING not in {e.name() for e in start.effects}:
         start = start.with_effects(library[DAMPING]())
-    baseline = fit_baseline(dataset, start, library, in_whole_trials)
+    step("measuring the noise")
+    baseline = fit_baseline(dataset, start, library, in_whole_trials, lambda _: step("fitting the model"))
+    step("separating what the data say from what was known")
     information = Information.of(baseline.problem, baseline.current)
     stated = _stated(baseline)
     alone = information.posterior(stated)

@@ -35,7 +35,7 @@ def laws_of(
     model: NeedleModel | None = None,
     *,
     seed: int = 0,
-    workers: Callable[[], Work] = Work,
+    work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Learnt:
     """Learn laws from traces; what is drafted says which data and day it comes from.
@@ -44,7 +44,7 @@ def laws_of(
     """
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     origin = Origin(observed.name, observed.sha256(), today)
-    return learn_laws(observed.data, library, model, origin=origin, seed=seed, workers=workers, say=say)
+    return learn_laws(observed.data, library, model, origin=origin, seed=seed, work=work, say=say)
 
 
 def learn_law(
@@ -52,7 +52,7 @@ def learn_law(
     library: Mapping[str, type[Effect]],
     draft: Path,
     *,
-    workers: Callable[[], Work] = Work,
+    work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> LawLesson:
     """Learn laws from `dataset`, draft effect files at `draft` (.py) and adopt them one after the other.
@@ -61,7 +61,7 @@ def learn_law(
     `cannot_tell` or `none`, nor what improves no cross-validation. Raises BadInput, SolverError.
     """
     observed = Traces(dataset)
-    found = laws_of(observed, library, workers=workers, say=say)
+    found = laws_of(observed, library, work=work, say=say)
     before = fitted(found.diagnosis)
     if found.verdict not in ("law", "library"):
         return LawLesson(before, before, found.diagnosis, (), found, library)

@@ -88,7 +88,13 @@ class Observations(Protocol):
     def sha256(self) -> str:
         """SHA-256 of everything that was measured and commanded, without the name."""
 
-    def compare(self, library: Library, model: SavedModel | None, values: Held | None = None) -> Comparison:
+    def compare(
+        self,
+        library: Library,
+        model: SavedModel | None,
+        values: Held | None = None,
+        say: Say = lambda _: None,
+    ) -> Comparison:
         """Hold the model (default: the null model, fitted) and look where it fails; refit it beside that.
 
         Raises BadInput, SolverError.
@@ -152,13 +158,17 @@ class Traces:
         return _sha256([stated, told, phases], read)
 
     def compare(
-        self, library: Library, model: SavedModel | None, values: Held | None = None
+        self,
+        library: Library,
+        model: SavedModel | None,
+        values: Held | None = None,
+        say: Say = lambda _: None,
     ) -> TraceComparison:
         """Hold the model (default: the null model, fitted) and look where it fails; refit it beside that.
 
         Raises BadInput, SolverError.
         """
-        return compare(self.data, library, model, values)
+        return compare(self.data, library, model, values, say)
 
     def diagnose(
         self,
@@ -215,7 +225,13 @@ class SettledValues:
         sequences = [{k: v for k, v in asdict(s).items() if k != "place"} for s in data.sequences]
         return _sha256([stated, sequences, [asdict(v) for v in data.values]], [])
 
-    def compare(self, library: Library, model: SavedModel | None, values: Held | None = None) -> Comparison:
+    def compare(
+        self,
+        library: Library,
+        model: SavedModel | None,
+        values: Held | None = None,
+        say: Say = lambda _: None,
+    ) -> Comparison:
         """Hold the model (default: the null model, fitted), show every value beside it, and refit it.
 
         Raises BadInput, also for values to be fixed or freed one by one.
@@ -225,6 +241,7 @@ class SettledValues:
                 f"{self.data.name} has settled values only, too few to fix or free values of the model one by"
                 " one; leave fixed and free out"
             )
+        say("fitting the model to the settled values")
         return compare_settled(self.data, library, model, refit_only=bool(values and values.refit_only))
 
     def diagnose(

@@ -10,8 +10,12 @@ from typing import Any
 
 import pytest
 
+from needle_rig.cli.daemon import _build
 from needle_rig.cli.status import _text
+from needle_rig.config.files import find_config_file
 from needle_rig.config.loader import load_rig_config
+from needle_rig.config.schema import WatchSection
+from needle_rig.model import load_saved, save_model
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_summary
 from needle_rig.service import recorder_process, watch_process
 from needle_rig.service.recorder_process import Keeper
@@ -102,3 +106,32 @@ def test_within_its_limits_it_looks_at_a_run(tmp_path: Path) -> None:
     assert watch._process is not None
     assert watch._process.wait(watch_process.LONGEST_S) == 0
     assert "1 of 20 runs" in read_summary(tmp_path)[0]
+
+
+@pytest.mark.parametrize(
+    ("watch", "model", "watched"),
+    [
+        ("{model: rig_rigid, reference_runs: 30}", None, "rig_rigid"),
+        ("{model: rig_rigid, reference_runs: 30}", "mine.yaml", "mine.yaml"),
+        ("{reference_runs: 30}", "mine.yaml", "mine.yaml"),
+        (None, "mine.yaml", None),
+    ],
+)
+def test_runs_are_watched_with_the_model_that_the_daemon_plans_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, watch: str | None, model: str | None, watched: str | None
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stated = "" if watch is None else f"\n  watch: {watch}"
+    text = find_config_file("rig.yaml").read_text(encoding="utf-8")
+    assert "\n  directory: runs\n" in text
+    (tmp_path / "rig.yaml").write_text(
+        text.replace("\n  directory: runs\n", f"\n  directory: runs{stated}\n")
+    )
+    save_model(tmp_path / "mine.yaml", load_saved("rig_elastic"))
+    monkeypatch.setattr("needle_rig.assembly.build_daemon", lambda rig, **_: rig)
+    rig: Any = _build("rig.yaml", {}, model, True, None, private=True)
+    if watch is None:
+        assert rig.recording.watch is None
+        return
+    place = str(tmp_path / "mine.yaml") if watched == "mine.yaml" else watched
+    assert rig.recording.watch == WatchSection(model=place, reference_runs=30)

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from needle_rig.cli.strategies import command
-from needle_rig.control.strategy import make_strategy
+from needle_rig.control.strategy import find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel, load_parameters
 from needle_rig.simulation.build import build_plant
@@ -19,9 +19,10 @@ from needle_rig.workbench.contest.strategies_table import (
     Bout,
     all_strategies,
     compare_strategies,
-    foretold,
     one_result,
+    predicted,
 )
+from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
@@ -52,7 +53,7 @@ def test_the_command_identifies_a_model_and_prints_the_stated_rows(tmp_path: Pat
     stiffness = told["model"]["tissue_elasticity.stiffness_nmm_per_rad_per_100mm"]
     assert stiffness["value"] == pytest.approx(0.278, rel=0.05)
     assert told["model_error_over_floor"] < 2.0
-    assert told["foretold"].startswith("planned should leave 0.")
+    assert told["predicted"].startswith("planned should leave 0.")
     assert (tmp_path / "strategies.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -84,7 +85,7 @@ def test_every_strategy_runs_and_meets_the_same_needles() -> None:
 
 
 def test_rigid_uniform_tissue_is_aligned_by_the_papers_sequence() -> None:
-    found = one_result(_bout("rig_rigid"), "reed2008", 45.0, "relaxed", 3)
+    found = one_result(_bout("rig_rigid"), find_strategies()["reed2008"], 45.0, "relaxed", 3)
     assert found.values["tip_lag_deg"] < 0.5
 
 
@@ -103,14 +104,14 @@ def test_planned_without_a_model_is_a_refusal_in_the_table() -> None:
 
 @pytest.mark.slow
 def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
-    told = foretold(_bout("rig_rigid", "rig_rigid"), (45.0,), ("relaxed",))
+    told = predicted(_bout("rig_rigid", "rig_rigid"), (45.0,), ("relaxed",))
     assert told.planned_deg <= told.q95_deg < told.reed2008_deg < 3.0
     assert "less than 3 times better, because reed2008 leaves little to gain" in told.sentence
 
 
 def test_what_is_predicted_is_of_the_targets_and_starts_that_are_run() -> None:
     bout = _bout(model="rig_elastic")
-    small, large = (foretold(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))
+    small, large = (predicted(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))
     # a turn that hardly slips leaves no more than itself
     assert small.reed2008_deg < 2.0 < 6.0 < large.reed2008_deg
 
@@ -150,3 +151,10 @@ def test_bad_use_is_a_sentence() -> None:
     answer = CliRunner().invoke(command, ["--targets", "45;90", "--strategy", "none"])
     assert isinstance(answer.exception, BadInput)
     assert "--targets 45;90: write degrees" in str(answer.exception)
+
+
+def test_in_processes_the_table_is_the_same() -> None:
+    asked = (_bout(), ["reed2008", "reed2008_elastic"], [30.0], 1)
+    here = compare_strategies(*asked, starts=("relaxed",))
+    assert compare_strategies(*asked, starts=("relaxed",), work=workers(2, None)) == here
+    assert {r.strategy for r in here.results} == {"reed2008", "reed2008_elastic"}
