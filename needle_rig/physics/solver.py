@@ -357,11 +357,10 @@ def _follow(
         longest_step_s=longest_step_s,
         # a snap to a lower limit takes no time: shorter steps do not resolve it better
         shortest_step_s=SHORTEST_SNAP_S if memory else SHORTEST_STEP_S,
-        # over a slip of the weakening length the static excess breaks down, of which a long step sees
-        # nothing; an age only halves in it, which the error of a step shows
-        longest_slip_rad=max(rod.weakening_rad / 8.0, LEAST_RESOLVED_SLIP_RAD)
-        if np.any(rod.static_excess)
-        else math.inf,
+        # over a slip of the weakening length the static excess breaks down, while an age only halves
+        longest_slip_rad=max(
+            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 2.0), LEAST_RESOLVED_SLIP_RAD
+        ),
         most_solves_per_sample=most_solves_per_sample,
         torque_scale=rod.torque_scale,
     )
