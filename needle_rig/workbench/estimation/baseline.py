@@ -99,12 +99,14 @@ def fit_baseline(
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
     fixed: Collection[str] = (),
+    say: Callable[[str], None] = lambda _: None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
     alone, whole trials have one friction each. Parameters `fixed`, by name, stay as the model has them.
+    `say` hears of both steps, the noise and the fit.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -116,6 +118,7 @@ def fit_baseline(
             f"{dataset.name} has {len(dataset.layout.sensor_positions_m)} Hall sensors and the model"
             f" {current.name} {len(current.layout.sensor_positions_m)}; give a model made for this rig"
         )
+    say("measuring the noise")
     binned = tuple(bin_trial(t) for t in dataset.trials)
     noise = measure_noise(dataset.trials, binned, dataset.torque_scale)
     base = dataclasses.replace(
@@ -140,6 +143,7 @@ def fit_baseline(
     values = values_by_name(problem.parameters(names), current)
     problem = problem.fixing({name: values[name] for name in fixed})
 
+    say("fitting the model")
     first = _first_fit(problem, names, at, current.friction_n if model or fixed else None)
     notes = list(_notes(problem))
     if noise.replicates:

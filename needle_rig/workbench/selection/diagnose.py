@@ -127,8 +127,7 @@ def diagnose(
     known: Fit | None = None
     starts: FoundStarts | None = None
     with work or Work() as at:
-        say("measuring the noise, fitting the current model")
-        baseline = fit_baseline(dataset, model, library)
+        baseline = fit_baseline(dataset, model, library, say=say)
         if any(trial.start_found for trial in baseline.dataset.trials):
             say("finding the unknown starts with each effect that may hold them")
             starts = from_found_starts(dataset, model, library, baseline, at, quick)

@@ -185,8 +185,9 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself
     said: list[str] = []
     monkeypatch.setattr(DIAGNOSE + ".own_start_error", lambda *_: pytest.fail("they are its own"))
     found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few(), say=said.append)
-    assert said[:2] == [
-        "measuring the noise, fitting the current model",
+    assert said[:3] == [
+        "measuring the noise",
+        "fitting the model",
         "finding the unknown starts with each effect that may hold them",
     ]
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
