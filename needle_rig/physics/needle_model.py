@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.compiled import torque_law
 from needle_rig.physics.effect import Effect, ParameterInfo, Reading, Trial
 from needle_rig.physics.rod import Layout, Rod, build_rod
-from needle_rig.physics.solver import DEFAULT_TOLERANCE_RAD, RodState, Solution, solve, solve_batch
+from needle_rig.physics.solver import DEFAULT_TOLERANCE_RAD, RodState, Sampled, Solution, solve, solve_batch
 from needle_rig.units import per_100mm, per_length_n
 
 NMM2_PER_NM2 = 1e6
@@ -108,7 +109,17 @@ class NeedleModel:
 
     def rod(self, trial: Trial) -> Rod:
         """The rod with the effects' shapes and torques in it, for the place of `trial` in its series."""
-        return _rod(self, trial.start_s, trial.index, trial.travel_before_rad)
+        return self.rods([trial])[0]
+
+    def rods(self, trials: Sequence[Trial]) -> list[Rod]:
+        """The rod of each trial: one object for all where no effect asks for the place in the series."""
+        found: list[Rod] = []
+        for trial in trials:
+            rod, asked = _rod(self, trial.start_s, trial.index, trial.travel_before_rad)
+            if not asked:
+                return [rod] * len(trials)
+            found.append(rod)
+        return found
 
     def held_path(self, trial: Trial, held_rad: Sequence[float] = ()) -> tuple[Array, tuple[float, ...]]:
         """Path of the needle's held end, shape (samples,), and where each drive effect leaves it."""
@@ -148,7 +159,7 @@ class NeedleModel:
         )
         return _with_held(solution, left)
 
-    def observed(self, trial: Trial, solution: Solution) -> Reading:
+    def observed(self, trial: Trial, solution: Solution | Sampled) -> Reading:
         """What the sensors read of `solution`."""
         return shown(self.acting("observe"), Reading(trial, solution.torque_nm, solution.sensor_rad))[0]
 
@@ -260,16 +271,32 @@ def _bare_rod(
     return build_rod(layout, torsional_rigidity_nm2, friction_n, element_length_m)
 
 
+class _Place(Trial):
+    """A trial's place in its series, without a path. Remembers whether an effect asked for it."""
+
+    asked = False
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in _OF_PLACE:
+            object.__setattr__(self, "asked", True)
+        return object.__getattribute__(self, name)
+
+
+_OF_PLACE = frozenset({"start_s", "index", "travel_before_rad"})
+
+
 @lru_cache(maxsize=64)
-def _rod(model: NeedleModel, start_s: float, index: int, travel_before_rad: float) -> Rod:
-    place = Trial(_NO_PATH, _NO_PATH, start_s, index, travel_before_rad)
+def _rod(model: NeedleModel, start_s: float, index: int, travel_before_rad: float) -> tuple[Rod, bool]:
+    """The rod, and whether it is that of this place in the series alone."""
+    place = _Place(_NO_PATH, _NO_PATH, start_s, index, travel_before_rad)
     rod = _bare_rod(model.layout, model.torsional_rigidity_nm2, model.friction_n, model.element_length_m)
     if model.torque_scale != 1.0:
         rod = replace(rod, torque_scale=model.torque_scale)
     for effect in model.acting("shape"):
         rod = effect.shape(rod, place)
     laws: Iterable[Effect] = model.acting("torque")
-    return replace(rod, laws=(*rod.laws, *(torque_law(effect, rod) for effect in laws)))
+    rod = replace(rod, laws=(*rod.laws, *(torque_law(effect, rod) for effect in laws)))
+    return rod, place.asked
 
 
 def _with_held(solution: Solution, held_rad: tuple[float, ...]) -> Solution:

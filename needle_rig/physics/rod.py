@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -249,6 +249,29 @@ class Rod:
                 raise BadInput(f"rod.{name} is {value:g}; with a static excess it must be above 0")
 
 
+@lru_cache(maxsize=8)
+def _mesh(layout: Layout, element_length_m: float) -> tuple[Array, Array, Indices]:
+    """Position, length of tissue and section of each node."""
+    places = _special_places(layout)
+    positions: list[npt.NDArray[Any]] = []
+    lengths: list[npt.NDArray[Any]] = []
+    sections: list[npt.NDArray[np.int64]] = []
+    for start, end in zip(places, [*places[1:], None], strict=True):
+        positions.append(np.array([start]))
+        lengths.append(np.zeros(1))
+        sections.append(np.full(1, -1))
+        if end is None:
+            break
+        section = _section_between(layout, start, end)
+        if section >= 0:
+            cells = max(1, math.ceil((end - start) / element_length_m - 1e-6))
+            cell = (end - start) / cells
+            positions.append(start + cell * (np.arange(cells) + 0.5))
+            lengths.append(np.full(cells, cell))
+            sections.append(np.full(cells, section))
+    return np.concatenate(positions), np.concatenate(lengths), np.concatenate(sections)
+
+
 def build_rod(
     layout: Layout, torsional_rigidity_nm2: float, friction_n: float, element_length_m: float = 0.5e-3
 ) -> Rod:
@@ -270,27 +293,7 @@ def build_rod(
             f" {MOST_ELEMENTS} pieces; make them longer"
         )
 
-    places = _special_places(layout)
-    positions: list[npt.NDArray[Any]] = []
-    lengths: list[npt.NDArray[Any]] = []
-    sections: list[npt.NDArray[np.int64]] = []
-    for start, end in zip(places, [*places[1:], None], strict=True):
-        positions.append(np.array([start]))
-        lengths.append(np.zeros(1))
-        sections.append(np.full(1, -1))
-        if end is None:
-            break
-        section = _section_between(layout, start, end)
-        if section >= 0:
-            cells = max(1, math.ceil((end - start) / element_length_m - 1e-6))
-            cell = (end - start) / cells
-            positions.append(start + cell * (np.arange(cells) + 0.5))
-            lengths.append(np.full(cells, cell))
-            sections.append(np.full(cells, section))
-    position = np.concatenate(positions)
-    length = np.concatenate(lengths)
-    section_of = np.concatenate(sections)
-
+    position, length, section_of = _mesh(layout, element_length_m)
     nodes = len(position)
     entry = _node_at(position, layout.tissue_sections_m[0][0]) if layout.tissue_sections_m else nodes - 1
     slip = friction_n * length

@@ -5,8 +5,11 @@ from __future__ import annotations
 import ast
 import inspect
 import sys
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import fields, replace
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,8 +24,11 @@ from needle_rig.physics.library import built_in_effects
 from needle_rig.physics.needle_model import NeedleModel, predict_batch
 from needle_rig.physics.rod import Rod
 from needle_rig.units import nm
+from needle_rig.workbench.estimation.simulator import Simulator
+from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.policy import POLICY
 from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, driven, make_effect, path
+from tests.workbench.hidden import dataset
 
 NAMES = [
     "tissue_elasticity",
@@ -339,3 +345,29 @@ def test_a_place_in_the_series_is_all_that_shape_is_told(model: NeedleModel) -> 
     replace(model, effects=(Nosy(0.01),)).rod(replace(SHORT, index=7))
     assert seen[0].index == 7
     assert seen[0].time_s.size == 0
+
+
+def test_shape_is_asked_once_a_model_and_what_needs_the_trial_once_a_trial(
+    effect: type[Effect], coarse: NeedleModel
+) -> None:
+    asked: Counter[str] = Counter()
+
+    def counted(hook: str) -> Callable[[Effect, *tuple[Any, ...]], Any]:
+        own = getattr(effect, hook)
+
+        def call(self: Effect, *given: Any) -> Any:
+            asked[hook] += 1
+            return own(self, *given)
+
+        return call
+
+    hooks = [hook for hook in ("shape", "drive", "observe") if effect.has(hook)]
+    watched: Any = type(effect.__name__, (effect,), {hook: counted(hook) for hook in hooks})
+    watched.__module__ = effect.__module__
+    trials = [bin_trial(trial) for trial in dataset().trials[:3]]
+    model = replace(coarse, layout=dataset().layout, effects=(watched.at_strength(1.0),))
+    Simulator().readings([model] * len(trials), trials, [0.9, 1.0, 1.1])
+    once_a_trial = dict.fromkeys(("drive", "observe"), len(trials))
+    # wear grows from trial to trial: it asks for the place in the series
+    expected = {"shape": len(trials) if effect.name() == "friction_wear" else 1, **once_a_trial}
+    assert dict(asked) == {hook: expected[hook] for hook in hooks}

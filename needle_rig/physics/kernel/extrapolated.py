@@ -136,7 +136,7 @@ def follow_extrapolated(rod, settings, has, laws, drive, sensors, states, work, 
     time, gap = times[0], -1.0
     length = min(settings.longest_step_s, 1e-3)
     while row < times.size - 1:
-        if counts[SOLVES] > settings.most_solves:
+        if counts[SOLVES] > settings.most_solves_per_sample * times.size:
             counts[FAILED_SAMPLE] = row
             return TOO_MANY_SOLVES
         if row >= kink:

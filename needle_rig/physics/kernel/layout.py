@@ -69,9 +69,10 @@ SLOTS = 8
 WORK_ROWS = 33
 
 # places in `counts`
-STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_VIOLATION, LAST_VIOLATION = range(6)
+STEPS, SOLVES, FAILED_NODE, FAILED_SAMPLE, FIRST_VIOLATION, LAST_VIOLATION, ENDED = range(7)
+COUNTS = 7
 
-# how following a path ended
+# how following a path ended, in ENDED
 DONE, NO_SOLUTION, TOO_MANY_SOLVES = range(3)
 
 EPS = 2.220446049250313e-16
@@ -106,7 +107,7 @@ class Settings(NamedTuple):
     shortest_step_s: float
     longest_slip_rad: float
     """Turn of the base in a step at most, where slip limits have a memory."""
-    most_solves: float
+    most_solves_per_sample: float
     torque_scale: float
     """Torques of the rod over those of the needle, whose torques TORQUE_PER_RAD stands for."""
 

@@ -23,6 +23,7 @@ from needle_rig.physics.kernel.layout import (
     TOO_MANY_SOLVES,
 )
 from needle_rig.physics.kernel.step import implicit_step, predict_active_set, set_step_length
+from needle_rig.physics.kernel.tangent import follow_tangents, store_tangents
 
 MOST_PIECES = 512
 """Of a step that has no solution in one."""
@@ -79,7 +80,7 @@ def step_in_pieces(rod, settings, has, laws, states, now, new, dt, start, end, s
 
 
 @compiled
-def reach_first_sample(rod, settings, has, laws, drive, sensors, states, work, output, counts):
+def reach_first_sample(rod, settings, has, laws, drive, sensors, states, work, output, tangents, counts):
     """Turn the base to its first angle, where the start has another, as within one sample; store the sample.
 
     A torque on the tip reaches its first value likewise.
@@ -98,12 +99,16 @@ def reach_first_sample(rod, settings, has, laws, drive, sensors, states, work, o
             rod, settings, has, laws, states, before, now, dt, start, base[0], times[0], work, counts
         ):
             return False
+        if tangents.ratio.size > 0:
+            follow_tangents(states, now, work, tangents)
     store_sample(rod, has, laws, states, now, times[0], row, sensors, output, work)
+    if tangents.ratio.size > 0:
+        store_tangents(states, now, row, sensors, work, tangents)
     return True
 
 
 @compiled
-def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, output, counts):
+def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, output, tangents, counts):
     """Follow the base path from slot 0 of `states`; slot 1 holds the state before it. Returns how it ended.
 
     The last state ends up in slot 0.
@@ -114,7 +119,7 @@ def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, 
     # torque laws move the needle at a base that stands still, once
     at_rest = not has.laws or turned != 0.0
     for row in range(1, times.size):
-        if counts[SOLVES] > settings.most_solves:
+        if counts[SOLVES] > settings.most_solves_per_sample * times.size:
             counts[FAILED_SAMPLE] = row - 1
             return TOO_MANY_SOLVES
         turn = base[row] - states[now, ANCHOR, 0]
@@ -133,6 +138,10 @@ def follow_quasi_static(rod, settings, has, laws, drive, sensors, states, work, 
             turned = turn
             at_rest = True
             before, now, new = now, new, before
+            if tangents.ratio.size > 0:
+                follow_tangents(states, now, work, tangents)
         store_sample(rod, has, laws, states, now, times[row], row, sensors, output, work)
+        if tangents.ratio.size > 0:
+            store_tangents(states, now, row, sensors, work, tangents)
     copy_state(states, now)
     return DONE

@@ -148,7 +148,7 @@ def follow_sdirk(rod, settings, has, laws, drive, sensors, states, work, output,
     time, gap, coefficients_for = times[0], -1.0, -1.0
     length = min(settings.longest_step_s, 1e-3)
     while row < times.size - 1:
-        if counts[SOLVES] > settings.most_solves:
+        if counts[SOLVES] > settings.most_solves_per_sample * times.size:
             counts[FAILED_SAMPLE] = row
             return TOO_MANY_SOLVES
         if row >= kink:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,12 +22,12 @@ from needle_rig.workbench.estimation.discretisation_error import (
 )
 from needle_rig.workbench.estimation.file_units import values_by_name
 from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
+from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
-from needle_rig.workbench.estimation.problem import EXACT, ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import EXACT, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.estimation.unseen import unseen_sentences
-from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, driven_by_samples
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.earlier_path import with_known_paths
 from needle_rig.workbench.observations.noise import Noise, measure_noise
@@ -48,16 +47,6 @@ REACHED = 1.5
 """χ² a value at which a converged first fit needs no second one."""
 OUTLIERS, OUTLIER_SHARE = 3, 0.0005
 """Outliers of a channel that are not worth a note: so many, or this share of its samples."""
-
-
-@dataclass(frozen=True)
-class FirstFit:
-    """Where the first fit of the current model begins; `driven` is the problem driven by every sample."""
-
-    problem: Problem
-    driven: Problem
-    parameters: tuple[FreeParameter, ...]
-    vector: ParameterVector
 
 
 @dataclass(frozen=True)
@@ -109,15 +98,15 @@ def fit_baseline(
     model: NeedleModel | None,
     library: Mapping[str, type[Effect]],
     prepared: Callable[[Dataset], Dataset] = judged,
-    beginning: Callable[[FirstFit], None] | None = None,
     fixed: Collection[str] = (),
+    say: Callable[[str], None] = lambda _: None,
 ) -> Baseline:
     """Measure the noise, fit the current model (default: the null model), make the discretisation error a
     nuisance.
 
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
-    alone, whole trials have one friction each. `beginning` gets where the first fit begins. The parameters
-    `fixed`, by name, stay as they are in the model.
+    alone, whole trials have one friction each. Parameters `fixed`, by name, stay as the model has them.
+    `say` hears of both steps, the noise and the fit.
     Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
     """
     if not dataset.trials:
@@ -129,6 +118,7 @@ def fit_baseline(
             f"{dataset.name} has {len(dataset.layout.sensor_positions_m)} Hall sensors and the model"
             f" {current.name} {len(current.layout.sensor_positions_m)}; give a model made for this rig"
         )
+    say("measuring the noise")
     binned = tuple(bin_trial(t) for t in dataset.trials)
     noise = measure_noise(dataset.trials, binned, dataset.torque_scale)
     base = dataclasses.replace(
@@ -153,14 +143,8 @@ def fit_baseline(
     values = values_by_name(problem.parameters(names), current)
     problem = problem.fixing({name: values[name] for name in fixed})
 
-    def rated(vector: ParameterVector) -> None:
-        if beginning is not None:
-            trials = tuple(map(driven_by_samples, problem.trials, dataset.trials))
-            driven = dataclasses.replace(problem, trials=trials)
-            with suppress(SolverError):  # the fit says so itself, if it cannot be solved there
-                beginning(FirstFit(problem, driven, problem.parameters(names), vector))
-
-    first = _first_fit(problem, names, at, current.friction_n if model or fixed else None, rated)
+    say("fitting the model")
+    first = _first_fit(problem, names, at, current.friction_n if model or fixed else None)
     notes = list(_notes(problem))
     if noise.replicates:
         noise = with_motion_scatter(
@@ -252,7 +236,6 @@ def _first_fit(
     names: tuple[str, ...],
     at: Array,
     friction_n: float | None,
-    tell_rated: Callable[[ParameterVector], None],
 ) -> Fit:
     """The current model's best fit from several levels of friction."""
     levels = tuple(problem.base.torque_scale * level for level in FRICTIONS_N)
@@ -271,8 +254,6 @@ def _first_fit(
             continue
         rated.append((sum(float(r @ r) for r in residuals), level, vector))
     rated.sort(key=lambda r: r[0])
-    if rated:
-        tell_rated(rated[0][2])
     for _, _, vector in rated[:FIRST_FITS]:
         found = fit(problem, names, vector)
         if found is not None and (best is None or found.objective < best.objective):

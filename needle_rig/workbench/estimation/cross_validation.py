@@ -11,7 +11,6 @@ import numpy as np
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit
 from needle_rig.workbench.estimation.posterior import MOST_SOLVES, excess
@@ -107,7 +106,7 @@ class _LeaveOut:
         left, information = [self._without(group) for group in groups], self.linear.information
         place = {t: x for group, (x, _) in zip(groups, left, strict=True) for t in group}
         order = sorted(place)
-        common = problem.readings([self._model(place[t]) for t in order], order, MOST_SOLVES)
+        common = problem.readings(self._models(place, order), order, most_solves=MOST_SOLVES)
         random_effects = self._random_effects(place)
         chi2 = sum(o.chi2 for o in random_effects.values())
         loss = chi2 + sum(float(np.log(t.stiffness / t.random_effect_precision)) for t in self.terms)
@@ -179,13 +178,17 @@ class _LeaveOut:
         vector = ParameterVector(float(x[0]), float(x[1]), x[2 : self.p], np.zeros(0))
         return self.problem.model(self.fit.parameters, vector)
 
+    def _models(self, place: Mapping[int, Array], trials: Sequence[int]) -> list[NeedleModel]:
+        """The model of each trial: one object where shared parameters are one."""
+        made = {id(place[t]): self._model(place[t]) for t in trials}
+        return [made[id(place[t])] for t in trials]
+
     def _residuals(self, place: Mapping[int, Array], friction: Mapping[int, float]) -> dict[int, Array]:
         """Whitened residuals of the trials in `friction`, each at its shared parameters and log friction."""
         order = list(friction)
-        models = [
-            self._model(place[t]).with_effects(FrictionOfTrial(float(np.exp(friction[t])))) for t in order
-        ]
-        residuals = self.problem.residuals(self.problem.readings(models, order, MOST_SOLVES), order)
+        factors = np.exp([friction[t] for t in order])
+        readings = self.problem.readings(self._models(place, order), order, factors, MOST_SOLVES)
+        residuals = self.problem.residuals(readings, order)
         nuisance = self.problem.nuisance
         return {t: r - nuisance[t] @ place[t][self.p :] for t, r in zip(order, residuals, strict=True)}
 

@@ -2,12 +2,14 @@
 
 Whitened residuals, Gaussian priors, and each trial's friction as a random effect whose scatter is
 marginalised (a multivariate Student t: a large scatter is paid for once, not for every trial). Derivatives
-are finite differences of 0.3 % of a typical size, taken at each trial's random effect.
+are those of the solver's tangent, or finite differences of 0.3 % of a typical size, taken at each trial's
+random effect.
 """
 
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -107,11 +109,26 @@ class Objective:
             readings = self.problem.predict(self.parameters, self.unpacked(x), MOST_SOLVES)
         except (SolverError, BadInput):
             return None
+        return self._left(readings, x)
+
+    def _left(self, readings: list[Array], x: Array) -> list[Array] | None:
+        """Whitened data minus model (n,) a trial for the model's bin means; None unless all are finite."""
         residuals = self.problem.residuals(readings, range(self.trials))
         found = [
             r - n @ x[self.p + self.trials :] for r, n in zip(residuals, self.problem.nuisance, strict=True)
         ]
         return found if all(np.all(np.isfinite(r)) for r in found) else None
+
+    def _near(self, x: Array, moved: Sequence[Array]) -> list[Array | None]:
+        """Residuals (N,) at each of `moved`, to first order about x; None out of the tangent's reach."""
+        try:
+            readings = self.problem.near(
+                self.parameters, self.unpacked(x), [self.unpacked(m) for m in moved], MOST_SOLVES
+            )
+        except (SolverError, BadInput):
+            return [None] * len(moved)
+        left = [None if r is None else self._left(r, m) for r, m in zip(readings, moved, strict=True)]
+        return [None if each is None else np.concatenate(each) for each in left]
 
     def random_effects(self, x: Array) -> Array:
         """Of each recorded trial: the mean of its blocks', which differ by nothing."""
@@ -146,9 +163,9 @@ class Objective:
     def derivatives(self, x: Array, residuals: list[Array]) -> list[Array] | None:
         """Whitened model derivatives (n, p or p + 1) a trial, None where the model cannot be solved near x.
 
-        Friction is stepped up and rigidity down: the angles depend on their ratio, so both columns are then
-        alike to the last bit, and truncation error does not pass for information that only the stated
-        rigidity has.
+        By the solver's tangent where it reaches, else by solving again. Friction is stepped up and rigidity
+        down: the angles depend on their ratio, so both columns are then alike, and truncation error does not
+        pass for information that only the stated rigidity has.
         """
         directions = np.eye(self.p, x.size)
         steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))]
@@ -161,9 +178,9 @@ class Objective:
             after = self.residuals(moved)
             return None if after is None else np.concatenate(after)
 
-        jacobian = directional_derivatives(
-            left, x, np.concatenate(residuals), directions, steps, self.low, self.high
-        )
+        here = np.concatenate(residuals)
+        near = partial(self._near, x)
+        jacobian = directional_derivatives(left, x, here, directions, steps, self.low, self.high, near)
         if jacobian is None:
             return None
         return np.split(-jacobian, np.cumsum([r.size for r in residuals])[:-1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,8 +28,6 @@ from needle_rig.workbench.observations.noise import Noise, Places, Whitener, rep
 FRICTION_SCALE_N = 1e-3
 EXACT = 1e-4
 """Standard deviation, of a logarithm or a scaled value, of what is fixed or stated as exact."""
-TIMINGS = 3
-"""Of which the shortest counts: others hold what else the machine did."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ class Problem:
         """The model at `vector`, with the friction of a trial (its place) or the common one."""
         effects = make_effects(self.library, parameters, vector.scaled_values)
         if trial is not None:
-            effects = (*effects, _of_trial(vector, trial))
+            effects = (*effects, FrictionOfTrial(float(np.exp(vector.trial_friction[trial]))))
         return dataclasses.replace(
             self.base,
             torsional_rigidity_nm2=float(np.exp(vector.log_rigidity)),
@@ -157,30 +154,40 @@ class Problem:
         return not np.allclose(one, other, rtol=1e-9, atol=0.0)
 
     def readings(
-        self, models: Sequence[NeedleModel], trials: Sequence[int], most_solves: float = math.inf
+        self,
+        models: Sequence[NeedleModel],
+        trials: Sequence[int],
+        friction_factors: Sequence[float] | Array | None = None,
+        most_solves: float = math.inf,
     ) -> list[Array]:
         """Bin means (C, K) that each model gives in the trial at its place; see `Simulator.readings`."""
-        return self.simulator.readings(models, [self.trials[t] for t in trials], most_solves)
+        return self.simulator.readings(
+            models, [self.trials[t] for t in trials], friction_factors, most_solves
+        )
 
     def predict(
         self, parameters: Sequence[FreeParameter], vector: ParameterVector, most_solves: float = math.inf
     ) -> list[Array]:
         """Bin means (C, K; N·m and rad) of every trial at its random effect. Raises SolverError, BadInput."""
         every = range(len(self.trials))
-        common = self.model(parameters, vector)
-        models = [common.with_effects(_of_trial(vector, t)) for t in every]
-        return self.readings(models, every, most_solves)
+        models = [self.model(parameters, vector)] * len(self.trials)
+        return self.readings(models, every, np.exp(vector.trial_friction), most_solves)
 
-    def solution_s(self, parameters: Sequence[FreeParameter], vector: ParameterVector) -> float:
-        """How long one solution of all trials takes in this process, the shortest of three. Raises
-        SolverError, BadInput."""
-        shortest_s = math.inf
-        for _ in range(TIMINGS):
-            unsolved = dataclasses.replace(self, simulator=Simulator())  # the own one keeps what it solved
-            begun_s = time.monotonic()
-            unsolved.predict(parameters, vector)
-            shortest_s = min(shortest_s, time.monotonic() - begun_s)
-        return shortest_s
+    def near(
+        self,
+        parameters: Sequence[FreeParameter],
+        vector: ParameterVector,
+        others: Sequence[ParameterVector],
+        most_solves: float = math.inf,
+    ) -> list[list[Array] | None]:
+        """Bin means (C, K) of every trial at vectors near `vector`; see `Simulator.near`."""
+        return self.simulator.near(
+            self.model(parameters, vector),
+            np.exp(vector.trial_friction),
+            [(self.model(parameters, other), np.exp(other.trial_friction)) for other in others],
+            self.trials,
+            most_solves,
+        )
 
     def residuals(self, readings: Sequence[Array], trials: Sequence[int]) -> list[Array]:
         """Whitened data minus model (n,) for each reading."""
@@ -198,7 +205,3 @@ class Problem:
             means[:, : known.shape[1]] = known
             found.append(means)
         return found
-
-
-def _of_trial(vector: ParameterVector, trial: int) -> FrictionOfTrial:
-    return FrictionOfTrial(float(np.exp(vector.trial_friction[trial])))

@@ -10,14 +10,15 @@ import numpy as np
 
 from needle_rig.errors import SolverError
 from needle_rig.numerics import Array
-from needle_rig.physics.effect import Effect, Reading, Trial
+from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Solution, solve_batch
+from needle_rig.physics.solver import Path, Sampled, in_reach, solve_series
 from needle_rig.workbench.observations.binning import BinnedTrial
 
-Key = tuple[tuple[Effect, ...], float, float, float, int]
-"""(effects that move the needle, torsional rigidity, friction, element length, identity of the trial)"""
+Key = tuple[tuple[Effect, ...], float, float, float, float, int]
+"""(effects that move the needle, torsional rigidity, friction, element length, factor on friction, identity
+of the trial)"""
 
 CACHE_ENTRIES = 1500
 
@@ -30,7 +31,8 @@ class Simulator:
     """
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[Key, tuple[Trial, Solution]] = OrderedDict()
+        self._kept: OrderedDict[Key, tuple[Trial, Sampled]] = OrderedDict()
+        self._paths: OrderedDict[int, tuple[Trial, Path]] = OrderedDict()
 
     def __reduce__(self) -> tuple[type[Simulator], tuple[()]]:
         return Simulator, ()
@@ -38,49 +40,135 @@ class Simulator:
     # a law far out may overflow: values that are not finite are refused where they are used, in words
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def readings(
-        self, models: Sequence[NeedleModel], trials: Sequence[BinnedTrial], most_solves: float = math.inf
+        self,
+        models: Sequence[NeedleModel],
+        trials: Sequence[BinnedTrial],
+        friction_factors: Sequence[float] | Array | None = None,
+        most_solves: float = math.inf,
     ) -> list[Array]:
         """Bin means (C, K; N·m and rad) that each model gives in the trial at its place.
 
-        Models that differ in what the sensors make of it share one solution. Raises SolverError, also where a
-        trial took more than `most_solves` solves a sample, and BadInput.
+        `friction_factors` (trials,) multiply every slip limit in the trial at their place; default 1. Models
+        that differ in what the sensors make of it share one solution; trials of one model object are solved
+        in one call. Raises SolverError, also where a trial took more than `most_solves` solves a sample, and
+        BadInput.
         """
-        keys = [_key(model, binned.trial) for model, binned in zip(models, trials, strict=True)]
-        new: OrderedDict[Key, int] = OrderedDict()
-        for place, key in enumerate(keys):
-            if key not in self._kept:
-                new.setdefault(key, place)
-        rods: list[Rod] = []
-        inputs: list[tuple[Array, Array, Array | None]] = []
-        for place in new.values():
-            drive = trials[place].trial
-            rods.append(models[place].rod(drive))
-            inputs.append((drive.time_s, models[place].held_path(drive)[0], drive.tip_torque_nm))
-        solved = []
-        if rods:  # processes share the cores
-            solved = solve_batch(rods, inputs, threads=1, most_solves_per_sample=most_solves)
-        for (key, place), solution in zip(new.items(), solved, strict=True):
-            self._kept[key] = trials[place].trial, solution
-        solutions = [self._kept[key][1] for key in keys]
-        if any(s.solves > most_solves * s.time_s.size for s in solutions):
-            raise SolverError(f"{models[0].name}: the needle snaps through too many balances to follow")
-        readings = [
-            binned.averaged(_stacked(model.observed(binned.trial, solution)))
-            for model, binned, solution in zip(models, trials, solutions, strict=True)
-        ]
+        factors = np.ones(len(trials)) if friction_factors is None else np.asarray(friction_factors, float)
+        places: dict[int, list[int]] = {}
+        for place, model in enumerate(models):
+            places.setdefault(id(model), []).append(place)
+        found: list[Array] = [np.empty(0)] * len(trials)
+        for of_model in places.values():
+            model, of_trials = models[of_model[0]], [trials[k] for k in of_model]
+            solved = self._solved(model, [b.trial for b in of_trials], factors[of_model], most_solves)
+            for k, means in zip(of_model, _means(model, of_trials, solved), strict=True):
+                found[k] = means
         while len(self._kept) > CACHE_ENTRIES:
             self._kept.popitem(last=False)
-        return readings
+        return found
+
+    # as in `readings`
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def near(
+        self,
+        model: NeedleModel,
+        friction_factors: Array,
+        others: Sequence[tuple[NeedleModel, Array]],
+        trials: Sequence[BinnedTrial],
+        most_solves: float = math.inf,
+    ) -> list[list[Array] | None]:
+        """Bin means (C, K) in all trials that models near `model` give, each with its factors on friction.
+
+        What moves the needle is taken to first order, by one solution for all of them; what the sensors make
+        of it is exact. None for a model out of the tangent's reach. Raises SolverError, BadInput.
+        """
+        drives = [b.trial for b in trials]
+        rod, one_rod = _one_rod(model, drives)
+        reached: dict[int, Rod] = {}
+        for k, (other, _) in enumerate(others):
+            its_rod, its_one = _one_rod(other, drives)
+            if (
+                one_rod
+                and its_one
+                and other.acting("drive") == model.acting("drive")
+                and in_reach(rod, its_rod)
+            ):
+                reached[k] = its_rod
+        found: list[list[Array] | None] = [None] * len(others)
+        if reached:
+            _, *would = solve_series(
+                rod,
+                [self._held(model, drive) for drive in drives],
+                friction_factors,
+                most_solves_per_sample=most_solves,
+                near=[(its_rod, others[k][1]) for k, its_rod in reached.items()],
+            )
+            for k, sampled in zip(reached, would, strict=True):
+                found[k] = _means(others[k][0], trials, sampled)
+        return found
+
+    def _solved(
+        self, model: NeedleModel, trials: Sequence[Trial], factors: Array, most_solves: float
+    ) -> list[Sampled]:
+        """What the needle does in trials of one model; those not kept are solved in one call a rod."""
+        moving = _moving(model)
+        keys = [(*moving, float(f), id(t)) for f, t in zip(factors, trials, strict=True)]
+        new = list({key: k for k, key in enumerate(keys) if key not in self._kept}.values())
+        of_rod: dict[int, tuple[Rod, list[int]]] = {}
+        for k, rod in zip(new, model.rods([trials[k] for k in new]), strict=True):
+            of_rod.setdefault(id(rod), (rod, []))[1].append(k)
+        for rod, which in of_rod.values():
+            paths = [self._held(model, trials[k]) for k in which]
+            (solved,) = solve_series(rod, paths, factors[which], most_solves_per_sample=most_solves)
+            for k, sampled in zip(which, solved, strict=True):
+                self._kept[keys[k]] = trials[k], sampled
+        found = [self._kept[key][1] for key in keys]
+        if any(s.solves > most_solves * s.torque_nm.size for s in found):
+            raise SolverError(f"{model.name}: the needle snaps through too many balances to follow")
+        return found
+
+    def _held(self, model: NeedleModel, trial: Trial) -> Path:
+        """Path of the needle's held end."""
+        path = self._path(trial)
+        if not model.acting("drive"):
+            return path
+        base_rad, _ = model.held_path(trial)
+        return Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
+
+    def _path(self, trial: Trial) -> Path:
+        """A trial's path, checked once."""
+        if id(trial) not in self._paths:
+            path = Path.of(trial.time_s, trial.base_angle_rad, trial.tip_torque_nm)
+            self._paths[id(trial)] = trial, path
+            if len(self._paths) > CACHE_ENTRIES:
+                self._paths.popitem(last=False)
+        return self._paths[id(trial)][1]
 
 
-def _key(model: NeedleModel, trial: Trial) -> Key:
-    moving = tuple(e for e in model.effects if not e.is_off() and _moves(e))
-    return moving, model.torsional_rigidity_nm2, model.friction_n, model.element_length_m, id(trial)
+def _means(model: NeedleModel, trials: Sequence[BinnedTrial], solved: Sequence[Sampled]) -> list[Array]:
+    """Bin means (C, K) of what the sensors read of each trial's solution."""
+    found = []
+    observes = bool(model.acting("observe"))
+    for binned, sampled in zip(trials, solved, strict=True):
+        torque_nm, hall_rad = sampled.torque_nm, sampled.sensor_rad
+        if observes:
+            seen = model.observed(binned.trial, sampled)
+            torque_nm, hall_rad = seen.torque_nm, seen.hall_rad
+        found.append(binned.averaged(np.vstack([torque_nm[None, :], hall_rad.T])))
+    return found
+
+
+def _one_rod(model: NeedleModel, trials: Sequence[Trial]) -> tuple[Rod, bool]:
+    """The rod of the first trial, and whether it serves all."""
+    rods = model.rods(trials)
+    return rods[0], all(rod is rods[0] for rod in rods)
+
+
+def _moving(model: NeedleModel) -> tuple[tuple[Effect, ...], float, float, float]:
+    """What moves the needle of a model."""
+    moving = tuple(e for e in model.effects if _moves(e) and not e.is_off())
+    return moving, model.torsional_rigidity_nm2, model.friction_n, model.element_length_m
 
 
 def _moves(effect: Effect) -> bool:
     return any(effect.has(hook) for hook in ("shape", "torque", "drive"))
-
-
-def _stacked(reading: Reading) -> Array:
-    return np.vstack([reading.torque_nm[None, :], reading.hall_rad.T])

@@ -241,10 +241,7 @@ def compare(
         model = model.replaced(held.fixed)
     stands = saved is not None and not held.refit_only
     step = numbered(say, 3 if stands else 2)
-    step("measuring the noise")
-    baseline = fit_baseline(
-        dataset, model, library, beginning=lambda _: step("fitting the model"), fixed=tuple(held.fixed)
-    )
+    baseline = fit_baseline(dataset, model, library, fixed=tuple(held.fixed), say=step)
     if saved is not None and model is not None:
         known = {name: size for name, size in saved.uncertainties.items() if name not in held.fixed}
         saved = dataclasses.replace(saved, model=model, uncertainties=known)

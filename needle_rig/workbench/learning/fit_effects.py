@@ -119,13 +119,12 @@ def _begun(
 ) -> NeedleModel:
     """The model with each effect fitted on top of those before it: where the fit of all begins."""
     there = model.values()
-    step("measuring the noise")
     began = fit_baseline(
         dataset,
         model,
         library,
-        beginning=lambda _: step("fitting the model"),
         fixed=tuple(name for name in fixed if name in there),
+        say=step,
     )
     problem, parent = began.problem, began.current
     for effect in effects:

@@ -214,8 +214,7 @@ def _identified(
     start = model or null_model(dataset)
     if dataset.layout.tissue_sections_m and DAMPING not in {e.name() for e in start.effects}:
         start = start.with_effects(library[DAMPING]())
-    step("measuring the noise")
-    baseline = fit_baseline(dataset, start, library, in_whole_trials, lambda _: step("fitting the model"))
+    baseline = fit_baseline(dataset, start, library, in_whole_trials, say=step)
     step("separating what the data say from what was known")
     information = Information.of(baseline.problem, baseline.current)
     stated = _stated(baseline)

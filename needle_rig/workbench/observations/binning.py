@@ -78,6 +78,9 @@ class BinnedTrial:
 
     def averaged(self, values: Array) -> Array:
         """Bin means (C, K) of values on the grid (C, m)."""
+        first = self.averages[0]
+        if all(average is first for average in self.averages):
+            return np.ascontiguousarray((first @ values.T).T)
         return np.array([average @ each for average, each in zip(self.averages, values, strict=True)])
 
 
@@ -175,7 +178,14 @@ def bins_of_samples(given: DatasetTrial) -> npt.NDArray[np.int64]:
 def sample_weights(given: DatasetTrial) -> tuple[csr_array, ...]:
     """Weights (K, M), a channel each, that take values at a trial's samples to means in its bins."""
     of_sample = bins_of_samples(given)
-    return tuple(_weights(of_sample, set_aside(values)[1]) for values in channels(given))
+    found: list[csr_array] = []
+    known: list[npt.NDArray[np.bool_]] = []
+    for values in channels(given):
+        valid = set_aside(values)[1]
+        same = next((k for k, other in enumerate(known) if np.array_equal(valid, other)), None)
+        found.append(_weights(of_sample, valid) if same is None else found[same])
+        known.append(valid)
+    return tuple(found)
 
 
 def _weights(of_sample: npt.NDArray[np.int64], valid: npt.NDArray[np.bool_]) -> csr_array:

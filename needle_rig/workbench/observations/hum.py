@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
@@ -148,7 +148,7 @@ def _with_line(
     gain = channels.gain(tried_hz)
     best = int(np.argmax(gain))
     chance = POLICY.noise.hum_significance * STEPS_PER_LINE / tried_hz.size
-    if 2.0 * gain[best] < chi2.isf(chance, len(lines)):
+    if 2.0 * gain[best] < float(chdtri(len(lines), chance)):
         return noise
     around = tried_hz[best] + step_hz * np.array([-1.0, 1.0])
     found = minimize_scalar(

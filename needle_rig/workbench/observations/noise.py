@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from needle_rig.dataset import DatasetTrial
 from needle_rig.dataset.samples import is_slow
@@ -252,7 +252,7 @@ def _white_of_replicates(binned: Sequence[BinnedTrial], groups: list[list[int]],
         counts = np.array([binned[i].count[channel, :shared] for i in group])
         variance = means.var(axis=0, ddof=1) * counts.mean(axis=0)
         known = variance[np.isfinite(variance) & (np.ptp(bases, axis=0) < rad(REST_DEG))]
-        found += (known / float(chi2.median(len(group) - 1) / (len(group) - 1))).tolist()
+        found += (known / float(chdtri(len(group) - 1, 0.5) / (len(group) - 1))).tolist()
     return float(np.sqrt(np.median(found))) if found else 0.0
 
 

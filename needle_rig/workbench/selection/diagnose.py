@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -16,7 +15,6 @@ from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import (
     Baseline,
-    FirstFit,
     as_baseline,
     fit_baseline,
     with_noise_at,
@@ -31,7 +29,6 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
-from needle_rig.workbench.selection.duration import START_TIMES, Duration, spell
 from needle_rig.workbench.selection.evidence import improves_cross_validation, relieves_pull
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
@@ -130,24 +127,13 @@ def diagnose(
     known: Fit | None = None
     starts: FoundStarts | None = None
     with work or Work() as at:
-        say("measuring the noise")
-
-        duration = Duration(at.processes, quick)
-
-        def beginning(first: FirstFit) -> None:
-            say(f"fitting the current model, trying every effect, {duration.at_first(first)}")
-
-        begun_s = time.monotonic()
-        baseline = fit_baseline(dataset, model, library, beginning=beginning)
-        fit_s = time.monotonic() - begun_s
+        baseline = fit_baseline(dataset, model, library, say=say)
         if any(trial.start_found for trial in baseline.dataset.trials):
-            told = spell((START_TIMES[0] * fit_s / at.processes, START_TIMES[1] * fit_s / at.processes))
-            say(f"finding the unknown starts with each effect that may hold them, {told}, before a search")
+            say("finding the unknown starts with each effect that may hold them")
             starts = from_found_starts(dataset, model, library, baseline, at, quick)
             baseline, known = starts.baseline, starts.fit
         names = tuple(sorted(set(library) - set(baseline.current.effects)))
-        left = duration.from_fit(baseline.problem, baseline.current)
-        say(f"trying every effect, {left}")
+        say("trying every effect")
 
         def searched(of: Baseline, start: Fit | None) -> SearchTrace:
             fits = (of.problem, names, of.current, of.validation)
@@ -158,7 +144,7 @@ def diagnose(
             trace = searched(of, start)
             renewed = with_noise_at(of, trace.problem, trace.fits[trace.best][0])
             if renewed is not of:
-                say(f"trying every effect again, under the noise that shows now, {left}")
+                say("trying every effect again, under the noise that shows now")
                 start = start and fit(renewed.problem, start.effects, start.vector)
                 of, trace = renewed, searched(renewed, start)
             alone = trace.best_alone()
@@ -166,7 +152,7 @@ def diagnose(
                 gain = alone.objective - trace.fits[trace.best][0].objective
                 driven = with_samples_at(of, trace.problem, alone, gain)
                 if driven is not of:
-                    say(f"trying every effect again, driven by every sample, {left} or more")
+                    say("trying every effect again, driven by every sample")
                     start = start and fit(driven.problem, start.effects, start.vector)
                     of, trace = driven, searched(driven, start)
             return of, start, trace
@@ -187,7 +173,7 @@ def diagnose(
         if starts is not None and not quick:
             simpler = starts.simpler(dataset, trace)
             if simpler is not None and starts.fit is not None and simpler.fit.effects != starts.fit.effects:
-                say(f"trying every effect again, from the starts of {simpler.fit.effects[-1]}, {left}")
+                say(f"trying every effect again, from the starts of {simpler.fit.effects[-1]}")
                 starts = with_starts_of(simpler, starts, dataset, model, library)
                 baseline, known, trace = settled(starts.baseline, starts.fit)
                 simpler = starts.simpler(dataset, trace)
@@ -205,7 +191,7 @@ def diagnose(
                 if changed is None:
                     continue
                 other, told = changed
-                say(f"trying every effect again, {said}, {left}")
+                say(f"trying every effect again, {said}")
                 start = known and fit(other.problem, known.effects, known.vector)
                 anew = concluded(other, searched(other, start))
                 # beside noise in the residual more effects than these can stand for anything

@@ -13,7 +13,6 @@ from needle_rig.errors import BadInput
 from needle_rig.model import ChannelErrors
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RIGIDITY, NeedleModel
-from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, per_100mm
 from needle_rig.workbench.estimation.baseline import Baseline, element_length, judged
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
@@ -81,8 +80,7 @@ def training_errors(dataset: Dataset, found: Explanation) -> dict[str, float]:
         found.model, layout=dataset.layout, element_length_m=element_length(found.model)
     )
     binned = [bin_trial(t) for t in dataset.trials]
-    models = [model.with_effects(FrictionOfTrial(factor)) for factor in found.trial_friction]
-    readings = Simulator().readings(models, binned)
+    readings = Simulator().readings([model] * len(binned), binned, found.trial_friction)
     left = np.hstack([b.mean - r for b, r in zip(binned, readings, strict=True)])
     rms = _rms_of_known(left)
     names = channel_names(dataset)

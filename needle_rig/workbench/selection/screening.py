@@ -271,10 +271,10 @@ def beside(
 
 def _slip_limits(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Array:
     """Sum of both slip limits of all nodes that can slip in each trial (T,), N·m."""
-    trials = enumerate(problem.trials)
-    rods = [problem.model(parameters, vector, t).rod(binned.trial) for t, binned in trials]
+    rods = problem.model(parameters, vector).rods([b.trial for b in problem.trials])
     limits_nm = [rod.slip_plus_nm + rod.slip_minus_nm for rod in rods]
-    return np.array([float(limit_nm[np.isfinite(limit_nm)].sum()) for limit_nm in limits_nm])
+    sums_nm = np.array([float(limit_nm[np.isfinite(limit_nm)].sum()) for limit_nm in limits_nm])
+    return sums_nm * np.exp(vector.trial_friction)
 
 
 def signature(

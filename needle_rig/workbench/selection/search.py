@@ -9,7 +9,6 @@ effect is known by name here; what looks like what is declared in the effects' o
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -35,7 +34,6 @@ from needle_rig.workbench.selection.candidates import (
     try_effect,
     without,
 )
-from needle_rig.workbench.selection.duration import slower
 from needle_rig.workbench.selection.evidence import (
     adjusted_p,
     improves_cross_validation,
@@ -187,10 +185,8 @@ def search(
         best = next((key for key in _passing(trace) if trace.named(key)), trace.start)
         trace = _over_friction(trace, work, best)
         return dataclasses.replace(trace, best=best).stepped("forward")
-    begun_s = time.monotonic()
     while True:
         trace, options = _forward(trace, work, frontier)
-        so_far_s = time.monotonic() - begun_s
         if not options and _restarts(trace, max_effects):
             say("far from the noise: fitting what is far from linear from other strengths, as long again")
             trace = _restarted(trace, work)
@@ -199,9 +195,6 @@ def search(
         if not options:
             break
         chosen = _chosen(trace, options)
-        told = "" if trace.steps else slower(trace.problem, trace.fits[chosen][0], root, so_far_s)
-        if told:
-            say(told)
         trace = _over_friction(trace, work, chosen)
         move, small = next_move(trace, chosen, max_effects)
         if move == "take out":

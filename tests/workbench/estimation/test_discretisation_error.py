@@ -139,7 +139,8 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     sensors_alone = tuple(dataclasses.replace(b, from_encoder=None) for b in wider.trials)
     narrow = dataclasses.replace(wider, trials=sensors_alone, whiteners=())
     assert cross_validate(narrow, fit(narrow, ["stribeck"], again.vector)).error > 1.03
-    assert cross_validate(wider, again).error < 1.0
+    by_chance = (2 * problem.size) ** -0.5
+    assert cross_validate(wider, again).error < 1.0 + by_chance
     assert (
         0.0 < np.linalg.norm(wider.whiteners[0].inverse[1]) < np.linalg.norm(narrow.whiteners[0].inverse[1])
     )

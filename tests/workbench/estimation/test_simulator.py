@@ -9,9 +9,10 @@ import pytest
 
 from needle_rig.dataset import Dataset
 from needle_rig.errors import SolverError
+from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Solution, solve_batch
+from needle_rig.physics.solver import Path, Sampled, solve_series
 from needle_rig.workbench.estimation import simulator as simulator_module
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.estimation.posterior import start_vector
@@ -30,14 +31,14 @@ def problem_of(data: Dataset) -> Problem:
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many rods each call solved."""
+    """How many trials each call solved."""
     counts: list[int] = []
 
-    def counted(rods: Sequence[Rod], inputs: Any, **options: Any) -> list[Solution]:
-        counts.append(len(rods))
-        return solve_batch(rods, inputs, **options)
+    def counted(rod: Rod, paths: Sequence[Path], factors: Array, **options: Any) -> list[list[Sampled]]:
+        counts.append(len(paths))
+        return solve_series(rod, paths, factors, **options)
 
-    monkeypatch.setattr(simulator_module, "solve_batch", counted)
+    monkeypatch.setattr(simulator_module, "solve_series", counted)
     return counts
 
 
@@ -132,3 +133,33 @@ def test_a_law_that_overflows_gives_readings_that_are_not_finite_and_no_warning(
     (reading,) = Simulator().readings([problem.base.with_effects(FarOut(1.0))], [given])
     assert not np.isfinite(reading[0]).all()
     assert np.isfinite(reading[1:]).all()
+
+
+def test_trials_of_one_model_are_those_that_each_would_be_by_itself() -> None:
+    problem = problem_of(dataset())
+    names = ["tissue_elasticity", "chuck_backlash", "mount_compliance", "hall_gain"]
+    problem = dataclasses.replace(problem, library=few(*names))
+    parameters = problem.parameters(names)
+    friction = np.linspace(-0.3, 0.3, len(problem.trials))
+    vector = dataclasses.replace(
+        start_vector(problem, np.log(1e-3), parameters),
+        scaled_values=np.full(len(parameters), 0.5),
+        trial_friction=friction,
+    )
+    together = problem.predict(parameters, vector)
+    for t, (binned, seen) in enumerate(zip(problem.trials, together, strict=True)):
+        reading = problem.model(parameters, vector, t).predict(binned.trial)
+        alone = binned.averaged(np.vstack([reading.torque_nm[None, :], reading.hall_rad.T]))
+        np.testing.assert_array_equal(seen, alone)
+
+
+def test_an_effect_that_asks_for_the_place_in_the_series_has_a_rod_a_trial(solved: list[int]) -> None:
+    problem = dataclasses.replace(problem_of(dataset()), library=few("friction_wear"))
+    parameters = problem.parameters(["friction_wear"])
+    at = dataclasses.replace(start_vector(problem, np.log(1e-3), parameters), scaled_values=np.array([2.0]))
+    seen = problem.predict(parameters, at)
+    assert solved == [1] * len(problem.trials)
+    for t, binned in enumerate(problem.trials):
+        reading = problem.model(parameters, at, t).predict(binned.trial)
+        alone = binned.averaged(np.vstack([reading.torque_nm[None, :], reading.hall_rad.T]))
+        np.testing.assert_array_equal(seen[t], alone)
