@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import pickle
@@ -11,12 +12,13 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any, Self
 
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.extras import missing
+from needle_rig.folders import temporary_folder
+from needle_rig.parent import end_with_parent
 
 Task = tuple[Any, ...]
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
@@ -85,14 +87,16 @@ class Processes(Work):
             raise BadInput(f"jobs {jobs}: give at least 1")
         one_thread_each()
         self.processes = jobs
-        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext())
-        self._folder = TemporaryDirectory(prefix="needle-rig-")
+        # each process holds the pipes of the others' work: their end would not be seen
+        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext(), initializer=end_with_parent)
+        self._closing = contextlib.ExitStack()
+        self._folder = self._closing.enter_context(temporary_folder("needle-rig-jobs-"))
         self._round = 0
 
     def share(self, shared: Any) -> None:
         """Write it to a file, which every process reads once."""
         self._round += 1
-        self._shared = Path(self._folder.name) / f"shared-{self._round}.pickle"
+        self._shared = self._folder / f"shared-{self._round}.pickle"
         self._shared.write_bytes(pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL))
 
     def _results(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
@@ -112,7 +116,7 @@ class Processes(Work):
             for process in multiprocessing.active_children():
                 process.terminate()
         self._pool.shutdown(cancel_futures=True)
-        self._folder.cleanup()
+        self._closing.close()
 
 
 _SHARED: dict[Path, Any] = {}
