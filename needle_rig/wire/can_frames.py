@@ -110,9 +110,10 @@ CanContent = TorqueStatus | DriveStatus | DriveHealth | DriveCommand | DriveRefe
 
 def checksum(frame_id: int, data: bytes) -> int:
     """CRC-8 SAE J1850 over the frame id, low byte first, then data bytes 0 to 6 (rule of the DBC)."""
-    crc = 0xFF
-    for byte in (frame_id & 0xFF, frame_id >> 8, *data[:7]):
-        crc = _CRC8_TABLE[crc ^ byte]
+    table = _CRC8_TABLE
+    crc = table[table[0xFF ^ frame_id & 0xFF] ^ frame_id >> 8]
+    for byte in data[:7]:
+        crc = table[crc ^ byte]
     return crc ^ 0xFF
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import CanSection, NodeDevice, SerialSection
 from needle_rig.devices.can_bus import CanLink
+from needle_rig.devices.device import Frames
 from needle_rig.devices.drive_can import DriveCan
 from needle_rig.devices.hall_serial import HallSerial
 from needle_rig.devices.memory_host import MemoryHost
@@ -227,11 +228,11 @@ def test_whatever_an_adapter_sends_the_next_good_frame_is_taken(noise: list[byte
         port = Pty()
         got: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
 
-        def on_frame(frame_id: int, data: bytes, now_s: float) -> None:
-            if (frame_id, data) == (0x101, b"\xde\xad\xbe\xef\x00\x11\x22\x33") and not got.done():
-                got.set_result(data)
+        def on_frames(frames: Frames, now_s: float) -> None:
+            if (0x101, b"\xde\xad\xbe\xef\x00\x11\x22\x33") in frames and not got.done():
+                got.set_result(frames[-1][1])
 
-        link = CanLink(CanSection(channel=port.name), on_frame)
+        link = CanLink(CanSection(channel=port.name), on_frames)
         link.open()
         port.write(b"".join(noise) + b"\rt1018DEADBEEF00112233\r")
         port.flush()
