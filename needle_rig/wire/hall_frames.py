@@ -100,9 +100,9 @@ def decode_hall(stuffed: bytes) -> HallFrame | None:
         return None
     values = struct.unpack_from(f"<{count}i{count}H", content, _HEAD.size)
     urad = values[:count]
-    if max(map(abs, urad)) > _LARGEST_ANGLE_URAD:
+    if max(urad) > _LARGEST_ANGLE_URAD or min(urad) < -_LARGEST_ANGLE_URAD:
         return None
-    return HallFrame(counter, node_time_us * 1e-6, tuple(angle * 1e-6 for angle in urad), values[count:])
+    return HallFrame(counter, node_time_us * 1e-6, tuple([angle * 1e-6 for angle in urad]), values[count:])
 
 
 class HallStream:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import binascii
 import re
+from binascii import hexlify, unhexlify
 
 OK, ERROR = b"\r", b"\a"
-_FRAME = re.compile(rb"t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2}){0,8})")
+_FRAME = re.compile(rb"\At([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2}){0,8})")
 _LONGEST_LINE = 64
 """No line of a classic frame is longer than 32 bytes: more without an end is noise."""
 
 
 def slcan_line(frame_id: int, data: bytes) -> bytes:
     """The line of a plain frame, with its end."""
-    return b"t%03X%d%b\r" % (frame_id, len(data), binascii.hexlify(data).upper())
+    return b"t%03X%d%b\r" % (frame_id, len(data), hexlify(data).upper())
 
 
 class SlcanStream:
@@ -30,12 +30,9 @@ class SlcanStream:
         """The (id, data) of frames that end in `data`, oldest first."""
         *lines, rest = (self._rest + data).replace(ERROR, OK).split(OK)
         self._rest = rest[-_LONGEST_LINE:]
-        frames = []
-        for line in lines:
-            found = _FRAME.match(line)
-            if found is not None:
-                frame_id, length, letters = found.groups()
-                count = 2 * int(length)
-                if len(letters) >= count:
-                    frames.append((int(frame_id, 16), binascii.unhexlify(letters[:count])))
-        return frames
+        return [
+            (int(frame_id, 16), unhexlify(letters[: 2 * int(length)]))
+            for line in lines
+            for frame_id, length, letters in _FRAME.findall(line)
+            if len(letters) >= 2 * int(length)
+        ]
