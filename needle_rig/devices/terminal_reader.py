@@ -96,13 +96,8 @@ class TerminalReader:
         poller = select.poll()
         poller.register(self._terminal, select.POLLIN)
         poller.register(self._enough, select.POLLIN)
+        said = 0
         while True:
-            events = dict(poller.poll(_LONGEST_PAUSE_S * 1e3 if self._chunks else None))
-            if self._enough in events:
-                return
-            if not events:  # who drained has ceased to
-                os.eventfd_write(self._came, 1)
-                continue
             try:
                 data = os.read(self._terminal, _READ_BYTES)
             except BlockingIOError:
@@ -111,15 +106,23 @@ class TerminalReader:
                 self._finish(error)
                 return
             if data:
+                said = 0
                 self._chunks.append((data, self._now()))
                 pause_s = self._pause_s()
                 if pause_s is None:
                     os.eventfd_write(self._came, 1)
                 elif select.select([self._enough], [], [], pause_s)[0]:
                     return
-            elif events[self._terminal] & _ENDED:
+                continue
+            if said & _ENDED:
                 self._finish(OSError(errno.EIO, os.strerror(errno.EIO)))
                 return
+            events = dict(poller.poll(_LONGEST_PAUSE_S * 1e3 if self._chunks else None))
+            if self._enough in events:
+                return
+            if not events:  # who drained has ceased to
+                os.eventfd_write(self._came, 1)
+            said = events.get(self._terminal, 0)
 
     def _pause_s(self) -> float | None:
         """Until it is time to read for the next tick; None where no tick is to be expected."""

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
-from needle_rig.records import Measurement
+from needle_rig.records import DriveState, Measurement
 from needle_rig.simulation.bench_lines import Said
 from needle_rig.simulation.cia402_node import Cia402Node
 from needle_rig.simulation.faults import Faults, Link, over_index
@@ -160,7 +160,8 @@ class BenchLoop:
                 deadline_s += 1.0 / self._loop_hz - self._regained_s()
             self._hand_over()
             if self._can_port in ready and self._can_port is not None:
-                self._now_us = round((time.monotonic() - self._start_s) * 1e6)
+                # where steps are still due, the nodes' clocks are behind
+                self._now_us = round((min(time.monotonic(), deadline_s) - self._start_s) * 1e6)
                 self._hub.serve(self._can_port)
                 self._hub.flush()
             for asked in sockets:
@@ -179,7 +180,11 @@ class BenchLoop:
     @property
     def _rest_s(self) -> float:
         """How much longer than to its next step the bench may sleep, unless it is spoken to."""
-        moves = self._drive.powered or self._plant.true_base_rad != self._base_rad or self._by_hand_rad
+        moves = (
+            self._drive.state is DriveState.RUNNING
+            or self._plant.true_base_rad != self._base_rad
+            or self._by_hand_rad
+        )
         return 0.0 if moves else max(_HANDED_OVER_S - 1.0 / self._loop_hz, 0.0)
 
     def close(self) -> None:

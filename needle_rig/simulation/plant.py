@@ -72,6 +72,13 @@ class Plant:
         """Between this plant and a host without nodes."""
         self.supply_on = True
         """Whether the motor has its supply: decided by the guard in `advance`, by nodes before `turn`."""
+        self._resolution = (
+            nm(settings.torque_noise_nmm),
+            nm(settings.torque_step_nmm),
+            rad(settings.hall_noise_deg),
+            rad(settings.hall_step_deg),
+            rad(settings.encoder_step_deg),
+        )
         self._guard_settings = guard
         self._commands = 0
         self._index_rad = math.nan
@@ -223,16 +230,19 @@ class Plant:
         return noise
 
     def _sense(self) -> None:
-        settings, (torque_noise, *hall_noise) = self.settings, self._drawn()
+        spread_nm, step_nm, spread_rad, step_rad, base_step_rad = self._resolution
+        torque_noise, *hall_noise = self._drawn()
         torque, hall = self._torque_nm, self._hall_told
         if self._observers:
             torque, hall = self._observed()
-        torque += nm(settings.torque_noise_nmm) * torque_noise
+        torque += spread_nm * torque_noise
         faults = self.faults
-        torque = faults.torque.of(_quantised(torque, nm(settings.torque_step_nmm)))
-        spread, step = rad(settings.hall_noise_deg), rad(settings.hall_step_deg)
+        torque = faults.torque.of(_quantised(torque, step_nm))
         angles = tuple(
-            [_quantised(angle + spread * noise, step) for angle, noise in zip(hall, hall_noise, strict=True)]
+            [
+                _quantised(angle + spread_rad * noise, step_rad)
+                for angle, noise in zip(hall, hall_noise, strict=True)
+            ]
         )
         if faults.hall:
             angles = tuple(
@@ -240,7 +250,7 @@ class Plant:
             )
         self._encoder_rad = faults.encoder.of(self.motor.angle_rad)
         self._torque_read_nm = torque
-        base = _quantised(self._base_rad(), rad(settings.encoder_step_deg))
+        base = _quantised(self._base_rad(), base_step_rad)
         self._measurement = self._arrived(
             Measurement(
                 time_s=self.time_s,
