@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import math
 import os
 import time
@@ -37,6 +38,7 @@ class CanLink:
         self._on_frames = on_frames
         self._now, self._tick_s = now, tick_s
         self._bus: can.BusABC | None = None
+        self._write: Callable[[int, bytes], None]
         self._reader: _Reader | None = None
         self._terminal: TerminalReader | None = None
         self._lock_fd: int | None = None
@@ -55,17 +57,18 @@ class CanLink:
                 self._lock_fd = claim(self._config.channel.partition("@")[0])
             elif self._config.interface == "socketcan":
                 self._lock_fd = claim_interface(self._config.channel)
-            self._bus = _open_bus(self._config)
+            bus = self._bus = _open_bus(self._config)
         except (can.CanError, OSError, ValueError) as error:
             self._release()
             self.trouble = f"{place}: {_reason(error, self._config)}; see links.can in the rig file"
             raise RigFault(self.trouble) from error
-        if isinstance(self._bus, _Slcan):
-            self._terminal = TerminalReader(
-                self._bus.fileno(), self._feed, self._on_end, self._now, self._tick_s
-            )
+        if isinstance(bus, _Slcan):
+            received = functools.partial(self._feed, bus.stream)
+            self._terminal = TerminalReader(bus.fileno(), received, self._on_end, self._now, self._tick_s)
+            self._write = bus.write
         else:
-            self._reader = _Reader(self._bus, self._receive, self._on_lost)
+            self._reader = _Reader(bus, self._receive, self._on_lost)
+            self._write = functools.partial(_write, bus)
         self.lost, self.trouble = False, ""
 
     def poll(self) -> None:
@@ -80,11 +83,7 @@ class CanLink:
         if self._bus is None or self.lost:
             return False
         try:
-            if isinstance(self._bus, _Slcan):
-                self._bus.write(frame_id, data)
-            else:
-                message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=False)
-                self._bus.send(message, timeout=0)
+            self._write(frame_id, data)
         except (can.CanError, OSError):
             return False
         return True
@@ -114,10 +113,9 @@ class CanLink:
     def _on_end(self, error: OSError) -> None:
         self._on_lost(can.CanOperationError(f"the adapter is gone: {error.strerror}"))
 
-    def _feed(self, data: bytes, now_s: float) -> None:
+    def _feed(self, stream: SlcanStream, data: bytes, now_s: float) -> None:
         """What an slcan adapter sent."""
-        assert isinstance(self._bus, _Slcan)
-        self._on_frames(self._bus.stream.feed(data), now_s)
+        self._on_frames(stream.feed(data), now_s)
 
     def _receive(self, message: can.Message) -> None:
         if not (message.is_extended_id or message.is_error_frame or message.is_remote_frame):
@@ -201,6 +199,10 @@ def _open_bus(config: CanSection) -> can.BusABC:
         return _Slcan(config.channel, config.bitrate_kbit_s * 1000)
     # SocketCAN takes its bit rate from `ip link`.
     return can.Bus(interface=config.interface, channel=config.channel)
+
+
+def _write(bus: can.BusABC, frame_id: int, data: bytes) -> None:
+    bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False), timeout=0)
 
 
 def _reason(error: Exception, config: CanSection) -> str:
