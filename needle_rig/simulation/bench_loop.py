@@ -50,10 +50,10 @@ _EMERGENCY_CODE = 0x2310
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
 _REGAIN_AT_MOST_S = 0.5
-_STEPS_A_WAKE = 8
-_HANDED_OVER_S = 0.005
-"""At rest what the nodes send is handed over so often; a USB adapter does it every 16 ms, and to wake
-up for every step takes longer than the step."""
+_STEPS_A_WAKE = 12
+_HANDED_OVER_S = 0.008
+"""At rest what the nodes send is handed over so often at least: half of what a USB adapter takes, and more
+than a tick of 200 Hz, so that a host's commands set the pace. To wake up for a step costs more than it."""
 _TOO_OFTEN = 5
 _ALL_OF_A_CORE = 0.8
 _HAND_RAD_S = rad(120.0)

@@ -6,7 +6,7 @@ import re
 from binascii import hexlify, unhexlify
 
 OK, ERROR = b"\r", b"\a"
-_FRAME = re.compile(rb"\At([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2}){0,8})")
+_FRAME = re.compile(rb"(?:\A|\r)t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2}){0,8})")
 _LONGEST_LINE = 64
 """No line of a classic frame is longer than 32 bytes: more without an end is noise."""
 
@@ -28,11 +28,10 @@ class SlcanStream:
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
         """The (id, data) of frames that end in `data`, oldest first."""
-        *lines, rest = (self._rest + data).replace(ERROR, OK).split(OK)
+        text, _, rest = (self._rest + data).replace(ERROR, OK).rpartition(OK)
         self._rest = rest[-_LONGEST_LINE:]
         return [
             (int(frame_id, 16), unhexlify(letters[: 2 * int(length)]))
-            for line in lines
-            for frame_id, length, letters in _FRAME.findall(line)
+            for frame_id, length, letters in _FRAME.findall(text)
             if len(letters) >= 2 * int(length)
         ]
