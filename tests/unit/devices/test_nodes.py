@@ -62,6 +62,26 @@ def test_a_sensor_without_a_magnet_grows_old_alone_and_is_named() -> None:
     assert device.complaint(host.now_s) == "hall_2 sees a field of 500, healthy is 20000 to 60000"
 
 
+def test_of_frames_that_came_at_once_the_newest_that_is_news_has_the_angles_and_all_are_recorded() -> None:
+    device, host = hall()
+    for tick in range(20):
+        frames = [
+            encode_hall(index, index * 1000, [index * 1e-3, -index * 1e-3], [40_000] * 2)
+            for index in range(5 * tick, 5 * tick + 5)
+        ]
+        host.bring(0, b"".join(frames))
+        host.now_s += 5e-3
+        assert [row[2] for _, row in host.rows] == list(range(5 * tick + 5))
+        if tick > 10:
+            newest_rad = (5 * tick + 4) * 1e-3
+            assert device.angle_rad == pytest.approx((newest_rad, -newest_rad), abs=2e-6)
+    # a replay at the end of what came at once is recorded, and no news
+    late = encode_hall(100, 100_000, [0.1, -0.1], [40_000] * 2)
+    host.bring(0, late + encode_hall(99, 600_000, [1.0, 1.0], [40_000] * 2))
+    assert [row[2] for _, row in host.rows[-2:]] == [100.0, 99.0]
+    assert device.angle_rad == pytest.approx((0.1, -0.1), abs=2e-6)
+
+
 def hall_after_an_outage(
     away_s: float, base_deg: tuple[float, float], hall_deg: float, base_known_frames: int = 60
 ) -> tuple[HallSerial, MemoryHost]:
