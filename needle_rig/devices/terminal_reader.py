@@ -49,7 +49,7 @@ class TerminalReader:
         self._tick_s, self._drained_s = tick_s, -math.inf
         self._chunks: deque[tuple[bytes, float]] = deque()
         self._end: OSError | None = None
-        self._told = False
+        self._told = self._closing = False
         self._loop = asyncio.get_running_loop()
         self._came = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._enough = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -81,6 +81,7 @@ class TerminalReader:
         """Stop reading; the terminal stays open. Safe to call twice."""
         if self._came < 0:
             return
+        self._closing = True
         os.eventfd_write(self._enough, 1)
         self._thread.join(_CLOSE_S)
         self._loop.remove_reader(self._came)
@@ -97,7 +98,7 @@ class TerminalReader:
         poller.register(self._terminal, select.POLLIN)
         poller.register(self._enough, select.POLLIN)
         said = 0
-        while True:
+        while not self._closing:
             try:
                 data = os.read(self._terminal, _READ_BYTES)
             except BlockingIOError:
@@ -111,8 +112,8 @@ class TerminalReader:
                 pause_s = self._pause_s()
                 if pause_s is None:
                     os.eventfd_write(self._came, 1)
-                elif select.select([self._enough], [], [], pause_s)[0]:
-                    return
+                else:
+                    time.sleep(pause_s)
                 continue
             if said & _ENDED:
                 self._finish(OSError(errno.EIO, os.strerror(errno.EIO)))
