@@ -4,31 +4,41 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
+import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import can
 from can.interfaces.slcan import slcanBus
 
 from needle_rig.config.schema import CanSection
-from needle_rig.devices.device import FrameHandler
+from needle_rig.devices.device import Frames
 from needle_rig.devices.ports import claim, claim_interface, interface_reason, port_reason
 from needle_rig.devices.terminal_reader import TerminalReader
 from needle_rig.errors import RigFault
+from needle_rig.wire.slcan import SlcanStream, slcan_line
 
 _FRAMES_A_WAKE = 512
-_FRAME_LETTERS = frozenset((b"t", b"T", b"r", b"R"))
 
 
 class CanLink:
     """Owns the bus. A bus that dies stays silent: its death shows in the ages of what came over it."""
 
-    def __init__(self, config: CanSection, on_frame: FrameHandler, now: Callable[[], float] = time.monotonic):
+    def __init__(
+        self,
+        config: CanSection,
+        on_frames: Callable[[Frames, float], None],
+        now: Callable[[], float] = time.monotonic,
+        tick_s: float = math.inf,
+    ) -> None:
+        """`tick_s` is from one `poll` to the next, where there is a tick."""
         self._config = config
-        self._on_frame = on_frame
-        self._now = now
+        self._on_frames = on_frames
+        self._now, self._tick_s = now, tick_s
         self._bus: can.BusABC | None = None
+        self._write: Callable[[int, bytes], None]
         self._reader: _Reader | None = None
         self._terminal: TerminalReader | None = None
         self._lock_fd: int | None = None
@@ -47,15 +57,18 @@ class CanLink:
                 self._lock_fd = claim(self._config.channel.partition("@")[0])
             elif self._config.interface == "socketcan":
                 self._lock_fd = claim_interface(self._config.channel)
-            self._bus = _open_bus(self._config)
+            bus = self._bus = _open_bus(self._config)
         except (can.CanError, OSError, ValueError) as error:
             self._release()
             self.trouble = f"{place}: {_reason(error, self._config)}; see links.can in the rig file"
             raise RigFault(self.trouble) from error
-        if isinstance(self._bus, _Slcan):
-            self._terminal = TerminalReader(self._bus.fileno(), self._feed, self._on_end, self._now)
+        if isinstance(bus, _Slcan):
+            received = functools.partial(self._feed, bus.stream)
+            self._terminal = TerminalReader(bus.fileno(), received, self._on_end, self._now, self._tick_s)
+            self._write = bus.write
         else:
-            self._reader = _Reader(self._bus, self._receive, self._on_lost)
+            self._reader = _Reader(bus, self._receive, self._on_lost)
+            self._write = functools.partial(_write, bus)
         self.lost, self.trouble = False, ""
 
     def poll(self) -> None:
@@ -70,7 +83,7 @@ class CanLink:
         if self._bus is None or self.lost:
             return False
         try:
-            self._bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False), timeout=0)
+            self._write(frame_id, data)
         except (can.CanError, OSError):
             return False
         return True
@@ -100,18 +113,13 @@ class CanLink:
     def _on_end(self, error: OSError) -> None:
         self._on_lost(can.CanOperationError(f"the adapter is gone: {error.strerror}"))
 
-    def _feed(self, data: bytes, now_s: float) -> None:
+    def _feed(self, stream: SlcanStream, data: bytes, now_s: float) -> None:
         """What an slcan adapter sent."""
-        assert isinstance(self._bus, _Slcan)
-        for message in self._bus.messages(data):
-            self._pass_on(message, now_s)
+        self._on_frames(stream.feed(data), now_s)
 
     def _receive(self, message: can.Message) -> None:
-        self._pass_on(message, self._now())
-
-    def _pass_on(self, message: can.Message, now_s: float) -> None:
         if not (message.is_extended_id or message.is_error_frame or message.is_remote_frame):
-            self._on_frame(message.arbitration_id, bytes(message.data), now_s)
+            self._on_frames([(message.arbitration_id, bytes(message.data))], self._now())
 
 
 class _Reader(can.Notifier):
@@ -153,11 +161,15 @@ class _Reader(can.Notifier):
 
 
 class _Slcan(slcanBus):
-    """python-can's slcan that is given what was read and never waits for the adapter to drain.
+    """python-can's slcan to open a channel and to send; it never waits for the adapter to drain.
 
     The original reads byte by byte (two system calls each: a fifth of a core at 2000 frames/s) and calls
     tcdrain after each frame, which an adapter that hangs can hold for seconds.
     """
+
+    def __init__(self, channel: str, bitrate: int) -> None:
+        self.stream = SlcanStream()
+        super().__init__(channel, bitrate=bitrate, sleep_after_open=0)
 
     def shutdown(self) -> None:
         """Close the channel and the port; the port also when the adapter cannot be told."""
@@ -166,8 +178,14 @@ class _Slcan(slcanBus):
         finally:
             self.serialPortOrig.close()
 
+    def write(self, frame_id: int, data: bytes) -> None:
+        """Send one plain frame."""
+        self._send(slcan_line(frame_id, data))
+
     def _write(self, string: str) -> None:
-        line = string.encode() + self.LINE_TERMINATOR
+        self._send(string.encode() + self.LINE_TERMINATOR)
+
+    def _send(self, line: bytes) -> None:
         try:
             sent = os.write(self.serialPortOrig.fileno(), line)
         except OSError as error:
@@ -175,27 +193,16 @@ class _Slcan(slcanBus):
         if sent != len(line):
             raise can.CanOperationError("the adapter's buffer is full")
 
-    def messages(self, data: bytes) -> Iterator[can.Message]:
-        """The frames that end in `data`; lines that are no frame are left out."""
-        *lines, rest = (bytes(self._buffer) + data).replace(self._ERROR, self._OK).split(self._OK)
-        # No slcan line of a classic frame is longer than 32 bytes: more without an end is noise.
-        self._buffer = bytearray(rest[-64:])
-        for line in lines:
-            if line[:1] in _FRAME_LETTERS:
-                self._queue.put_nowait(line.decode("ascii", "replace"))
-                with contextlib.suppress(ValueError, IndexError):
-                    if (message := self._recv_internal(0)[0]) is not None:
-                        yield message
-
-    def _read(self, timeout: float | None) -> str | None:  # noqa: ARG002 as python-can calls it
-        return self._queue.get_nowait() if self._queue.qsize() else None
-
 
 def _open_bus(config: CanSection) -> can.BusABC:
     if config.interface == "slcan":
-        return _Slcan(config.channel, bitrate=config.bitrate_kbit_s * 1000, sleep_after_open=0)
+        return _Slcan(config.channel, config.bitrate_kbit_s * 1000)
     # SocketCAN takes its bit rate from `ip link`.
     return can.Bus(interface=config.interface, channel=config.channel)
+
+
+def _write(bus: can.BusABC, frame_id: int, data: bytes) -> None:
+    bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False), timeout=0)
 
 
 def _reason(error: Exception, config: CanSection) -> str:

@@ -7,7 +7,7 @@ behind real ports, behind a simulated device, and in the contract test alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar, Protocol
 
 from needle_rig.config.schema import Section
@@ -15,6 +15,8 @@ from needle_rig.records import Command, DriveFault, DriveState
 
 FrameHandler = Callable[[int, bytes, float], None]
 """Receives (frame id, data, host time in s of its arrival)."""
+Frames = Sequence[tuple[int, bytes]]
+"""The (frame id, data) of frames that were read at once, oldest first."""
 BytesHandler = Callable[[bytes, float], None]
 """Receives (bytes of a serial line or of one datagram, host time in s of their arrival)."""
 

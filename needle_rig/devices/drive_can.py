@@ -82,11 +82,13 @@ class DriveCan(Drive):
             self.foreign_commands += 1
 
     def _take(self, status: DriveStatus, now_s: float) -> None:
+        same = status.faults == self._status_faults  # to join flags takes as long as to decode a frame
+        faults = self.faults if same else status.faults | self._health.faults
         row = (now_s, status.node_time_s, float(status.counter), status.angle_rad)
-        self._host.record("drive", (*row, float(status.state), float(status.faults | self._health.faults)))
+        self._host.record("drive", (*row, float(status.state), float(faults)))
         if self._clock.accept(status.counter, status.node_time_s, now_s):
             self.angle_rad, self.state, self._status_faults = status.angle_rad, status.state, status.faults
-            self.faults = self._status_faults | self._health.faults
+            self.faults = faults
 
     def _take_health(self, health: DriveHealth, now_s: float) -> None:
         """One that repeats the counter is no news."""

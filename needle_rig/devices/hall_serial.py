@@ -23,15 +23,15 @@ class HallSerial(MultiTurnHall):
         """The newest frame, with its field amplitudes; for calibration."""
 
     def _receive(self, data: bytes, now_s: float) -> None:
+        """Every frame is recorded and judged; of those that came at once the newest has the angles."""
+        newest: HallFrame | None = None
         for frame in self._stream.feed(data):
-            self._take(frame, now_s)
-
-    def _take(self, frame: HallFrame, now_s: float) -> None:
-        self._host.record("hall", (now_s, frame.node_time_s, float(frame.counter), *frame.angle_rad))
-        if not self._fits(len(frame.angle_rad)):
-            return
-        if not self._clock.accept(frame.counter, frame.node_time_s, now_s):
-            return
-        self.frame = frame
-        self._turns.take(frame.angle_rad, frame.complaints, now_s, self._host.base_rad())
-        self.angle_rad = self._turns.angle_rad
+            self._host.record("hall", (now_s, frame.node_time_s, float(frame.counter), *frame.angle_rad))
+            if self._fits(len(frame.angle_rad)) and self._clock.accept(
+                frame.counter, frame.node_time_s, now_s
+            ):
+                newest = frame
+        if newest is not None:
+            self.frame = newest
+            self._turns.take(newest.angle_rad, newest.complaints, now_s, self._host.base_rad())
+            self.angle_rad = self._turns.angle_rad

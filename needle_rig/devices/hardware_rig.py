@@ -18,6 +18,7 @@ from needle_rig.devices.device import (
     Device,
     Drive,
     FrameHandler,
+    Frames,
     HallSensors,
     Host,
     Link,
@@ -63,7 +64,7 @@ class RealHost:
         self._raw = raw
         self._can_section = config.links.can
         self._bus: CanLink | None = None
-        self._listeners: list[FrameHandler] = []
+        self._listeners: list[tuple[str, FrameHandler]] = []
 
     def record(self, source: str, row: tuple[float, ...]) -> None:
         """See `Host.record`."""
@@ -73,14 +74,14 @@ class RealHost:
     def can(self, received: FrameHandler) -> CanPort:
         """See `Host.can`; all devices share it."""
         if self._bus is None:
-            self._bus = CanLink(self._can_section, self._on_frame, self.now)
+            self._bus = CanLink(self._can_section, self._on_frames, self.now, self.tick_s)
             self.links.append(self._bus)
-        self._listeners.append(self._guarded(received))
+        self._listeners.append((self.kind, received))
         return self._bus
 
     def serial(self, port: str, baud: int, received: BytesHandler) -> BytePort:
         """See `Host.serial`."""
-        line = SerialLine(self.kind, port, baud, self._guarded(received), self.now)
+        line = SerialLine(self.kind, port, baud, self._guarded(received), self.now, self.tick_s)
         self.links.append(line)
         return line
 
@@ -102,13 +103,21 @@ class RealHost:
             try:
                 received(*given, **named)
             except Exception as error:  # noqa: BLE001 a device of one's own may raise anything
-                self.defects[kind] = f"its device has a defect: {type(error).__name__}: {error}"
+                self._defect(kind, error)
 
         return guarded
 
-    def _on_frame(self, frame_id: int, data: bytes, now_s: float) -> None:
-        for listener in self._listeners:
-            listener(frame_id, data, now_s)
+    def _on_frames(self, frames: Frames, now_s: float) -> None:
+        """Frame by frame in the order of the bus; a device's defect costs it the frame alone."""
+        for frame_id, data in frames:
+            for kind, received in self._listeners:
+                try:
+                    received(frame_id, data, now_s)
+                except Exception as error:  # noqa: BLE001 as above
+                    self._defect(kind, error)
+
+    def _defect(self, kind: str, error: Exception) -> None:
+        self.defects[kind] = f"its device has a defect: {type(error).__name__}: {error}"
 
 
 class HardwareRig:

@@ -51,7 +51,9 @@ class LinkClock:
         if counter == self._counter or node_time_s == self._node_s:
             return False
         # The offset nearest to that of the frame before, whatever turns the node's clock made.
-        expected_s = self._offset_s + self._way.at(now_s) - self._way.at(self._arrival_s)
+        expected_s = self._offset_s
+        if now_s != self._arrival_s:  # else they were read at once
+            expected_s += self._way.at(now_s) - self._way.at(self._arrival_s)
         step_s = math.remainder(now_s - node_time_s - expected_s, self._period_s)
         if abs(step_s) > _LATENCY_LIMIT_S:
             return self._reconsider(counter, node_time_s, now_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from collections.abc import Callable
@@ -25,10 +26,14 @@ class SerialLine:
         baud: int,
         received: BytesHandler,
         now: Callable[[], float] = time.monotonic,
+        tick_s: float = math.inf,
     ) -> None:
-        """`name` is what a person calls the link, `torque`, `hall` or `drive` as below `links`."""
+        """`name` is what a person calls the link, `torque`, `hall` or `drive` as below `links`.
+
+        `tick_s` is from one `poll` to the next, where there is a tick.
+        """
         self._name, self._baud = name, baud
-        self._received, self._now = received, now
+        self._received, self._now, self._tick_s = received, now, tick_s
         self._port: serial.Serial | None = None
         self._reader: TerminalReader | None = None
         self.place = port
@@ -51,7 +56,7 @@ class SerialLine:
         with contextlib.suppress(ValueError, OSError, NotImplementedError):
             # USB adapters else hold bytes back for 16 ms; a pty has no such mode
             port.set_low_latency_mode(True)
-        self._reader = TerminalReader(port.fileno(), self._received, self._on_end, self._now)
+        self._reader = TerminalReader(port.fileno(), self._received, self._on_end, self._now, self._tick_s)
         self.lost = False
 
     async def close(self) -> None:

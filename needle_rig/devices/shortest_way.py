@@ -52,7 +52,7 @@ class ShortestWay:
         if not self._known:
             return self._offset_s + self._tolerance * elapsed_s
         moved = self._rate + _SLACK + _DRIFT_PER_S * elapsed_s / 2
-        return self._offset_s + min(moved, self._tolerance) * elapsed_s
+        return self._offset_s + (moved if moved < self._tolerance else self._tolerance) * elapsed_s
 
     def take(self, offset_s: float, now_s: float) -> float:
         """How late a frame with this offset is, seconds; two in a row must agree on a shorter way."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 from needle_rig.errors import BadInput
+from needle_rig.folders import temporary_folder
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
 from needle_rig.questions.learn import free_place
@@ -62,8 +62,8 @@ class Demo(Question):
                 f"the law acts in tissue section {SECTION}, and {plant.name} has {sections}; name another"
                 " parameter set"
             )
-        with TemporaryDirectory(prefix="needle-rig-") as folder, doing.work(self) as work:
-            draft = Path(folder) / "learnt_law.py" if self.draft is None else Path(self.draft)
+        with temporary_folder("needle-rig-demo-") as folder, doing.work(self) as work:
+            draft = folder / "learnt_law.py" if self.draft is None else Path(self.draft)
             return tell_law_story(
                 plant,
                 library,

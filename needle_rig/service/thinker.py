@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import pickle
@@ -29,6 +28,7 @@ from needle_rig.control.strategies.single_lag import SingleLag
 from needle_rig.control.strategies.tip_friction import TipFriction
 from needle_rig.control.strategy import History, Strategy, Task, Waypoint, find_strategies
 from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.parent import end_with_parent
 
 QUICK = frozenset(
     {
@@ -38,7 +38,6 @@ QUICK = frozenset(
 )
 """Strategies known to answer within a tick: a few lines of arithmetic. All others think in the child."""
 _SPAWN = multiprocessing.get_context("spawn")
-_PR_SET_PDEATHSIG = 1
 _CLOSE_S = 1.0
 
 Said = Waypoint | NeedleRigError | None
@@ -53,7 +52,7 @@ class Thinker:
 
     def __init__(self, limit_s: float = threading.TIMEOUT_MAX) -> None:
         self._limit_s = limit_s
-        # one thread for good: the child ends with the thread that started it, and to start one takes ticks
+        # one thread for good: to start one takes ticks
         self._asking = ThreadPoolExecutor(1, "thinker")
         self._lock = threading.Lock()
         self._child: _Child | None = None
@@ -167,7 +166,7 @@ class _Child:
 def _answer_all(there: Connection) -> None:
     """Answer until nobody asks: lower than the tick in every queue, and gone when the daemon is."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     os.nice(5)
     os.dup2(2, 1)  # standard output is the daemon's word to its client
     with contextlib.suppress(EOFError):

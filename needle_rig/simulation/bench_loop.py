@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
-from needle_rig.records import Measurement
+from needle_rig.records import DriveState, Measurement
 from needle_rig.simulation.bench_lines import Said
 from needle_rig.simulation.cia402_node import Cia402Node
 from needle_rig.simulation.faults import Faults, Link, over_index
@@ -50,7 +50,10 @@ _EMERGENCY_CODE = 0x2310
 _GIVE_UP_S = 0.03
 _REGAIN = 0.2
 _REGAIN_AT_MOST_S = 0.5
-_STEPS_A_WAKE = 4
+_STEPS_A_WAKE = 12
+_HANDED_OVER_S = 0.008
+"""At rest what the nodes send is handed over so often at least: half of what a USB adapter takes, and more
+than a tick of 200 Hz, so that a host's commands set the pace. To wake up for a step costs more than it."""
 _TOO_OFTEN = 5
 _ALL_OF_A_CORE = 0.8
 _HAND_RAD_S = rad(120.0)
@@ -123,6 +126,8 @@ class BenchLoop:
         self._last_command: tuple[bool, bool] | None = None
         self._last_state: Any = None
         self._velocity_rad_s = 0.0
+        self._base_rad = plant.true_base_rad
+        """Before the newest step."""
 
     @property
     def ports(self) -> dict[str, str]:
@@ -139,15 +144,24 @@ class BenchLoop:
         sockets = [] if self._netft is None else self._netft.waited_on
         while True:
             ports = [self._can_port] if self._can_port is not None else []
+            wake_s = deadline_s + self._rest_s
             ready, _, _ = select.select(
-                [*watched, *ports, *sockets], [], [], max(deadline_s - time.monotonic(), 0.0)
+                [*watched, *ports, *sockets], [], [], max(wake_s - time.monotonic(), 0.0)
             )
-            late_s = time.monotonic() - deadline_s
+            late_s = time.monotonic() - wake_s
             if late_s > _GIVE_UP_S:
                 self._stand_still(late_s)
                 deadline_s += late_s
+            for _ in range(_STEPS_A_WAKE):
+                if deadline_s > time.monotonic():
+                    break
+                self._now_us = round((deadline_s - self._start_s) * 1e6)
+                self._step()
+                deadline_s += 1.0 / self._loop_hz - self._regained_s()
+            self._hand_over()
             if self._can_port in ready and self._can_port is not None:
-                self._now_us = round((time.monotonic() - self._start_s) * 1e6)
+                # where steps are still due, the nodes' clocks are behind
+                self._now_us = round((min(time.monotonic(), deadline_s) - self._start_s) * 1e6)
                 self._hub.serve(self._can_port)
                 self._hub.flush()
             for asked in sockets:
@@ -162,12 +176,16 @@ class BenchLoop:
                 *lines, rest = (rest + text).split(b"\n")
                 for line in lines:
                     self._obey(line.decode("utf-8", "replace").split())
-            for _ in range(_STEPS_A_WAKE):
-                if deadline_s > time.monotonic():
-                    break
-                self._now_us = round((deadline_s - self._start_s) * 1e6)
-                self._step()
-                deadline_s += 1.0 / self._loop_hz - self._regained_s()
+
+    @property
+    def _rest_s(self) -> float:
+        """How much longer than to its next step the bench may sleep, unless it is spoken to."""
+        moves = (
+            self._drive.state is DriveState.RUNNING
+            or self._plant.true_base_rad != self._base_rad
+            or self._by_hand_rad
+        )
+        return 0.0 if moves else max(_HANDED_OVER_S - 1.0 / self._loop_hz, 0.0)
 
     def close(self) -> None:
         """Hang up every port."""
@@ -210,6 +228,7 @@ class BenchLoop:
 
     def _step(self) -> None:
         dt_s = 1.0 / self._loop_hz
+        self._base_rad = self._plant.true_base_rad
         if self._by_hand_rad and not self._drive.powered:
             turn = math.copysign(min(abs(self._by_hand_rad), _HAND_RAD_S * dt_s), self._by_hand_rad)
             self._by_hand_rad -= turn
@@ -243,6 +262,10 @@ class BenchLoop:
         data = hall.through(sent, now_us * 1e-6) if sent else None
         if self._hall_port is not None:
             self._hall_port.write(data or b"")
+
+    def _hand_over(self) -> None:
+        """What the nodes sent since the last time; Hall and CAN together."""
+        if self._hall_port is not None:
             self._hall_port.flush()
         self._hub.flush()
 

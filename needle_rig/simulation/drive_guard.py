@@ -181,7 +181,9 @@ class DriveGuard:
             found |= DriveFault.FRAME
         if self._foreign_us > settings.foreign_commands * settings.foreign_us:
             found |= DriveFault.MASTER
-        return found | (DriveFault.EMERGENCY_STOP if emergency_stop else DriveFault.NONE)
+        if emergency_stop:
+            found |= DriveFault.EMERGENCY_STOP
+        return found
 
     def _judge_motion(self, elapsed_us: int, angle_mdeg: int, asked: int) -> DriveFault:
         """What the shaft does against what was asked of it; a hand may turn it while the motor is off."""
@@ -211,11 +213,11 @@ class DriveGuard:
         return bool(self.faults & ~TEMPORARY)
 
     def _latch(self, now_us: int, causes: DriveFault) -> None:
-        latching = causes & ~TEMPORARY
         if self.state is DriveState.SILENT and causes & DriveFault.EMERGENCY_STOP:
             self.state = DriveState.FAULT
         if self.state is not DriveState.FAULT:
             return
+        latching = causes & ~TEMPORARY
         self.faults |= latching
         if latching & ~DriveFault.ANGLE:
             self._cause_us = now_us

@@ -63,6 +63,9 @@ class Link:
             return self._random.randbytes(len(data))
         if self.fault == "freeze":
             return self._last.get(frame_id)
+        if not self.delay_s and not self._waiting.get(frame_id):
+            self._last[frame_id] = data
+            return data
         waiting = self._waiting.setdefault(frame_id, deque())
         waiting.append((now_s + self.delay_s, data))
         arrived = None

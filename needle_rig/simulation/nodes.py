@@ -78,8 +78,9 @@ class DriveNode:
         self._counts = 0
         self._index_rad, self._index_before = math.nan, False
         self._counter = 0
-        self._health: DriveHealth | None = None
-        self._health_us = 0
+        self._flags: tuple[object, ...] = ()
+        """What DRIVE_HEALTH said last of that which is said at once when it changes."""
+        self._healths, self._health_us = -1, 0
 
     @property
     def state(self) -> DriveState:
@@ -149,28 +150,19 @@ class DriveNode:
 
     def _report_health(self, now_us: int, emergency_stop: bool) -> tuple[Frame, ...]:
         """DRIVE_HEALTH when it is due, or when what it says changed."""
-        said = self._health
-        uptime_s = (now_us - self._boot_us) // 1_000_000
-        health = DriveHealth(
-            DriveFault(self.faults & ~0xFF),
-            self.supply_on,
-            emergency_stop,
-            self.guard.referenced,
-            self._index_rad,
-            uptime_s,
-            0 if said is None else said.counter + 1,
-        )
-        if (
-            said is not None
-            and now_us - self._health_us < HEALTH_PERIOD_US
-            and _flags(health) == _flags(said)
-        ):
+        guard, seen = self.guard, math.isfinite(self._index_rad)
+        flags = (int(guard.faults) >> 8, guard.supply, emergency_stop, guard.referenced, seen)
+        if flags == self._flags and now_us - self._health_us < HEALTH_PERIOD_US:
             return ()
-        self._health, self._health_us = health, now_us
+        self._flags, self._health_us = flags, now_us
+        self._healths += 1
+        health = DriveHealth(
+            DriveFault(guard.faults & ~0xFF),
+            guard.supply,
+            emergency_stop,
+            guard.referenced,
+            self._index_rad,
+            (now_us - self._boot_us) // 1_000_000,
+            self._healths,
+        )
         return ((DRIVE_HEALTH_ID, self._codec.encode_health(health)),)
-
-
-def _flags(health: DriveHealth) -> tuple[object, ...]:
-    """What is said at once when it changes."""
-    seen = math.isfinite(health.index_rad)
-    return health.faults, health.supply_on, health.emergency_stop, health.referenced, seen

@@ -72,6 +72,13 @@ class Plant:
         """Between this plant and a host without nodes."""
         self.supply_on = True
         """Whether the motor has its supply: decided by the guard in `advance`, by nodes before `turn`."""
+        self._resolution = (
+            nm(settings.torque_noise_nmm),
+            nm(settings.torque_step_nmm),
+            rad(settings.hall_noise_deg),
+            rad(settings.hall_step_deg),
+            rad(settings.encoder_step_deg),
+        )
         self._guard_settings = guard
         self._commands = 0
         self._index_rad = math.nan
@@ -80,7 +87,7 @@ class Plant:
         self._place = (start_s, index, travel_before_rad)
         self._observers = model.acting("observe")
         self._random = np.random.default_rng(settings.seed)
-        self._noise: Iterator[Array] = iter(())
+        self._noise: Iterator[list[float]] = iter(())
         self._state: RodState | None = None
         self._timeless = _timeless(model.rod(self._trial([(0.0, 0.0)])))
         self._path: list[tuple[float, float]] = [(0.0, 0.0)]
@@ -90,6 +97,7 @@ class Plant:
         self._recent: deque[_Instant] = deque(maxlen=REMEMBERED)
         self._torque_nm = self._torque_read_nm = 0.0
         self._hall_rad: Array = np.zeros(len(model.layout.sensor_positions_m))
+        self._hall_told: list[float] = []
         self._solve()
         self.reset_drive()
         self._sense()
@@ -211,30 +219,38 @@ class Plant:
         self._state = solution.state
         self._torque_nm = float(solution.torque_nm[-1])
         self._hall_rad = solution.sensor_rad[-1]
+        self._hall_told = self._hall_rad.tolist()
 
-    def _drawn(self) -> Array:
+    def _drawn(self) -> list[float]:
         """Standard normal noise of one sample: of the torque, then of every Hall sensor."""
         if (noise := next(self._noise, None)) is None:
-            self._noise = iter(self._random.standard_normal((_NOISE_BLOCK, 1 + len(self._hall_rad))))
+            block = self._random.standard_normal((_NOISE_BLOCK, 1 + len(self._hall_rad)))
+            self._noise = iter(block.tolist())
             noise = next(self._noise)
         return noise
 
     def _sense(self) -> None:
-        settings, noise = self.settings, self._drawn()
-        torque, hall = self._torque_nm, self._hall_rad
+        spread_nm, step_nm, spread_rad, step_rad, base_step_rad = self._resolution
+        torque_noise, *hall_noise = self._drawn()
+        torque, hall = self._torque_nm, self._hall_told
         if self._observers:
             torque, hall = self._observed()
-        torque += nm(settings.torque_noise_nmm) * float(noise[0])
-        hall = hall + rad(settings.hall_noise_deg) * noise[1:]
+        torque += spread_nm * torque_noise
         faults = self.faults
-        torque = faults.torque.of(_quantised(torque, nm(settings.torque_step_nmm)))
-        seen = (np.rint(hall / rad(settings.hall_step_deg)) * rad(settings.hall_step_deg)).tolist()
+        torque = faults.torque.of(_quantised(torque, step_nm))
         angles = tuple(
-            faults.hall[i].of(angle) if i in faults.hall else angle for i, angle in enumerate(seen)
+            [
+                _quantised(angle + spread_rad * noise, step_rad)
+                for angle, noise in zip(hall, hall_noise, strict=True)
+            ]
         )
+        if faults.hall:
+            angles = tuple(
+                faults.hall[i].of(angle) if i in faults.hall else angle for i, angle in enumerate(angles)
+            )
         self._encoder_rad = faults.encoder.of(self.motor.angle_rad)
         self._torque_read_nm = torque
-        base = _quantised(self._base_rad(), rad(settings.encoder_step_deg))
+        base = _quantised(self._base_rad(), base_step_rad)
         self._measurement = self._arrived(
             Measurement(
                 time_s=self.time_s,
@@ -261,6 +277,10 @@ class Plant:
 
     def _arrived(self, now: Measurement) -> Measurement:
         """`now` with what links that fail keep back: their values stay, and grow old."""
+        links = self.links
+        if not (links.torque.fault or links.hall.fault or links.drive.fault or links.hall_faded):
+            self._sampled_s = dict.fromkeys(_LINKS, self.time_s)
+            return now
         kept: dict[str, object] = {}
         for link, fields in _LINKS.items():
             if getattr(self.links, link).fault or (link == "hall" and self.links.hall_faded):
@@ -270,7 +290,7 @@ class Plant:
                 self._sampled_s[link] = self.time_s
         return replace(now, **kept) if kept else now  # type: ignore[arg-type]
 
-    def _observed(self) -> tuple[float, Array]:
+    def _observed(self) -> tuple[float, list[float]]:
         now = _Instant(self.time_s, self._path[-1][1], self._torque_nm, self._hall_rad)
         recent = [*self._recent, now]
         truth = Reading(
@@ -280,7 +300,7 @@ class Plant:
         )
         reading, states = shown(self._observers, truth, recent[0].states)
         self._recent.append(now._replace(states=states))
-        return float(reading.torque_nm[-1]), reading.hall_rad[-1]
+        return float(reading.torque_nm[-1]), reading.hall_rad[-1].tolist()
 
 
 class _Instant(NamedTuple):

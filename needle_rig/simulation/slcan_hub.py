@@ -9,11 +9,12 @@ import tty
 from collections.abc import Callable
 from typing import Protocol
 
+from needle_rig.wire.slcan import ERROR, OK, slcan_line
+
 Frame = tuple[int, bytes]
 
 _FRAME = re.compile(rb"t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2})*)")
 _QUEUE_BYTES = 4096
-_OK, _ERROR = b"\r", b"\a"
 
 
 class CanPort(Protocol):
@@ -105,11 +106,11 @@ class SlcanPort(Pty):
     def send(self, frame: Frame) -> None:
         """Pass a frame on to the program if it opened the channel."""
         if self.is_open:
-            self.write(_line(frame))
+            self.write(slcan_line(*frame))
 
     def send_garbled(self, frame: Frame, garble: Callable[[bytes], bytes]) -> None:
         """Send noise in place of the frame's line, whether the channel is open or not."""
-        self.write(garble(_line(frame)))
+        self.write(garble(slcan_line(*frame)))
 
     def _obey(self, line: bytes) -> Frame | None:
         match = _FRAME.fullmatch(line)
@@ -118,19 +119,14 @@ class SlcanPort(Pty):
             return int(match[1], 16), bytes.fromhex(match[3].decode())
         if line in (b"O", b"L", b"C"):
             self.is_open = line != b"C"
-            self.write(_OK)
+            self.write(OK)
         elif line == b"V":
             self.write(b"V0101\r")
         elif line == b"" or (line[:1] == b"S" and line[1:].isdigit()):
-            self.write(_OK)
+            self.write(OK)
         else:
-            self.write(_ERROR)
+            self.write(ERROR)
         return None
-
-
-def _line(frame: Frame) -> bytes:
-    frame_id, data = frame
-    return b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode())
 
 
 class SlcanHub:

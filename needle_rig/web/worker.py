@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
-import threading
 import traceback
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 from needle_rig.errors import NeedleRigError
+from needle_rig.parent import end_with
 from needle_rig.workbench.parallel import one_thread_each
 
 NICE = 10
@@ -51,7 +50,7 @@ def main() -> None:
     one_thread_each()
     voice = Voice()
     request = json.loads(sys.stdin.readline())
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with(sys.stdin.fileno())
     try:
         from needle_rig.questions.doing import Doing
         from needle_rig.web.work import work
@@ -64,11 +63,6 @@ def main() -> None:
         traceback.print_exc()
         said = traceback.format_exc().strip().splitlines()[-1]
         voice.tell(error=f"a defect of this program: {said}")
-
-
-def _end_with_parent() -> None:
-    sys.stdin.read()
-    os.killpg(0, signal.SIGKILL)
 
 
 if __name__ == "__main__":

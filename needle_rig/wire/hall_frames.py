@@ -11,7 +11,7 @@ import binascii
 import math
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 ANGLES_TYPE = 1
 COUNTER_MODULUS = 65536
@@ -27,8 +27,7 @@ _LARGEST_ANGLE_URAD = math.ceil(math.pi * 1e6)
 _LONGEST_FRAME = 255
 
 
-@dataclass(frozen=True, slots=True)
-class HallFrame:
+class HallFrame(NamedTuple):
     """One reading of all sensors: wrapped angles within ±π, field amplitudes 0…65535."""
 
     counter: int
@@ -41,10 +40,12 @@ class HallFrame:
         """What is wrong with each sensor's reading; empty where it can be used."""
         lowest, highest = HEALTHY_FIELD
         return tuple(
-            ""
-            if lowest <= amplitude <= highest
-            else f"sees a field of {amplitude}, healthy is {lowest} to {highest}"
-            for amplitude in self.field
+            [
+                ""
+                if lowest <= amplitude <= highest
+                else f"sees a field of {amplitude}, healthy is {lowest} to {highest}"
+                for amplitude in self.field
+            ]
         )
 
 
@@ -62,18 +63,17 @@ def cobs_encode(content: bytes) -> bytes:
 
 def cobs_decode(stuffed: bytes) -> bytes | None:
     """The reverse of `cobs_encode`; None when `stuffed` is not a whole COBS frame."""
+    if 0 in stuffed:
+        return None
     out = bytearray()
     place, end = 0, len(stuffed)
     while place < end:
         code = stuffed[place]
-        piece = stuffed[place + 1 : place + code]
-        if code == 0 or len(piece) != code - 1 or b"\0" in piece:
-            return None
-        out += piece
+        out += stuffed[place + 1 : place + code]
         place += code
         if code < 255 and place < end:
             out.append(0)
-    return bytes(out)
+    return bytes(out) if place == end else None
 
 
 def encode_hall(counter: int, node_time_us: int, angle_rad: Sequence[float], field: Sequence[int]) -> bytes:
@@ -100,9 +100,9 @@ def decode_hall(stuffed: bytes) -> HallFrame | None:
         return None
     values = struct.unpack_from(f"<{count}i{count}H", content, _HEAD.size)
     urad = values[:count]
-    if max(map(abs, urad)) > _LARGEST_ANGLE_URAD:
+    if max(urad) > _LARGEST_ANGLE_URAD or min(urad) < -_LARGEST_ANGLE_URAD:
         return None
-    return HallFrame(counter, node_time_us * 1e-6, tuple(angle * 1e-6 for angle in urad), values[count:])
+    return HallFrame(counter, node_time_us * 1e-6, tuple([angle * 1e-6 for angle in urad]), values[count:])
 
 
 class HallStream:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
-import multiprocessing.connection
 import os
 import pickle
 import sys
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +19,7 @@ from typing import Any, Self
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.extras import missing
 from needle_rig.folders import temporary_folder
+from needle_rig.parent import end_with_parent
 from needle_rig.workbench.answers import Answers, digest_of
 
 Task = tuple[Any, ...]
@@ -135,7 +134,8 @@ class Processes(Work):
             raise BadInput(f"jobs {jobs}: give at least 1")
         one_thread_each()
         self.processes = jobs
-        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext(), initializer=_end_with_parent)
+        # each process holds the pipes of the others' work: their end would not be seen
+        self._pool = ProcessPoolExecutor(jobs, mp_context=_AfreshContext(), initializer=end_with_parent)
         self._stack = ExitStack()
         self._folder = self._stack.enter_context(temporary_folder("needle-rig-tasks-"))
         self._round = 0
@@ -175,18 +175,6 @@ def _keep(keep: Keep, done: Future[bytes]) -> None:
     """Keep the answer of a future that has one."""
     if not done.cancelled() and done.exception() is None:
         keep(done.result())
-
-
-def _end_with_parent() -> None:
-    """Leave no process behind one that was killed: nobody else would end it."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def wait() -> None:
-        multiprocessing.connection.wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 _SHARED: dict[Path, Any] = {}

@@ -84,6 +84,44 @@ def test_an_interrupt_ends_all_processes_at_once(
     assert list(tmp_path.iterdir()) == [script]
 
 
+COMPILED = """
+from needle_rig.workbench.parallel import Processes
+
+if __name__ == "__main__":
+    with Processes(2) as work:
+        work.share(range(10**13))
+        print("begun", flush=True)
+        work.run(sum, [()] * 2)
+"""
+
+
+def test_processes_end_with_a_killed_parent_whatever_they_are_busy_with(tmp_path: Path) -> None:
+    """`sum` holds the interpreter's lock: no thread of its process comes to a turn."""
+    script = tmp_path / "script.py"
+    script.write_text(COMPILED)
+    folders = os.environ | {"TMPDIR": str(tmp_path)}
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, env=folders, start_new_session=True
+    )
+    with parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == b"begun\n"
+        time.sleep(2.0)
+        parent.kill()
+    deadline_s = time.monotonic() + 10.0
+    while (alive := alive_in_group(parent.pid)) and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    for process in alive:
+        os.kill(int(process), signal.SIGKILL)
+    assert alive == []
+    (left,) = (place for place in tmp_path.iterdir() if place != script)
+    subprocess.run([sys.executable, "-c", NEXT], env=folders, check=True)
+    assert not left.exists()
+
+
+NEXT = "from needle_rig.workbench.parallel import Processes\nwith Processes(1): pass"
+
+
 def alive_in_group(group: int) -> list[str]:
     found = []
     for place in Path("/proc").glob("[0-9]*/stat"):

@@ -33,9 +33,9 @@ def test_a_device_that_raises_is_a_complaint_of_its_link_and_not_the_end_of_the_
     host.can(bad)
     host.kind = "drive"
     host.can(lambda frame_id, data, now_s: heard.append(data))
-    host._on_frame(1, b"x", 1.0)
+    host._on_frames([(1, b"x"), (2, b"y")], 1.0)
     assert host.defects == {"torque": "its device has a defect: IndexError: no such byte"}
-    assert heard == [b"x"]
+    assert heard == [b"x", b"y"]
 
 
 def test_a_defect_stands_in_the_measurement() -> None:

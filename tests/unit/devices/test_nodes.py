@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import CanSection, NodeDevice, SerialSection
 from needle_rig.devices.can_bus import CanLink
+from needle_rig.devices.device import Frames
 from needle_rig.devices.drive_can import DriveCan
 from needle_rig.devices.hall_serial import HallSerial
 from needle_rig.devices.memory_host import MemoryHost
@@ -59,6 +60,26 @@ def test_a_sensor_without_a_magnet_grows_old_alone_and_is_named() -> None:
     assert device.angle_rad == pytest.approx((0.199, 0.099), abs=1e-6)
     assert device.age_s(host.now_s) == pytest.approx(0.101, abs=1e-6)
     assert device.complaint(host.now_s) == "hall_2 sees a field of 500, healthy is 20000 to 60000"
+
+
+def test_of_frames_that_came_at_once_the_newest_that_is_news_has_the_angles_and_all_are_recorded() -> None:
+    device, host = hall()
+    for tick in range(20):
+        frames = [
+            encode_hall(index, index * 1000, [index * 1e-3, -index * 1e-3], [40_000] * 2)
+            for index in range(5 * tick, 5 * tick + 5)
+        ]
+        host.bring(0, b"".join(frames))
+        host.now_s += 5e-3
+        assert [row[2] for _, row in host.rows] == list(range(5 * tick + 5))
+        if tick > 10:
+            newest_rad = (5 * tick + 4) * 1e-3
+            assert device.angle_rad == pytest.approx((newest_rad, -newest_rad), abs=2e-6)
+    # a replay at the end of what came at once is recorded, and no news
+    late = encode_hall(100, 100_000, [0.1, -0.1], [40_000] * 2)
+    host.bring(0, late + encode_hall(99, 600_000, [1.0, 1.0], [40_000] * 2))
+    assert [row[2] for _, row in host.rows[-2:]] == [100.0, 99.0]
+    assert device.angle_rad == pytest.approx((0.1, -0.1), abs=2e-6)
 
 
 def hall_after_an_outage(
@@ -227,11 +248,11 @@ def test_whatever_an_adapter_sends_the_next_good_frame_is_taken(noise: list[byte
         port = Pty()
         got: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
 
-        def on_frame(frame_id: int, data: bytes, now_s: float) -> None:
-            if (frame_id, data) == (0x101, b"\xde\xad\xbe\xef\x00\x11\x22\x33") and not got.done():
-                got.set_result(data)
+        def on_frames(frames: Frames, now_s: float) -> None:
+            if (0x101, b"\xde\xad\xbe\xef\x00\x11\x22\x33") in frames and not got.done():
+                got.set_result(frames[-1][1])
 
-        link = CanLink(CanSection(channel=port.name), on_frame)
+        link = CanLink(CanSection(channel=port.name), on_frames)
         link.open()
         port.write(b"".join(noise) + b"\rt1018DEADBEEF00112233\r")
         port.flush()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
+import math
 import os
 import threading
+import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -67,6 +70,66 @@ async def test_a_tick_takes_what_the_loop_has_not_brought(pair: tuple[int, int])
             break
     assert heard == [b"now"]
     reader.close()
+
+
+async def test_who_drains_every_tick_has_it_read_once_a_tick_and_the_loop_left_alone(
+    pair: tuple[int, int],
+) -> None:
+    adapter, terminal = pair
+    ticks, writes = 30, 10
+    heard: list[bytes] = []
+    reader = TerminalReader(terminal, lambda data, now_s: heard.append(data), lambda e: None, tick_s=0.01)
+    for _ in range(ticks):
+        reader.drain()
+        for _ in range(writes):
+            os.write(adapter, b"x")
+            time.sleep(0.001)
+    with contextlib.suppress(BlockingIOError):
+        assert os.eventfd_read(reader._came) < ticks * writes / 3
+    await until(lambda: len(b"".join(heard)) == ticks * writes)
+    reader.close()
+    assert len(heard) < ticks * writes / 3
+
+
+async def test_the_loop_takes_over_where_a_tick_stays_away(pair: tuple[int, int]) -> None:
+    adapter, terminal = pair
+    heard: list[bytes] = []
+    reader = TerminalReader(terminal, lambda data, now_s: heard.append(data), lambda e: None, tick_s=0.005)
+    for place, sent in enumerate((b"a", b"b", b"c"), 1):
+        reader.drain()
+        os.write(adapter, sent)
+        await until(functools.partial(lambda count: len(b"".join(heard)) == count, place))
+    reader.close()
+    assert b"".join(heard) == b"abc"
+
+
+@pytest.mark.parametrize(
+    ("tick_s", "since_s", "pause_s"),
+    [
+        (0.005, 0.0, 0.004),
+        (0.005, 0.003, 0.001),
+        (0.005, 0.0045, 0.0045),
+        (0.001, 0.0, 0.0008),
+        (0.005, 0.011, None),
+        (0.02, 0.0, None),
+        (math.inf, 0.0, None),
+    ],
+)
+async def test_it_reads_a_fifth_of_a_tick_before_the_next(
+    pair: tuple[int, int],
+    tick_s: float,
+    since_s: float,
+    pause_s: float | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reader = TerminalReader(pair[1], lambda data, now_s: None, lambda e: None, tick_s=tick_s)
+    times = iter((100.0, 100.0 + since_s))
+    with monkeypatch.context() as patched:
+        patched.setattr("needle_rig.devices.terminal_reader.time.monotonic", lambda: next(times))
+        reader.drain()
+        found = reader._pause_s()
+    reader.close()
+    assert found == (None if pause_s is None else pytest.approx(pause_s, abs=1e-9))
 
 
 async def test_a_terminal_that_hangs_up_is_told_once_after_its_last_bytes(pair: tuple[int, int]) -> None:
