@@ -31,6 +31,8 @@ def run_tests(library: Path, *tests: str, **environment: str) -> None:
             "-x",
             "-p",
             "no:cacheprovider",
+            "-n0",
+            "--hypothesis-profile=ci",
             *(here / name for name in tests),
         ],
         env={**os.environ, "NEEDLE_RIG_FIRMWARE": str(library), **environment},

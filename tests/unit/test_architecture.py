@@ -16,6 +16,7 @@ LINT = "from importlinter.cli import lint_imports_command as lint; lint(['--no-c
 
 
 def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    pytest.importorskip("importlinter")
     return subprocess.run(
         [sys.executable, "-c", LINT], cwd=folder, capture_output=True, text=True, check=False
     )
