@@ -26,7 +26,7 @@ from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.learning.adopt import adopt, undo
 from needle_rig.workbench.learning.observations import Traces
 from tests.values import known
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, null_fit
 
 ORIGIN = Origin("hidden", "cd" * 32, "2026-11-23")
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
@@ -250,7 +250,7 @@ class SoftSection(Effect):
 
 
 def test_a_law_in_one_section_is_reached_from_a_model_that_is_far_off() -> None:
-    baseline = fit_baseline(dataset(SoftSection(300.0), seed=61), None, few())
+    baseline = null_fit(SoftSection(300.0), seed=61)
     problem, shared = baseline.problem, Shared(baseline.problem)
     made = next(m for m in candidates(problem, "law") if m.law == Law("shape", "stiffness", "x"))
     screened = screen(shared, baseline.current, made)

@@ -11,7 +11,6 @@ from noise_kinds import noisy
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.units import nm
-from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import notes, search
@@ -20,13 +19,14 @@ from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.notes import of_no_use
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
-from tests.workbench.hidden import dataset, effect, few, try_effect
+from tests.workbench.hidden import dataset, diagnosed, effect, few, null_fit, try_effect
 
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
+BIAS_AND_FRICTION = effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03)
 
 
 def test_nothing_hidden_is_none() -> None:
-    found = diagnose(dataset(seed=5), few())
+    found = diagnosed(seed=5)
     assert found.verdict == "none"
     assert found.effects == ()
     assert {d.decision for d in found.decisions.values()} <= {"absent", "cannot_tell", "negligible"}
@@ -34,7 +34,7 @@ def test_nothing_hidden_is_none() -> None:
 
 
 def test_one_hidden_effect_is_named_with_its_size() -> None:
-    found = diagnose(dataset(ELASTIC), few())
+    found = diagnosed(ELASTIC)
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     value = found.ranking[0].values[0]
     assert value.low <= 0.45 <= value.high
@@ -46,13 +46,12 @@ def test_one_hidden_effect_is_named_with_its_size() -> None:
 
 
 def test_two_hidden_effects_are_both_named() -> None:
-    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
-    found = diagnose(data, few())
+    found = diagnosed(*BIAS_AND_FRICTION)
     assert set(found.effects) == {"torque_bias", "tip_friction"}
 
 
 def test_an_effect_in_no_library_is_unknown_and_described() -> None:
-    found = diagnose(dataset(ELASTIC), few("torque_bias", "hall_offset", "clock_offset"))
+    found = diagnosed(ELASTIC, library=("torque_bias", "hall_offset", "clock_offset"))
     assert found.verdict == "unknown"
     assert found.effects == ()
     assert found.residual_patterns.patterns
@@ -77,7 +76,7 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
         relaxing_stiffness_nmm_per_rad_per_100mm=0.05,
         relaxation_time_s=2.0,
     )
-    found = diagnose(dataset(creeping), few("tissue_elasticity", "torque_bias", "hall_offset"))
+    found = diagnosed(creeping, library=("tissue_elasticity", "torque_bias", "hall_offset"))
     assert found.explained_fraction > 0.99
     assert found.verdict == "unknown"
     assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
@@ -107,7 +106,7 @@ def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch:
 
 
 def test_an_effect_too_small_to_matter_is_negligible() -> None:
-    found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
+    found = diagnosed(effect("torque_bias", bias_nmm=0.001), library=("torque_bias", "chuck_backlash"))
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "negligible"
     assert [(s.kind, s.best) for s in found.search.steps] == [("set aside", frozenset())]
@@ -116,17 +115,14 @@ def test_an_effect_too_small_to_matter_is_negligible() -> None:
 
 
 def test_a_torque_gain_is_known_by_the_needle_s_stated_constants() -> None:
-    found = diagnose(
-        dataset(effect("torque_gain", gain=0.7)), few("torque_gain", "torque_bias", "tip_friction")
-    )
+    found = diagnosed(effect("torque_gain", gain=0.7), library=("torque_gain", "torque_bias", "tip_friction"))
     assert found.effects == ("torque_gain",)
     assert found.ranking[0].values[0].value == pytest.approx(0.7, abs=0.06)
 
 
 def test_friction_that_wears_is_not_taken_for_scatter() -> None:
-    found = diagnose(
-        dataset(effect("friction_wear", loss_per_turn=0.5)),
-        few("friction_wear", "torque_bias", "tip_friction"),
+    found = diagnosed(
+        effect("friction_wear", loss_per_turn=0.5), library=("friction_wear", "torque_bias", "tip_friction")
     )
     assert found.effects == ("friction_wear",)
     assert found.ranking[0].values[0].value == pytest.approx(0.5, abs=0.1)
@@ -140,7 +136,7 @@ def test_friction_that_wears_is_not_taken_for_scatter() -> None:
     ],
 )
 def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden: Effect, law: str) -> None:
-    found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
+    found = diagnosed(hidden, library=("torque_bias", "tip_friction"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert law in found.residual_patterns.patterns[0].sentence()
     assert not found.residual_patterns.patterns[1:]
@@ -160,7 +156,7 @@ def test_the_answer_does_not_depend_on_names_and_order(tmp_path: Path) -> None:
     shuffled = tuple(data.trials[i] for i in (3, 0, 4, 2, 1))
     renamed = tuple(dataclasses.replace(t, file=f"other/{i}.csv") for i, t in enumerate(shuffled))
     other = dataclasses.replace(data, name="another", trials=in_series(renamed))
-    one, two = diagnose(data, few()).as_json(), diagnose(other, few()).as_json()
+    one, two = diagnosed(ELASTIC).as_json(), diagnose(other, few()).as_json()
     assert one["dataset"] != two["dataset"]
     assert {**one, "dataset": ""} == {**two, "dataset": ""}
 
@@ -170,7 +166,7 @@ TWO = ("chuck_backlash", "torque_bias")
 
 @pytest.fixture(scope="module")
 def answer_here() -> Any:
-    return diagnose(dataset(effect("chuck_backlash", play_deg=5.0)), few(*TWO)).as_json()
+    return diagnosed(effect("chuck_backlash", play_deg=5.0), library=TWO).as_json()
 
 
 def test_processes_give_the_same_answer(answer_here: Any) -> None:
@@ -279,8 +275,7 @@ def test_a_tie_comes_with_the_trial_that_breaks_it() -> None:
 
 
 def test_what_was_not_refitted_is_said() -> None:
-    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
-    found = diagnose(data, few())
+    found = diagnosed(*BIAS_AND_FRICTION)
     search = found.search
     on_top = search.children[search.best]
     assert on_top
@@ -306,7 +301,7 @@ def test_the_seed_and_the_folder_change_no_verdict(tmp_path: Path) -> None:
 
 
 def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
-    baseline = fit_baseline(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
+    baseline = null_fit(ELASTIC, library=("tissue_elasticity", "torque_bias"))
     problem, names = baseline.problem, ("tissue_elasticity", "torque_bias")
     good = try_effect(problem, baseline.current, "tissue_elasticity")
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
@@ -322,9 +317,8 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
 
 def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() -> None:
     """Friction of the guide, not in the library: two others take 99 % of it and leave the torque."""
-    found = diagnose(
-        dataset(effect("guide_friction", torque_nmm=0.02)),
-        few("layered_friction", "insertion_depth"),
+    found = diagnosed(
+        effect("guide_friction", torque_nmm=0.02), library=("layered_friction", "insertion_depth")
     )
     assert found.explained_fraction > 0.97
     assert known(found.search.fits[found.search.best][1]).error < 1.1

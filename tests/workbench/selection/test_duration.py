@@ -15,7 +15,7 @@ from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.duration import Duration, Slowest, expected, slowest
 from needle_rig.workbench.selection.search import search
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, null_fit
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_it_is_told_between_both_kinds_of_solution() -> None:
 @pytest.mark.parametrize(("times", "told"), [(1.9, 0), (5.0, 1)])
 def test_what_is_slow_to_solve_is_told_once(monkeypatch: pytest.MonkeyPatch, times: float, told: int) -> None:
     hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
-    baseline = fit_baseline(dataset(hidden), None, few())
+    baseline = null_fit(hidden)
     monkeypatch.setattr(Problem, "solution_s", lambda _, added, __: times if added else 1.0)
     said: list[str] = []
     fits = (baseline.problem, tuple(few()), baseline.current, baseline.validation)
@@ -96,7 +96,7 @@ def test_what_is_slow_to_solve_is_told_once(monkeypatch: pytest.MonkeyPatch, tim
 
 
 def test_a_solution_that_is_kept_is_timed_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    baseline = fit_baseline(dataset(), None, few())
+    baseline = null_fit()
     solved: list[int] = []
 
     def counted(rods: Any, *given: Any, **settings: Any) -> Any:
