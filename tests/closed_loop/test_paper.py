@@ -46,6 +46,7 @@ def test_the_other_direction_is_the_mirror_image(align: Align) -> None:
     assert "the tip lags 12°" in back.outcome.text
 
 
+@pytest.mark.whole
 def test_a_second_run_learns_its_extra_turn_from_the_first(config: RigConfig) -> None:
     from needle_rig.control.brain import Brain
     from needle_rig.control.reports import Request

@@ -557,6 +557,7 @@ def test_stated_uncertainty(folder: Path) -> None:
     assert read_dataset(folder).needle.rigidity_sigma == 0.005
 
 
+@pytest.mark.whole
 def test_a_long_file_is_thinned_and_said(folder: Path) -> None:
     """A tenth of the 10⁷ samples that must pass; the same chunks serve both."""
     table = rows(folder)

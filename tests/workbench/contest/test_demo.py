@@ -36,6 +36,7 @@ def story() -> Story:
     return tell_story(plant, {name: library[name] for name in CANDIDATES}, runs=4)
 
 
+@pytest.mark.whole
 def test_the_circle_closes(story: Story) -> None:
     told = story.as_json()
     assert told["adopted"] == ["tissue_elasticity"]

@@ -34,6 +34,7 @@ def _bout(name: str = "rig_elastic", model: str | None = None) -> Bout:
     return Bout(plant, plant.torsional_rigidity_nm2, saved=saved)
 
 
+@pytest.mark.whole
 def test_the_command_identifies_a_model_and_prints_the_stated_rows(tmp_path: Path) -> None:
     asked = ["--targets", "45", "--seeds", "1", "--jobs", "1", "--json", "--pictures", str(tmp_path)]
     for name in ("planned", "reed2008", "none"):
@@ -108,6 +109,7 @@ def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
     assert "less than 3 times better, because reed2008 leaves little to gain" in told.sentence
 
 
+@pytest.mark.whole
 def test_what_is_predicted_is_of_the_targets_and_starts_that_are_run() -> None:
     bout = _bout(model="rig_elastic")
     small, large = (foretold(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))

@@ -265,6 +265,7 @@ def test_the_predictive_density_is_that_of_a_linear_model(hidden: Effect) -> Non
     assert cross_validate(problem, found).loss == pytest.approx(loss, abs=1.0)
 
 
+@pytest.mark.whole
 def test_wear_that_one_command_shows_predicts_better_than_scatter() -> None:
     data = dataset(effect("friction_wear", loss_per_turn=0.5))
     baseline = fit_baseline(data, None, few("friction_wear"))

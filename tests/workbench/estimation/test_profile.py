@@ -92,6 +92,7 @@ def test_an_effect_without_a_form_keeps_its_fit() -> None:
     assert over_profiles(baseline.problem, baseline.current) is baseline.current
 
 
+@pytest.mark.whole
 def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
     problem, found = ageing()
     start = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values + np.array([0.0, 0.1]))

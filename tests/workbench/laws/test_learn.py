@@ -56,6 +56,7 @@ def learnt(data: Any) -> Any:
     return learn_laws(data, few(), origin=ORIGIN)
 
 
+@pytest.mark.whole
 def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt: Any) -> None:
     assert learnt.verdict == "law"
     (law,) = learnt.laws
@@ -116,11 +117,13 @@ def test_the_curves_are_drawn(learnt: Any) -> None:
     assert "hall_2" in figure.axes[0].get_title()
 
 
+@pytest.mark.whole
 def test_nothing_hidden_is_no_law() -> None:
     found = learn_laws(dataset(seed=5), few(), origin=ORIGIN)
     assert (found.verdict, found.laws) == ("none", ())
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("hidden", "verdict", "library"),
     [
@@ -249,6 +252,7 @@ class SoftSection(Effect):
         return dataclasses.replace(rod, compliance_rad_per_nm=rod.compliance_rad_per_nm + added)
 
 
+@pytest.mark.whole
 def test_a_law_in_one_section_is_reached_from_a_model_that_is_far_off() -> None:
     baseline = null_fit(SoftSection(300.0), seed=61)
     problem, shared = baseline.problem, Shared(baseline.problem)

@@ -51,6 +51,7 @@ def test_the_error_falls_step_by_step_and_steps_can_be_taken_back() -> None:
         undo(undo(back))
 
 
+@pytest.mark.whole
 def test_an_effect_that_predicts_nothing_is_refused() -> None:
     data = Traces(dataset(seed=5))
     with pytest.raises(Refused, match="With force it is added"):
