@@ -286,6 +286,7 @@ def _solves_of_each_plan(
     return _run(plant, Planned(motions=3, repetitions=repetitions), _task(plant), wound_deg=60.0), spent
 
 
+@pytest.mark.whole
 def test_no_plan_spends_more_solves_than_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = load_parameters("rig_rigid").with_effects(Stribeck(0.3, 6.0, 6.0))
     run, spent = _solves_of_each_plan(monkeypatch, plant)
@@ -305,6 +306,7 @@ def test_a_needle_that_takes_too_many_solves_is_left_to_reed2008(monkeypatch: py
     assert {motion.reason for motion in run.history[-4:]} == {Reason.EFFORT_SPENT}
 
 
+@pytest.mark.whole
 def test_a_needle_that_snaps_is_planned_with_at_its_kinetic_friction() -> None:
     plant = load_parameters("rig_rigid").with_effects(Stribeck(0.25, 11.46, 0.05, 1.0), ViscousSlip(0.01))
     run = _run(plant, Planned(), _task(plant))

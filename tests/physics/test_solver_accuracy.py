@@ -96,6 +96,7 @@ def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue() -> None:
     assert np.abs(found.torque_nm - exact.torque_nm).max() * 1e3 < WORST_NMM
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("inertia", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_papers_explicit_scheme_agrees(inertia: bool) -> None:
     """An independent implementation: Karnopp friction with static = kinetic, explicit steps."""

@@ -39,6 +39,7 @@ def test_waits():
 """
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("workers", ["0", "1"])
 def test_what_takes_long_without_a_mark_is_named(tmp_path: Path, workers: str) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST)

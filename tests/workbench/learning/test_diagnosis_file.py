@@ -60,6 +60,7 @@ def tie(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return path, result.stdout
 
 
+@pytest.mark.whole
 def test_a_file_gives_back_what_was_kept(kept: KeptDiagnosis, file: Path) -> None:
     again = load_diagnosis(file)
     assert (again.sha256, again.verdict, again.effects) == (kept.sha256, kept.verdict, kept.effects)
@@ -102,6 +103,7 @@ def test_what_was_kept_is_what_fitting_again_finds(kept: KeptDiagnosis, traces: 
         assert taken_over.model.values()[name] == pytest.approx(value, abs=2 * two.uncertainties[name])
 
 
+@pytest.mark.whole
 def test_a_diagnosis_that_began_at_a_model_goes_on_in_its_history(traces: Path) -> None:
     observed = read_observations([traces])
     one = adopt(observed, "tissue_elasticity", few(), name="mine", today="2026-01-01")
@@ -207,6 +209,7 @@ def test_a_file_that_is_cut_off_is_one_sentence_and_no_traceback(
     assert not (tmp_path / "model.yaml").exists()
 
 
+@pytest.mark.whole
 def test_a_tie_lists_its_alternatives_and_waits_for_a_choice(tie: tuple[Path, str], tmp_path: Path) -> None:
     path, _ = tie
     kept = load_diagnosis(path)

@@ -68,6 +68,7 @@ def test_a_wrong_value_is_told_with_its_size_and_its_distance(
     assert "its values as they stand: " in found.headline()[1]
 
 
+@pytest.mark.whole
 def test_a_right_model_is_told_as_right() -> None:
     seeds = [held(seed=seed) for seed in range(1, 7)]
     errors = [f.held.error for f in seeds if f.held is not None]

@@ -168,6 +168,7 @@ def test_a_path_without_times_turns_without_a_stop() -> None:
     assert timed.base_angle_rad == pytest.approx(plain.base_angle_rad)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("timed", [True, False])
 def test_friction_that_ages_remembers_when_the_base_turned(timed: bool) -> None:
     """In one long recording the shaft stands 4 s before a trial, as it does not after turns without times."""
