@@ -36,6 +36,7 @@ def test_twelve_degrees_further_leave_between_3_and_6(align: Align) -> None:
     assert run.outcome.status == "aligned"
 
 
+@pytest.mark.whole
 def test_the_other_direction_is_the_mirror_image(align: Align) -> None:
     there = align("rig_elastic", noise=False)
     back = align("rig_elastic", target_deg=-45.0, noise=False)

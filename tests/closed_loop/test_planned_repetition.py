@@ -100,6 +100,7 @@ def test_what_is_straight_is_not_repeated_and_neither_is_what_is_predicted() -> 
     assert _repetitions(_run(elastic, Planned(use_hall=True), 1, blind).history) > 0
 
 
+@pytest.mark.whole
 def test_repetitions_end_and_keep_to_the_overshoot_allowed() -> None:
     strategy = Planned(use_hall=True, repetitions=2, repeat_above_deg=0.01, largest_overshoot_deg=50.0)
     run = _run(RIGID, strategy, 1)
@@ -112,6 +113,7 @@ def test_repetitions_end_and_keep_to_the_overshoot_allowed() -> None:
     assert notes[1].endswith("(2 of at most 2)")
 
 
+@pytest.mark.whole
 def test_each_motion_follows_from_the_history_alone() -> None:
     strategy = Planned(use_hall=True, repetitions=2, repeat_above_deg=0.01)
     run = _run(RIGID, strategy, 2)

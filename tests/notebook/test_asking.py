@@ -86,6 +86,7 @@ def data() -> Any:
     return nr.simulate({"tissue_elasticity": 0.35}, protocol=PROTOCOL, name="mine", rate_hz=20.0)
 
 
+@pytest.mark.whole
 def test_an_effect_that_does_not_help_is_refused_without_options() -> None:
     with pytest.raises(nr.NeedleRigError, match=r"With force it is added all the same\.$"):
         nr.add_effect(data(), "torque_bias", nr.add_effect(data(), "tissue_elasticity"))

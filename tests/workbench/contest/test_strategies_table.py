@@ -89,6 +89,7 @@ def test_rigid_uniform_tissue_is_aligned_by_the_papers_sequence() -> None:
     assert found.values["tip_lag_deg"] < 0.5
 
 
+@pytest.mark.whole
 def test_runs_in_which_planned_gave_way_are_counted() -> None:
     wrong = compare_strategies(_bout(model="rig_rigid"), ["planned"], [45.0], 2, starts=("relaxed",))
     assert wrong.overall()[0]["gave_way_to_reed2008"] == 2

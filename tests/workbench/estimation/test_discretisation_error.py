@@ -254,6 +254,7 @@ def test_directions_of_other_nuisances_outlast_a_change_of_the_noise() -> None:
         assert nuisance[:, 1] == pytest.approx(whitener(given))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", [31, 32])
 def test_a_sloppy_solver_is_not_an_effect(seed: int) -> None:
     """Data from cells and tolerances eight times coarser hold a numerical error, and no effect."""

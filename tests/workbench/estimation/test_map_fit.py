@@ -274,6 +274,7 @@ def test_wear_that_one_command_shows_predicts_better_than_scatter() -> None:
     assert predictive_gain(baseline.validation, found.validation) > 5.0
 
 
+@pytest.mark.whole
 def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart() -> None:
     """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
     noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
@@ -313,6 +314,7 @@ def test_factors_of_sections_count_against_their_mean() -> None:
     assert cross_validate(baseline.problem, found).error < 1.1
 
 
+@pytest.mark.whole
 def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

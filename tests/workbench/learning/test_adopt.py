@@ -87,6 +87,7 @@ def test_unknown_and_double_effects_are_refused() -> None:
         adopt(data, "tissue_elasticity", few(), one)
 
 
+@pytest.mark.whole
 def test_one_command_alone_is_judged_by_blocks_of_its_time(tmp_path: Path) -> None:
     data = dataset(*TWO)
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))

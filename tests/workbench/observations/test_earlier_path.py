@@ -83,6 +83,7 @@ def test_a_run_begins_as_the_runs_before_it_left_the_shaft(runs: list[Path]) -> 
         assert misfit < 1.2
 
 
+@pytest.mark.whole
 def test_without_the_run_before_the_twist_is_unknown(runs: list[Path]) -> None:
     _, told, _ = stiffness(runs[2])
     runs[1].unlink()

@@ -194,6 +194,7 @@ def gain(
     return replicates_favour(other, noise, binned, residuals, [GROUP, [2], [3]]), total
 
 
+@pytest.mark.whole
 def test_replicates_bear_out_noise_from_a_gain_of_one_in_twenty(
     binned: tuple[BinnedTrial, ...], white: Noise
 ) -> None:
