@@ -121,6 +121,7 @@ def test_what_a_recording_lacks_is_asked_in_python() -> None:
     assert "needle-rig" not in said
 
 
+@pytest.mark.whole
 def test_notes_of_a_quick_diagnosis_name_arguments() -> None:
     notes = " ".join(nr.diagnose(data(), quick=True, jobs=1).notes)
     assert "Without quick it is." in notes
@@ -151,6 +152,7 @@ def test_mypy_accepts_what_the_docs_write_without_a_cast(tmp_path: Path) -> None
 
 
 def test_effects_and_parameter_sets_are_listed() -> None:
+    pytest.importorskip("pandas")
     effects = nr.effects()
     assert effects["tissue_elasticity"].name() == "tissue_elasticity"
     assert len(effects) == len(list(effects)) == len(set(effects.to_pandas()["effect"]))

@@ -45,6 +45,7 @@ def test_one_hidden_effect_is_named_with_its_size() -> None:
     assert found.decisions["tissue_elasticity"].decision == "present"
 
 
+@pytest.mark.whole
 def test_two_hidden_effects_are_both_named() -> None:
     found = diagnosed(*BIAS_AND_FRICTION)
     assert set(found.effects) == {"torque_bias", "tip_friction"}
@@ -59,6 +60,7 @@ def test_an_effect_in_no_library_is_unknown_and_described() -> None:
     assert found.as_json()["left_over"]["explained"] is False
 
 
+@pytest.mark.whole
 def test_a_needle_that_snaps_and_that_no_effect_predicts_is_called_stick_slip() -> None:
     snapping = dataset(effect("stribeck", static_excess=1.0, rate_deg_s=11.5, weakening_deg=0.8))
     found = diagnose(snapping, few("torque_bias", "hall_offset"))
@@ -69,6 +71,7 @@ def test_a_needle_that_snaps_and_that_no_effect_predicts_is_called_stick_slip() 
     assert not any("too small to matter" in note for note in found.notes)
 
 
+@pytest.mark.whole
 def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     creeping = effect(
         "tissue_viscoelasticity",
@@ -83,6 +86,7 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
 
 
+@pytest.mark.whole
 @pytest.mark.slow
 def test_friction_of_which_screening_promises_nothing_is_found_from_a_finite_strength() -> None:
     """Beside viscous slip a little static excess makes nothing better: the damping must rise with it."""
@@ -120,6 +124,7 @@ def test_a_torque_gain_is_known_by_the_needle_s_stated_constants() -> None:
     assert found.ranking[0].values[0].value == pytest.approx(0.7, abs=0.06)
 
 
+@pytest.mark.whole
 def test_friction_that_wears_is_not_taken_for_scatter() -> None:
     found = diagnosed(
         effect("friction_wear", loss_per_turn=0.5), library=("friction_wear", "torque_bias", "tip_friction")
@@ -128,6 +133,7 @@ def test_friction_that_wears_is_not_taken_for_scatter() -> None:
     assert found.ranking[0].values[0].value == pytest.approx(0.5, abs=0.1)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("hidden", "law"),
     [
@@ -142,6 +148,7 @@ def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden: 
     assert not found.residual_patterns.patterns[1:]
 
 
+@pytest.mark.whole
 def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
     none_at_any_value = dataclasses.replace(POLICY.verdict, at_any_value=0)
     monkeypatch.setattr(notes, "POLICY", dataclasses.replace(POLICY, verdict=none_at_any_value))
@@ -151,6 +158,7 @@ def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch: p
     assert found.residual_patterns.patterns
 
 
+@pytest.mark.whole
 def test_the_answer_does_not_depend_on_names_and_order(tmp_path: Path) -> None:
     data = dataset(ELASTIC)
     shuffled = tuple(data.trials[i] for i in (3, 0, 4, 2, 1))
@@ -169,11 +177,13 @@ def answer_here() -> Any:
     return diagnosed(effect("chuck_backlash", play_deg=5.0), library=TWO).as_json()
 
 
+@pytest.mark.whole
 def test_processes_give_the_same_answer(answer_here: Any) -> None:
     data = dataset(effect("chuck_backlash", play_deg=5.0))
     assert diagnose(data, few(*TWO), work=workers(2, None)).as_json() == answer_here
 
 
+@pytest.mark.whole
 def test_a_dask_cluster_gives_the_same_answer(answer_here: Any) -> None:
     distributed = pytest.importorskip("distributed")
     data = dataset(effect("chuck_backlash", play_deg=5.0))
@@ -190,6 +200,7 @@ def test_without_replicates_the_answer_says_so() -> None:
     assert any("repeat one command" in n for n in found.notes)
 
 
+@pytest.mark.whole
 def test_outliers_are_not_physics() -> None:
     data = dataset(seed=7)
     random = np.random.default_rng(2)
@@ -240,6 +251,7 @@ def test_a_single_command_is_ranked_by_blocks_of_its_time_and_said_to_be_weak() 
     assert any("One command alone" in n for n in found.notes)
 
 
+@pytest.mark.whole
 def test_a_dead_sensor_does_not_stop_the_diagnosis() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     trials = []
@@ -251,6 +263,7 @@ def test_a_dead_sensor_does_not_stop_the_diagnosis() -> None:
     assert found.effects == ("torque_bias",)
 
 
+@pytest.mark.whole
 def test_two_names_for_one_law_are_a_tie(tmp_path: Path) -> None:
     import needle_rig.physics.effects.torque_bias as built_in
     from needle_rig.physics.library import find_effects
@@ -266,6 +279,7 @@ def test_two_names_for_one_law_are_a_tie(tmp_path: Path) -> None:
     assert "fits as well" in found.ranking[0].against
 
 
+@pytest.mark.whole
 def test_a_tie_comes_with_the_trial_that_breaks_it() -> None:
     data = dataset(effect("guide_friction", torque_nmm=0.004))
     found = diagnose(data, few("guide_friction", "chuck_backlash", "tip_friction"))
@@ -274,6 +288,7 @@ def test_a_tie_comes_with_the_trial_that_breaks_it() -> None:
         assert known(found.next_experiment)["separation_sigma"] > 1
 
 
+@pytest.mark.whole
 def test_what_was_not_refitted_is_said() -> None:
     found = diagnosed(*BIAS_AND_FRICTION)
     search = found.search
@@ -290,6 +305,7 @@ def test_what_was_not_refitted_is_said() -> None:
         assert len(said) == bool(left_out)
 
 
+@pytest.mark.whole
 def test_the_seed_and_the_folder_change_no_verdict(tmp_path: Path) -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     names = few("torque_bias", "tip_friction")
@@ -315,6 +331,7 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
     assert [s.kind for s in after.steps] == ["taken out"]
 
 
+@pytest.mark.whole
 def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() -> None:
     """Friction of the guide, not in the library: two others take 99 % of it and leave the torque."""
     found = diagnosed(
@@ -339,6 +356,7 @@ def test_a_quick_diagnosis_names_one_effect_and_says_what_it_left_out() -> None:
     assert found.decisions["hall_offset"].decision == "cannot_tell"
 
 
+@pytest.mark.whole
 def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
     late = effect("clock_offset", torque_delay_ms=55.0, hall_delay_ms=55.0)
     silent = dataset(late, seed=4, noise=Noise(hall_deg=0.0, torque_nmm=0.0))
@@ -353,6 +371,7 @@ def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
     assert found.baseline.problem.noise.correlated.min() > 0.0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [

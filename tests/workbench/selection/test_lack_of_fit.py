@@ -20,6 +20,7 @@ def checked(data: Dataset) -> LackOfFit:
     return known(lack_of_fit(baseline.problem, baseline.current, data.sensor_names))
 
 
+@pytest.mark.whole
 def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
     found = [
         checked(dataset(seed=300 + s, noise=Noise(friction_scatter=(0.02, 0.15)[s % 2]))) for s in range(12)

@@ -110,6 +110,7 @@ def by_camera() -> Dataset:
     return dataclasses.replace(data, trials=tuple(trials))
 
 
+@pytest.mark.whole
 def test_what_is_missing_is_named_beside_a_camera_that_sees_wrong_at_times() -> None:
     found = diagnose(by_camera(), few("tissue_elasticity", "tip_friction", "torque_bias"))
     assert found.effects == ("tissue_elasticity",)
