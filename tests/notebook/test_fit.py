@@ -46,6 +46,7 @@ def test_what_was_hidden_lies_in_its_interval() -> None:
 
 
 def test_statistics_agree_with_the_residuals() -> None:
+    pytest.importorskip("pandas")
     fit = fitted()
     residuals = fit.residuals()
     assert len(residuals) == fit.ndata

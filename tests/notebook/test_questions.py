@@ -27,6 +27,7 @@ def test_strategies_meet_on_one_rig() -> None:
     assert len(found.plot().axes) == 2
 
 
+@pytest.mark.whole
 def test_planned_works_with_the_model_that_it_is_given() -> None:
     found = nr.strategies(
         "planned",
