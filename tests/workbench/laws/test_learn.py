@@ -72,6 +72,7 @@ def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt: Any) -> N
     assert abs(fields["sine_deg"][0] - 2.0) < 4.0 * fields["sine_deg"][1]
 
 
+@pytest.mark.whole
 def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
     curve = learnt.laws[0].curve
     truth = 2.0 * np.sin(np.radians(3.0 * curve.at))
@@ -85,6 +86,7 @@ def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
         assert np.abs(half - truth)[there].mean() < 0.5
 
 
+@pytest.mark.whole
 def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:
     told = json.loads(json.dumps(learnt.as_json(1.25)))
     assert set(told) == {"verdict", "laws", "seconds"}
@@ -94,6 +96,7 @@ def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:
     assert [told["laws"][0][k] for k in ("hook", "place", "variable")] == ["observe", "hall_2", "angle"]
 
 
+@pytest.mark.whole
 def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
     learnt: Any, data: Any, tmp_path: Any
 ) -> None:
@@ -109,6 +112,7 @@ def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
     assert undo(again).model.effects == ()
 
 
+@pytest.mark.whole
 def test_the_curves_are_drawn(learnt: Any) -> None:
     from needle_rig.figures.laws import laws_figure
 
