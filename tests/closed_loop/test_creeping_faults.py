@@ -40,6 +40,7 @@ def test_an_encoder_whose_scale_is_wrong_is_named_before_the_base_is_far_off(nam
     assert broken_promises(OWN, 60.0, result, name) == []
 
 
+@pytest.mark.whole
 def test_a_base_that_turns_by_itself_after_a_run_is_seen_by_the_hall_angles() -> None:
     trial = reached(OWN, "run", "done", after_s=0.3)
     result = broken(trial, ("encoder stands still", 0.0), ("power stage shorted, 180°/s", 0.1))

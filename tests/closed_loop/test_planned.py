@@ -81,7 +81,7 @@ def test_elastic_tissue_ends_straight_with_half_the_rotations(target_deg: float,
 
 
 @pytest.mark.parametrize(("target_deg", "wound_deg"), [(45.0, 0.0), (-45.0, 0.0), (15.0, 0.0), (90.0, 60.0)])
-@pytest.mark.parametrize("halls", [True, False])
+@pytest.mark.parametrize("halls", [True, pytest.param(False, marks=pytest.mark.whole)])
 def test_a_rigid_model_of_elastic_tissue_does_no_harm(
     target_deg: float, wound_deg: float, halls: bool
 ) -> None:
@@ -128,6 +128,7 @@ def _run_history(model: NeedleModel, task: Task) -> History:
     return run.history[:1]
 
 
+@pytest.mark.whole
 def test_backlash_is_turned_out() -> None:
     plant = load_parameters("rig_elastic").with_effects(ChuckBacklash(6.0))
     run = _run(plant, Planned(), _task(plant))

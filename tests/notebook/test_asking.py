@@ -128,6 +128,7 @@ def test_notes_of_a_quick_diagnosis_name_arguments() -> None:
     assert "--" not in notes
 
 
+@pytest.mark.whole
 def test_a_plain_script_asks_all_cores_without_running_itself_again(tmp_path: Path) -> None:
     script = tmp_path / "ask.py"
     script.write_text(UNGUARDED)

@@ -329,6 +329,7 @@ def test_limits_with_memory_are_found_in_few_solves(memory: dict[str, Any]) -> N
     assert solution.solves < 2.5 * solution.steps
 
 
+@pytest.mark.whole
 def test_a_snap_does_not_shrink_the_steps_to_nothing() -> None:
     """Its error is the same at any length; far shorter steps would end in angles that are no numbers."""
     time, base = refined(*path(compensation()), 4)

@@ -85,6 +85,7 @@ def test_tidy():
 """
 
 
+@pytest.mark.whole
 def test_a_task_left_behind_fails_its_test(tmp_path: Path) -> None:
     shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
     (tmp_path / "test_it.py").write_text(LEAVES_A_TASK)

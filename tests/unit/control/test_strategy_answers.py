@@ -377,6 +377,7 @@ LIKELY = st.builds(
 )
 
 
+@pytest.mark.whole
 @given(st.one_of(ANYTHING, WAYPOINTS, LIKELY))
 def test_any_object_is_refused_or_within_the_limits(answer: Any) -> None:
     try:

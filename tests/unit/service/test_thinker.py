@@ -179,6 +179,7 @@ def test_a_process_that_thinks_no_more_is_kept(thinker: Thinker) -> None:
     assert process_of(thinker) == first
 
 
+@pytest.mark.whole
 async def test_the_child_is_started_before_the_first_question_where_one_will_be_needed() -> None:
     thinker = Thinker()
     await thinker.get_ready("reed2008")

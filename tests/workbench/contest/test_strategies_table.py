@@ -75,6 +75,7 @@ def test_settled_runs_end_where_whole_runs_end() -> None:
     assert settled.time_s == pytest.approx(whole.time_s, rel=0.2)
 
 
+@pytest.mark.whole
 def test_every_strategy_runs_and_meets_the_same_needles() -> None:
     bout = _bout(model="rig_elastic")
     table = compare_strategies(bout, all_strategies(), [30.0], 1, starts=("relaxed",))

@@ -27,6 +27,7 @@ TWO = (
 )
 
 
+@pytest.mark.whole
 def test_the_error_falls_step_by_step_and_steps_can_be_taken_back() -> None:
     data = Traces(dataset(*TWO))
     one = adopt(data, "tissue_elasticity", few(), today="2026-01-01", name="mine")

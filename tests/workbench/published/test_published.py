@@ -194,6 +194,7 @@ def test_an_effect_with_as_many_parameters_as_values_is_no_answer() -> None:
     assert "would fit anything" in found.ranking[0].against
 
 
+@pytest.mark.whole
 def test_nothing_hidden_is_none() -> None:
     data = paper()
     ofs = [Seen(0, m, "hall_deg", k) for m in ("rotate", "back", "final") for k in range(4)]

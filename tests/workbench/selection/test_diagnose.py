@@ -51,6 +51,7 @@ def test_two_hidden_effects_are_both_named() -> None:
     assert set(found.effects) == {"torque_bias", "tip_friction"}
 
 
+@pytest.mark.whole
 def test_an_effect_in_no_library_is_unknown_and_described() -> None:
     found = diagnosed(ELASTIC, library=("torque_bias", "hall_offset", "clock_offset"))
     assert found.verdict == "unknown"
@@ -118,6 +119,7 @@ def test_an_effect_too_small_to_matter_is_negligible() -> None:
     assert directions == [1, 2]
 
 
+@pytest.mark.whole
 def test_a_torque_gain_is_known_by_the_needle_s_stated_constants() -> None:
     found = diagnosed(effect("torque_gain", gain=0.7), library=("torque_gain", "torque_bias", "tip_friction"))
     assert found.effects == ("torque_gain",)
@@ -242,6 +244,7 @@ def test_the_command_prints_the_stated_json(tmp_path: Path, monkeypatch: pytest.
     assert "torque_bias missing" in plain.stdout
 
 
+@pytest.mark.whole
 def test_a_single_command_is_ranked_by_blocks_of_its_time_and_said_to_be_weak() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
