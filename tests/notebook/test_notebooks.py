@@ -43,6 +43,7 @@ def test_the_tutorial_s_fit_runs_in_a_fresh_notebook(tmp_path: Path, monkeypatch
     assert (tmp_path / "fitted.yaml").is_file()
 
 
+@pytest.mark.whole
 def test_the_tutorial_s_fit_is_short_and_each_of_its_lines_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,6 +63,7 @@ def test_an_experiment_is_a_protocol_that_can_be_simulated(tmp_path: Path) -> No
         nr.experiment(data, ("tip_friction", "tip_friction"))
 
 
+@pytest.mark.whole
 def test_what_the_library_holds_is_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pandas")
     monkeypatch.setattr(Question, "library", lambda *_: few("tissue_elasticity", "torque_bias"))
