@@ -78,6 +78,7 @@ def test_the_paper_s_numbers_leave_a_tie_of_three_in_the_order_of_plausibility(a
     assert answer["held_out_error_after"] < 0.5 * answer["held_out_error_before"]
 
 
+@pytest.mark.whole
 def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: Any) -> None:
     found = answer["next_experiment"]
     assert found["between"] == TIED

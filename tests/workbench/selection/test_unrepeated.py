@@ -87,6 +87,7 @@ def test_more_than_may_wander_is_no_noise() -> None:
     assert under_wander(baseline, baseline.problem, baseline.current) is None
 
 
+@pytest.mark.whole
 def test_where_commands_were_repeated_replicates_must_bear_it_out(monkeypatch: pytest.MonkeyPatch) -> None:
     given = fit_baseline(unrepeated("wanders over 2 s", shape="standard series"), None, WITHOUT)
     monkeypatch.setattr(unrepeated_module, "replicates_favour", lambda *_: False)
