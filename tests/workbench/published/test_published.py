@@ -90,6 +90,7 @@ def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: Any) -> Non
     assert [p["between"] for p in found["pairs"]] == [TIED[:2], TIED[::2], TIED[1:]]
 
 
+@pytest.mark.whole
 def test_what_the_source_gives_without_scatter_is_shown_and_not_weighed(answer: Any) -> None:
     said = [n for n in answer["notes"] if "not weighed" in n]
     assert [number for n in said for number in re.findall(r"^.*?: ([\d.]+) ", n)] == ["0.068", "43.8", "4.4"]
