@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import resource
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +25,60 @@ one_thread_each()  # before any test imports NumPy: threads on small matrices ta
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The same examples every time, since a run decides whether a change lands; `--hypothesis-profile=search`
-# looks for new ones.
-settings.register_profile("needle-rig", deadline=None, print_blob=True, derandomize=True)
+# Some hundred processes are started, and each would compile the whole package; each worker, all tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+# The same examples every time, since a run decides whether a change lands. 25 find with 93 % what one example
+# in ten shows. CI takes `--hypothesis-profile=ci`, where it is one in forty; `search` looks for new examples.
+settings.register_profile("default", deadline=None, print_blob=True, derandomize=True, max_examples=25)
+settings.register_profile("ci", settings.get_profile("default"), max_examples=100)
 settings.register_profile("search", deadline=None, print_blob=True)
-settings.load_profile("needle-rig")
+settings.load_profile("default")
 
 TRIALS = 5
 SPOILED_S = 0.01
 """A pause of the machine that spoils a trial in real time: the least margin of what such tests assert."""
 WITNESS = pytest.StashKey[Stillness]()
-REPEATED = "repeated"
+REPEATED = "trials repeated"
 """Property of the first report of a test that was repeated; it says why, in words."""
+APART = ("whole", "real_time", "slow", "hardware", "linux", "browser")
+"""Marks of what plain `pytest` leaves out."""
+BEGAN_S = pytest.StashKey[float]()
+NOTICED_S = 3.0
+"""Thrice what a test may take of a core without a mark, so that a slow computer names no other."""
+LONG = "more than a second of a core: mark them whole"
+"""Property of the last report of such a test."""
+
+PASSED = "needle-rig/passed"
+"""Where pytest's cache keeps which tests passed in the last run without `--not-again`."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--not-again",
+        action="store_true",
+        help="leave out what passed in the last run without this option, but for tests of many examples",
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what passed already; examples of hypothesis may be more this time."""
+    if not config.option.not_again or config.cache is None:
+        return
+    passed = set(config.cache.get(PASSED, []))
+    again = [i for i in items if i.nodeid not in passed or i.get_closest_marker("hypothesis")]
+    config.hook.pytest_deselected(items=[i for i in items if i not in set(again)])
+    items[:] = again
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Keep which tests passed."""
+    config = session.config
+    if hasattr(config, "workerinput") or config.option.not_again or config.cache is None:
+        return
+    reporter: Any = config.pluginmanager.get_plugin("terminalreporter")
+    config.cache.set(PASSED, sorted({r.nodeid for r in reporter.stats.get("passed", ()) if r.when == "call"}))
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -63,19 +109,53 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     return True
 
 
+def processor_s() -> float:
+    """What this process and its children that ended took."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    item.stash[BEGAN_S] = processor_s()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Tell of a test of the plain run that takes more than its share."""
+    report = yield
+    if call.when == "teardown" and not any(mark.name in APART for mark in item.iter_markers()):
+        taken_s = processor_s() - item.stash[BEGAN_S]
+        if taken_s > NOTICED_S:
+            report.user_properties.append((LONG, f"{item.nodeid}: {taken_s:.1f} s"))
+    return report
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Name the trials that were repeated, in whichever process they ran."""
+    """Name the trials that were repeated and the tests that took long, in whichever process they ran."""
     reports = (report for each in terminalreporter.stats.values() for report in each)
-    properties = (pair for report in reports for pair in getattr(report, "user_properties", ()))
-    if repeated := [why for name, why in properties if name == REPEATED]:
-        terminalreporter.section("trials repeated")
-        for line in repeated:
-            terminalreporter.line(line)
+    properties = [pair for report in reports for pair in getattr(report, "user_properties", ())]
+    for title in (REPEATED, LONG):
+        if lines := [line for name, line in properties if name == title]:
+            terminalreporter.section(title)
+            for line in lines:
+                terminalreporter.line(line)
 
 
-@pytest.fixture(autouse=True, scope="session")
-def compiled_solver() -> None:
-    """Compiles the solver before any test's time counts: half a minute on a machine that never ran it."""
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the solver and the firmware beside it before the workers start, since each of them would."""
+    if hasattr(session.config, "workerinput") or session.config.option.collectonly:
+        return
+    from needle_rig.firmware.cache import built_firmware
+
+    with ThreadPoolExecutor() as beside:
+        beside.submit(built_firmware, images=True)  # what it lacks is told by the tests that need it
+        compile_solver()
+
+
+def compile_solver() -> None:
     import numpy as np
 
     from needle_rig.model import load_parameters

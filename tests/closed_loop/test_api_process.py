@@ -57,6 +57,7 @@ def wait_until_gone(shell: Shell, within_s: float = 10.0) -> None:
     assert not left
 
 
+@pytest.mark.whole
 def test_a_run_and_its_client_outlive_the_api_process(shell: Shell, daemon: subprocess.Popen[str]) -> None:
     with shell.start("compensate", "--target", "45", "--settle", "600", "--no-picture") as client:
         wait_for_line(client, lambda line: "settling" in line)
@@ -83,6 +84,7 @@ SIGNALS = [
 ]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_closes_the_run_and_leaves_nothing(
     shell: Shell, daemon: subprocess.Popen[str], number: signal.Signals
@@ -125,6 +127,7 @@ def test_what_is_no_socket_stays(shell: Shell) -> None:
     assert (shell.folder / "letter.txt").read_text() == "dear"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_to_the_client_while_its_run_starts_stops_it(
     shell: Shell, daemon: subprocess.Popen[str], number: signal.Signals
@@ -156,6 +159,7 @@ def test_a_signal_to_the_client_while_its_run_starts_stops_it(
     assert shell.compensate("--settle", "0.2")["motions"]
 
 
+@pytest.mark.whole
 def test_jog_home_hold_and_release(shell: Shell, daemon: subprocess.Popen[str]) -> None:
     assert shell.run("jog", "--by", "5").stdout.startswith("The base stands at 5.0")
     assert shell.run("jog", "--to", "-10", "--speed", "20").stdout.startswith("The base stands at -10.0")
@@ -175,6 +179,7 @@ def test_jog_home_hold_and_release(shell: Shell, daemon: subprocess.Popen[str]) 
     assert not list(shell.folder.glob("runs/*"))
 
 
+@pytest.mark.whole
 def test_a_motion_is_stopped_by_ctrl_c(shell: Shell, daemon: subprocess.Popen[str]) -> None:
     with shell.start("jog", "--to", "700", "--speed", "0.5") as client:
         wait_for_line(client, lambda line: "moving" in line)
@@ -196,6 +201,7 @@ def test_commands_without_a_daemon_say_so(shell: Shell) -> None:
         assert "start one: needle-rig daemon" in done.stderr
 
 
+@pytest.mark.whole
 def test_a_few_descriptors_are_enough_for_many_idle_clients(shell: Shell) -> None:
     command = ["sh", "-c", 'ulimit -n 200; exec "$@"', "sh"]
     with shell.start("daemon", "--fast", before=command) as daemon, contextlib.ExitStack() as stack:

@@ -71,6 +71,7 @@ def test_rigid_tissue_is_aligned_as_the_model_says(shell: Shell) -> None:
     assert len(run.table("ticks")) == pytest.approx(len(run.table("torque")), abs=2)
 
 
+@pytest.mark.whole
 def test_elastic_tissue_keeps_what_the_paper_measured(shell: Shell) -> None:
     result = shell.compensate("--fast")
     assert result["status"] == "not_aligned"
@@ -80,11 +81,13 @@ def test_elastic_tissue_keeps_what_the_paper_measured(shell: Shell) -> None:
     assert {**again, "run": ""} == {**result, "run": ""}, "the same seed gives the same run"
 
 
+@pytest.mark.whole
 def test_the_extra_turn_leaves_less(shell: Shell) -> None:
     result = shell.compensate("--fast", "--strategy", "reed2008_elastic", "--extra", "12", "--seed", "7")
     assert 3.0 <= result["final"]["tip_lag_deg"] <= 6.0
 
 
+@pytest.mark.whole
 def test_a_miss_is_explained_and_can_be_required_not_to_be(shell: Shell) -> None:
     done = shell.run("compensate", "--target", "-45", "--fast", "--require-aligned", "--settle", "1")
     assert done.returncode == 1
@@ -114,6 +117,7 @@ def test_real_time_through_the_drivers_gives_the_same_angles(shell: Shell) -> No
     assert len(run.table("torque")) > 3 * len(ticks)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("image", [[], pytest.param(["--image"], marks=pytest.mark.slow)])
 def test_the_firmware_in_virtual_time_gives_the_same_angles(shell: Shell, image: list[str]) -> None:
     plant = shell.compensate("--fast", "--settle", "0.5")
@@ -126,6 +130,7 @@ def test_the_firmware_in_virtual_time_gives_the_same_angles(shell: Shell, image:
     assert len(run.table("torque")) == pytest.approx(5 * len(run.table("ticks")), rel=0.01)
 
 
+@pytest.mark.whole
 def test_a_protocol_runs_each_trial_from_a_relaxed_needle(shell: Shell) -> None:
     (shell.folder / "two.yaml").write_text(
         """
@@ -146,6 +151,7 @@ trials:
     )
 
 
+@pytest.mark.whole
 def test_ctrl_c_stops_the_drive_and_closes_the_run(shell: Shell) -> None:
     with shell.start("compensate", "--target", "45", "--fast", "--settle", "600", "--no-picture") as process:
         wait_for_line(process, lambda line: "rotate     settling" in line)
@@ -165,6 +171,7 @@ def test_ctrl_c_stops_the_drive_and_closes_the_run(shell: Shell) -> None:
     assert last["velocity_rad_s"] == 0.0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("place", ["virtual", pytest.param("real", marks=pytest.mark.real_time)])
 def test_a_killed_client_leaves_nothing_behind(shell: Shell, place: str) -> None:
     fast = ["--fast"] if place == "virtual" else []
@@ -181,6 +188,7 @@ def test_a_killed_client_leaves_nothing_behind(shell: Shell, place: str) -> None
     assert not run.table("ticks")[-1]["enable"]
 
 
+@pytest.mark.whole
 def test_a_killed_daemon_is_told_and_leaves_nothing_behind(shell: Shell) -> None:
     with shell.start("compensate", "--target", "45", "--fast", "--settle", "600", "--no-picture") as process:
         wait_for_line(process, lambda line: "rotate" in line)
@@ -204,17 +212,24 @@ DUPLICATE = "format: needle-rig/1\nname: a\nname: b\n"
     [
         (["--target", "nan"], 2, "nan"),
         (["--target", "1e3", "--fast"], 2, "outside ±720°"),
-        (["--target", "1e9", "--fast"], 2, "is above 3600"),
+        pytest.param(["--target", "1e9", "--fast"], 2, "is above 3600", marks=pytest.mark.whole),
         (["--target", "abc"], 2, "abc"),
         ([], 2, "--target"),
         (["--target", "45", "--config", "missing.yaml"], 2, "missing.yaml"),
         (["--target", "45", "--config", "duplicate.yaml"], 2, "duplicate.yaml:3"),
-        (["--target", "45", "--config", "port.yaml"], 3, "/dev/ttyNONE"),
+        pytest.param(["--target", "45", "--config", "port.yaml"], 3, "/dev/ttyNONE", marks=pytest.mark.whole),
         (["--target", "45", "--fast", "--parameters", "nonsense"], 2, "nonsense"),
-        (["--target", "45", "--fast", "--strategy", "nonsense"], 2, "reed2008"),
+        pytest.param(
+            ["--target", "45", "--fast", "--strategy", "nonsense"], 2, "reed2008", marks=pytest.mark.whole
+        ),
         (["--target", "45", "--fast", "--option", "nonsense"], 2, "NAME=VALUE"),
         (["--target", "45", "--fast", "--settle", "inf"], 2, "inf"),
-        (["--target", "45", "--fast", "--out", "/proc/nowhere"], 2, "/proc/nowhere"),
+        pytest.param(
+            ["--target", "45", "--fast", "--out", "/proc/nowhere"],
+            2,
+            "/proc/nowhere",
+            marks=pytest.mark.whole,
+        ),
         (["--target", "45", "--socket", "nobody.sock"], 3, "no daemon answers at nobody.sock"),
         (["--target", "45", "--socket", "nobody.sock", "--fast"], 2, "--fast"),
     ],

@@ -61,6 +61,7 @@ def test_commands_use_the_running_daemon(shell: Shell, daemon: subprocess.Popen[
     assert not place.exists()
 
 
+@pytest.mark.whole
 def test_stop_ends_the_run_of_another_client(shell: Shell, daemon: subprocess.Popen[str]) -> None:
     with shell.start("compensate", "--target", "45", "--settle", "600", "--no-picture") as client:
         wait_for_line(client, lambda line: "settling" in line)
@@ -79,6 +80,7 @@ def test_stop_ends_the_run_of_another_client(shell: Shell, daemon: subprocess.Po
     assert shell.compensate("--settle", "0.2")["motions"]
 
 
+@pytest.mark.whole
 def test_sigterm_in_mid_run_stops_the_drive_and_closes_the_run(
     shell: Shell, daemon: subprocess.Popen[str]
 ) -> None:
@@ -96,6 +98,7 @@ def test_sigterm_in_mid_run_stops_the_drive_and_closes_the_run(
     assert not run.table("ticks")[-1]["enable"]
 
 
+@pytest.mark.whole
 def test_a_run_that_was_cut_off_is_told_at_the_next_start(shell: Shell) -> None:
     left = new_run(shell.folder / "runs", {"strategy": "reed2008", "target_deg": 45.0}, run_tables(4))
     left.append("torque", [(1.0, 0.5, 7, 1e-4)])
@@ -110,6 +113,7 @@ def test_a_run_that_was_cut_off_is_told_at_the_next_start(shell: Shell) -> None:
         assert daemon.wait(30) == 0
 
 
+@pytest.mark.whole
 def test_a_second_daemon_is_refused(shell: Shell, daemon: subprocess.Popen[str]) -> None:
     second = shell.run("daemon", "--fast")
     assert second.returncode == 3
@@ -185,6 +189,7 @@ def test_systemd_is_told(shell: Shell) -> None:
         assert process.wait(30) == 0
 
 
+@pytest.mark.whole
 def test_a_daemon_that_cannot_open_its_rig_says_so(shell: Shell) -> None:
     rig = (ROOT / "config" / "rig.yaml").read_text().replace("channel: auto", "channel: /dev/ttyNONE")
     (shell.folder / "rig.yaml").write_text(rig)
@@ -194,6 +199,7 @@ def test_a_daemon_that_cannot_open_its_rig_says_so(shell: Shell) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.whole
 def test_a_port_serves_one_daemon(shell: Shell) -> None:
     master, slave = os.openpty()
     try:
@@ -211,6 +217,7 @@ def test_a_port_serves_one_daemon(shell: Shell) -> None:
         os.close(slave)
 
 
+@pytest.mark.whole
 def test_a_rig_that_comes_after_its_daemon_is_found(shell: Shell, tmp_path: Path) -> None:
     rig = (ROOT / "config" / "rig.yaml").read_text()
     rig = rig.replace("channel: auto", f"channel: {tmp_path}/can").replace(
@@ -240,6 +247,7 @@ def test_a_rig_that_comes_after_its_daemon_is_found(shell: Shell, tmp_path: Path
             bench.communicate()
 
 
+@pytest.mark.whole
 def test_term_ends_a_daemon_whose_bench_is_still_starting(shell: Shell) -> None:
     # a cache of its own: the bench compiles for a quarter of a minute
     environment = {**shell.environment, "NUMBA_CACHE_DIR": str(shell.folder / "cache")}

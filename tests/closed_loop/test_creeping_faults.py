@@ -13,6 +13,7 @@ from tests.closed_loop.hazard_trials import broken, broken_promises, reached
 OWN = "own-200Hz-fresh"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("rate_deg_s", [0.3, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_an_encoder_that_creeps_while_the_base_is_held_is_named(rate_deg_s: float) -> None:
     trial = reached(OWN, "hold", "holding")
@@ -31,6 +32,7 @@ def test_an_encoder_that_creeps_over_several_motions_is_held_against_the_first_r
     assert max(result.asked_deg, result.commanded_deg) <= DISAGREEMENT_DEG
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["encoder fades to half in 20 s", "encoder reads 0.9", "encoder reads 1.05"])
 def test_an_encoder_whose_scale_is_wrong_is_named_before_the_base_is_far_off(name: str) -> None:
     trial = reached(OWN, "three turns", "moving", 60.0)
@@ -38,6 +40,7 @@ def test_an_encoder_whose_scale_is_wrong_is_named_before_the_base_is_far_off(nam
     assert broken_promises(OWN, 60.0, result, name) == []
 
 
+@pytest.mark.whole
 def test_a_base_that_turns_by_itself_after_a_run_is_seen_by_the_hall_angles() -> None:
     trial = reached(OWN, "run", "done", after_s=0.3)
     result = broken(trial, ("encoder stands still", 0.0), ("power stage shorted, 180°/s", 0.1))
@@ -52,6 +55,7 @@ def test_either_of_the_two_alone_ends_after_a_run(name: str) -> None:
     assert broken_promises(OWN, 20.0, result, name) == []
 
 
+@pytest.mark.whole
 def test_a_needle_that_is_wound_up_over_several_sequences_is_stopped_at_the_limit() -> None:
     name = "needle caught, tip held fast"
     trial = reached(OWN, "wind", "before", after_s=0.1)

@@ -150,7 +150,7 @@ def test_the_campaign_asks_every_fault_at_every_place_and_every_setup() -> None:
     assert sum(plan.trials for plan in pairs(37, seed=1)) == 37
 
 
-@pytest.mark.parametrize("drive", ["own", "cia402"])
+@pytest.mark.parametrize("drive", [pytest.param("own", marks=pytest.mark.whole), "cia402"])
 def test_no_fault_of_a_sample_takes_the_base_beyond_its_bound_and_each_has_a_name(drive: str) -> None:
     breaks = tuple(((name, 0.0),) for name in SAMPLE)
     plan = Plan(f"{drive}-200Hz-fresh", "run", 60.0, 7, (("single", "moving", breaks),))
@@ -164,7 +164,7 @@ def test_no_fault_of_a_sample_takes_the_base_beyond_its_bound_and_each_has_a_nam
     assert f"0 of {len(SAMPLE)} trials" in text
 
 
-@pytest.mark.parametrize("drive", ["own", "cia402"])
+@pytest.mark.parametrize("drive", [pytest.param("own", marks=pytest.mark.whole), "cia402"])
 def test_a_trial_can_be_repeated_by_its_line(drive: str) -> None:
     breaks = ((("Hall angle jumps by 90°", 0.0), ("encoder reads half", 0.1)),)
     plan = Plan(f"{drive}-50Hz-fresh", "run", 20.0, 3, (("pair", "seam", breaks),))
@@ -176,6 +176,7 @@ def test_a_trial_can_be_repeated_by_its_line(drive: str) -> None:
     assert broken(until(case), case, left_s=3.0) == found.result
 
 
+@pytest.mark.whole
 def test_the_spring_stands_for_the_finite_elements() -> None:
     figures = {}
     for exact in (True, False):

@@ -30,7 +30,14 @@ def test_without_another_fault_it_stays(latching: str) -> None:
 
 
 @pytest.mark.parametrize("passing", PASSING)
-@pytest.mark.parametrize(("scene", "place"), [("run", "moving"), ("hold", "holding"), ("run", "done")])
+@pytest.mark.parametrize(
+    ("scene", "place"),
+    [
+        ("run", "moving"),
+        pytest.param("hold", "holding", marks=pytest.mark.whole),
+        pytest.param("run", "done", marks=pytest.mark.whole),
+    ],
+)
 def test_an_emergency_stop_under_a_passing_fault_stays(passing: str, scene: str, place: str) -> None:
     trial = reached(OWN, scene, place, after_s=0.3)
     result = broken(trial, (passing, 0.0), (STOPPED, 0.3))

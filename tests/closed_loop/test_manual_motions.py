@@ -56,7 +56,13 @@ class Loop:
                 self.rig.write(self.command)
 
 
-@pytest.fixture(params=["plant", "python", "firmware"])
+@pytest.fixture(
+    params=[
+        "plant",
+        pytest.param("python", marks=pytest.mark.whole),
+        pytest.param("firmware", marks=pytest.mark.whole),
+    ]
+)
 def loop(request: pytest.FixtureRequest) -> Loop:
     return Loop(request.param)
 

@@ -19,6 +19,7 @@ from tests.closed_loop.other_devices import DRIVE, HALL, TORQUE, VirtualRig, con
 TICK_S = 0.005
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("mode", "backwards"), [("csv", False), ("pv", True)])
 def test_a_compensation_ends_as_with_the_nodes(mode: str, backwards: bool) -> None:
     drive = DRIVE.model_copy(update={"mode": mode, "reversed": backwards})

@@ -100,6 +100,7 @@ def test_planned_works_in_real_time_with_a_model_that_holds_an_effect(shell: She
     assert result["status"] in ("aligned", "not_aligned")
 
 
+@pytest.mark.whole
 @KINDS
 def test_planned_gives_the_same_in_every_virtual_run(shell: Shell, kind: str) -> None:
     order = ("--strategy", "planned", "--model", make_model(shell.folder, kind), "--fast", "--settle", "0.2")
@@ -108,6 +109,7 @@ def test_planned_gives_the_same_in_every_virtual_run(shell: Shell, kind: str) ->
     assert len(first["motions"]) >= 1
 
 
+@pytest.mark.whole
 @KINDS
 def test_the_strategies_are_compared_in_other_processes(shell: Shell, kind: str) -> None:
     model = make_model(shell.folder, kind)
@@ -118,6 +120,7 @@ def test_the_strategies_are_compared_in_other_processes(shell: Shell, kind: str)
     assert row["runs"] == 2
 
 
+@pytest.mark.whole
 @KINDS
 def test_so_are_they_for_the_page(shell: Shell, kind: str) -> None:
     model = str(shell.folder / make_model(shell.folder, kind))
@@ -188,6 +191,7 @@ def is_over(state: dict[str, Any]) -> bool:
     return state["run"] is None
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("time_is", ["virtual", pytest.param("real", marks=pytest.mark.real_time)])
 def test_a_planner_that_never_answers_hangs_neither_stop_nor_the_next_run_nor_the_end(
     shell: Shell, time_is: str
@@ -226,6 +230,7 @@ def test_a_planner_that_never_answers_hangs_neither_stop_nor_the_next_run_nor_th
         assert time.monotonic() - start_s < 5.0
 
 
+@pytest.mark.whole
 def test_a_planner_that_never_answers_ends_the_run_by_its_name(shell: Shell) -> None:
     model = make_model(shell.folder, "hangs")
     rig = (ROOT / "config" / "rig.yaml").read_text()

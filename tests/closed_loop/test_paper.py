@@ -36,6 +36,7 @@ def test_twelve_degrees_further_leave_between_3_and_6(align: Align) -> None:
     assert run.outcome.status == "aligned"
 
 
+@pytest.mark.whole
 def test_the_other_direction_is_the_mirror_image(align: Align) -> None:
     there = align("rig_elastic", noise=False)
     back = align("rig_elastic", target_deg=-45.0, noise=False)
@@ -46,6 +47,7 @@ def test_the_other_direction_is_the_mirror_image(align: Align) -> None:
     assert "the tip lags 12°" in back.outcome.text
 
 
+@pytest.mark.whole
 def test_a_second_run_learns_its_extra_turn_from_the_first(config: RigConfig) -> None:
     from needle_rig.control.brain import Brain
     from needle_rig.control.reports import Request

@@ -81,7 +81,7 @@ def test_elastic_tissue_ends_straight_with_half_the_rotations(target_deg: float,
 
 
 @pytest.mark.parametrize(("target_deg", "wound_deg"), [(45.0, 0.0), (-45.0, 0.0), (15.0, 0.0), (90.0, 60.0)])
-@pytest.mark.parametrize("halls", [True, False])
+@pytest.mark.parametrize("halls", [True, pytest.param(False, marks=pytest.mark.whole)])
 def test_a_rigid_model_of_elastic_tissue_does_no_harm(
     target_deg: float, wound_deg: float, halls: bool
 ) -> None:
@@ -128,6 +128,7 @@ def _run_history(model: NeedleModel, task: Task) -> History:
     return run.history[:1]
 
 
+@pytest.mark.whole
 def test_backlash_is_turned_out() -> None:
     plant = load_parameters("rig_elastic").with_effects(ChuckBacklash(6.0))
     run = _run(plant, Planned(), _task(plant))
@@ -286,6 +287,7 @@ def _solves_of_each_plan(
     return _run(plant, Planned(motions=3, repetitions=repetitions), _task(plant), wound_deg=60.0), spent
 
 
+@pytest.mark.whole
 def test_no_plan_spends_more_solves_than_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = load_parameters("rig_rigid").with_effects(Stribeck(0.3, 6.0, 6.0))
     run, spent = _solves_of_each_plan(monkeypatch, plant)
@@ -305,6 +307,7 @@ def test_a_needle_that_takes_too_many_solves_is_left_to_reed2008(monkeypatch: py
     assert {motion.reason for motion in run.history[-4:]} == {Reason.EFFORT_SPENT}
 
 
+@pytest.mark.whole
 def test_a_needle_that_snaps_is_planned_with_at_its_kinetic_friction() -> None:
     plant = load_parameters("rig_rigid").with_effects(Stribeck(0.25, 11.46, 0.05, 1.0), ViscousSlip(0.01))
     run = _run(plant, Planned(), _task(plant))

@@ -74,6 +74,7 @@ def _repetitions(history: History) -> int:
     return sum(motion.name.startswith(UNWIND) for motion in history)
 
 
+@pytest.mark.whole
 def test_a_needle_whose_friction_falls_with_slip_is_left_with_half_of_what_reed2008_leaves() -> None:
     planned = [_run(WEAKENING, Planned(), seed, target_deg=-90.0) for seed in range(2)]
     plain = [_run(WEAKENING, REED, seed, target_deg=-90.0) for seed in range(2)]
@@ -81,6 +82,7 @@ def test_a_needle_whose_friction_falls_with_slip_is_left_with_half_of_what_reed2
     assert _worst_deg(planned, -90.0) < 0.5 * _worst_deg(plain, -90.0)
 
 
+@pytest.mark.whole
 def test_a_needle_of_another_code_that_snaps_by_degrees_is_turned_by_its_hall_angles() -> None:
     planned = [_textbook(0.5, 0.05, Planned(use_hall=True), seed) for seed in range(2)]
     plain = [_textbook(0.5, 0.05, REED, seed) for seed in range(2)]
@@ -88,6 +90,7 @@ def test_a_needle_of_another_code_that_snaps_by_degrees_is_turned_by_its_hall_an
     assert _worst_deg(planned) < 0.5 * _worst_deg(plain)
 
 
+@pytest.mark.whole
 def test_what_is_straight_is_not_repeated_and_neither_is_what_is_predicted() -> None:
     run = _run(load_parameters("rig_elastic"), Planned(use_hall=True, repeat_above_deg=0.8), 1)
     assert _repetitions(run.history) == 0
@@ -97,6 +100,7 @@ def test_what_is_straight_is_not_repeated_and_neither_is_what_is_predicted() -> 
     assert _repetitions(_run(elastic, Planned(use_hall=True), 1, blind).history) > 0
 
 
+@pytest.mark.whole
 def test_repetitions_end_and_keep_to_the_overshoot_allowed() -> None:
     strategy = Planned(use_hall=True, repetitions=2, repeat_above_deg=0.01, largest_overshoot_deg=50.0)
     run = _run(RIGID, strategy, 1)
@@ -109,6 +113,7 @@ def test_repetitions_end_and_keep_to_the_overshoot_allowed() -> None:
     assert notes[1].endswith("(2 of at most 2)")
 
 
+@pytest.mark.whole
 def test_each_motion_follows_from_the_history_alone() -> None:
     strategy = Planned(use_hall=True, repetitions=2, repeat_above_deg=0.01)
     run = _run(RIGID, strategy, 2)
@@ -120,6 +125,7 @@ def test_each_motion_follows_from_the_history_alone() -> None:
         assert waypoint.angle_rad == pytest.approx(run.history[k].base_angle_rad, abs=rad(0.05))
 
 
+@pytest.mark.whole
 def test_without_a_sensor_in_tissue_nothing_is_repeated() -> None:
     outside = dataclasses.replace(RIGID.layout, sensor_positions_m=(0.01,))
     plant = dataclasses.replace(WEAKENING, layout=outside)

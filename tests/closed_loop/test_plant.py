@@ -57,6 +57,7 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit_and_another_one_does_n
     assert rows(3) != rows(4)
 
 
+@pytest.mark.whole
 def test_the_tick_does_not_change_what_the_needle_does(config: RigConfig, elastic: NeedleModel) -> None:
     quiet = simulation_of(config).model_copy(update={"torque_noise_nmm": 0.0, "hall_noise_deg": 0.0})
     ends = []

@@ -19,6 +19,7 @@ def campaign(stops: int) -> dict[str, int]:
     return {text: int(count) for count, text in re.findall(r"^ *(\d+)  (.*)$", done.stdout, re.MULTILINE)}
 
 
+@pytest.mark.whole
 def test_stops_at_random_instants_hold() -> None:
     counts = campaign(40)
     # the window of a start and the motion were both hit, and something was moving in some of them

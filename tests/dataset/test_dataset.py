@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.dataset import denoised_base, read_dataset, write_dataset
@@ -557,6 +557,7 @@ def test_stated_uncertainty(folder: Path) -> None:
     assert read_dataset(folder).needle.rigidity_sigma == 0.005
 
 
+@pytest.mark.whole
 def test_a_long_file_is_thinned_and_said(folder: Path) -> None:
     """A tenth of the 10⁷ samples that must pass; the same chunks serve both."""
     table = rows(folder)
@@ -683,7 +684,6 @@ def reversals(path: np.ndarray) -> int:
     return int(np.count_nonzero(moves[1:] != moves[:-1]))
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     st.lists(st.integers(-9, 9).map(lambda k: 10.0 * k), min_size=1, max_size=5),
     st.sampled_from([10.0, 30.0, 60.0, 90.0]),

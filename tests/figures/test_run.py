@@ -75,6 +75,7 @@ def test_motions_are_found_where_the_waypoint_changes(run_path: Path) -> None:
     np.testing.assert_allclose(settled[0], [45.0, 25.4, 21.8, 19.7, 19.0], atol=0.15)
 
 
+@pytest.mark.whole
 def test_the_picture_of_a_whole_run(tmp_path: Path, run_path: Path, figures: list[Figure]) -> None:
     path = draw_run(RunFile(run_path), tmp_path / "new" / "run.png")
     pixels = matplotlib.image.imread(path)

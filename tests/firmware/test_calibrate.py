@@ -38,6 +38,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.whole
 def test_with_the_pages_flashed_every_reading_is_true(pages: Path) -> None:
     stand = BenchStand("none of them", pages, ERRORS)
     plant = stand.rig.plant
@@ -62,6 +63,7 @@ def test_with_the_pages_flashed_every_reading_is_true(pages: Path) -> None:
     assert worst_hall_deg < 0.2
 
 
+@pytest.mark.whole
 def test_the_calibrated_load_cell_weighs_right(pages: Path) -> None:
     stand = BenchStand("none of them", pages, ERRORS)
 
@@ -74,6 +76,7 @@ def test_the_calibrated_load_cell_weighs_right(pages: Path) -> None:
         assert asyncio.run(weigh(weight)) == pytest.approx(weight, abs=0.0005 + 0.001 * abs(weight))
 
 
+@pytest.mark.whole
 def test_it_finds_what_was_planted(pages: Path) -> None:
     planted = SensorErrors.planted(SEED, 4)
     documents: list[Any] = [read_yaml(pages / f"{node}.yaml")[0] for node in ("drive", "torque", "hall")]

@@ -6,7 +6,7 @@ import math
 import random
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from needle_rig.config.files import find_config_file
@@ -87,7 +87,6 @@ def test_checksums_agree(nodes: HostNodes, frame_id: int, data: bytes) -> None:
     assert not nodes.lib.nr_can_valid(frame_id, data, 7)
 
 
-@settings(max_examples=50)
 @given(
     st.floats(-89, 89, allow_nan=False),
     st.booleans(),
@@ -117,7 +116,6 @@ def test_the_drive_node_reads_the_hosts_commands(
     assert seen.heartbeat == heartbeat
 
 
-@settings(max_examples=50)
 @given(st.integers(-8_000_000, 8_000_000))
 def test_the_host_reads_the_torque_node(nodes: HostNodes, codec: CanCodec, counts: int) -> None:
     node = HostNode(nodes, "torque", Pins(load_cell=counts, time_us=123_456_780))
@@ -130,7 +128,6 @@ def test_the_host_reads_the_torque_node(nodes: HostNodes, codec: CanCodec, count
 
 
 @given(st.integers(-2_000_000, 2_000_000), st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
 def test_the_host_reads_the_drive_node(nodes: HostNodes, codec: CanCodec, counts: int, time_us: int) -> None:
     node = HostNode(nodes, "drive", Pins(encoder_counts=5, time_us=time_us))
     node.poll()
@@ -149,7 +146,6 @@ def test_the_host_reads_the_drive_node(nodes: HostNodes, codec: CanCodec, counts
 
 
 @given(st.lists(st.integers(0, 4095), min_size=8, max_size=8))
-@settings(max_examples=50)
 def test_the_host_reads_the_hall_node(nodes: HostNodes, adc: list[int]) -> None:
     node = HostNode(nodes, "hall", Pins(adc=adc, time_us=42_000))
     node.poll()

@@ -37,6 +37,7 @@ def test_a_million_frames(target: str, tmp_path: Path) -> None:
     assert int(done.stdout.split()[0]) >= FRAMES
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("target", "file", "check", "without"),
     [

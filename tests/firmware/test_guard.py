@@ -528,7 +528,7 @@ def test_clock_may_wrap_anywhere(nodes: HostNodes) -> None:
         assert guard.tick(300) == 100_000
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=3 * settings().max_examples)
 @given(
     st.lists(
         st.tuples(

@@ -122,7 +122,7 @@ class Twins:
         assert seen == (motion.following, motion.expected_q8, motion.pace_q8, bool(motion.resting))
 
 
-@settings(max_examples=150)
+@settings(max_examples=3 * settings().max_examples)
 @given(st.lists(st.tuples(DEEDS, st.sampled_from([1, 2, 5, 6, 20, 60, 110])), max_size=25))
 def test_both_guards_stand_in_the_same_state_for_the_same_reason(
     nodes: HostNodes, deeds: list[tuple[tuple[str, Any], int]]

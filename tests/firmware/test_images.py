@@ -98,6 +98,7 @@ def test_images_are_small_and_quick(built: Path, kind: str) -> None:
     assert 100 < load.instructions < CORE_HZ // 1000 // 5 // 2
 
 
+@pytest.mark.whole
 def test_builds_are_the_same_from_any_folder(
     built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

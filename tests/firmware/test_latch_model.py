@@ -128,6 +128,7 @@ def short_histories(length: int) -> Iterator[tuple[str, ...]]:
             yield deeds
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("length", "span_ms"),
     [

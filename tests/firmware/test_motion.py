@@ -267,6 +267,7 @@ def until_400_ms(speed_deg_s: float) -> Callable[[int], float]:
     return lambda ms: speed_deg_s if ms < 400 else 0.0
 
 
+@pytest.mark.whole
 def test_a_stuck_encoder_while_almost_nothing_is_asked_does_not_creep(nodes: HostNodes) -> None:
     """A motion whose last part an encoder that stands still does not see; then nothing for a minute."""
     for speed_deg_s in (1.0, 10.0, 60.0):

@@ -31,6 +31,8 @@ def run_tests(library: Path, *tests: str, **environment: str) -> None:
             "-x",
             "-p",
             "no:cacheprovider",
+            "-n0",
+            "--hypothesis-profile=ci",
             *(here / name for name in tests),
         ],
         env={**os.environ, "NEEDLE_RIG_FIRMWARE": str(library), **environment},
@@ -56,6 +58,7 @@ def covered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.whole
 @pytest.mark.skipif(None in (GCC, shutil.which("gcov")), reason="needs gcc and gcov")
 @pytest.mark.parametrize(("name", "least_lines", "least_branches"), [("guard", 120, 120), ("motion", 40, 30)])
 def test_every_line_and_branch_of_the_guard_is_taken(
@@ -84,6 +87,7 @@ def asan() -> Path | None:
     return path.resolve() if path.is_absolute() else None
 
 
+@pytest.mark.whole
 def test_counts_that_jump_are_no_undefined_behaviour(tmp_path: Path) -> None:
     build(tmp_path, only_host=True, host_flags=("-fsanitize=undefined", "-fsanitize-trap=undefined"))
     run_tests(

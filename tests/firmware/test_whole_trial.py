@@ -36,6 +36,7 @@ def test_image_and_library_send_the_same_frames_over_a_whole_trial() -> None:
     assert library.settled == image.settled
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("nodes", ["firmware", pytest.param("image", marks=pytest.mark.slow)])
 def test_it_ends_where_the_plant_alone_ends(nodes: str) -> None:
     (plant, _), (firmware, _) = trial("python"), trial(nodes)

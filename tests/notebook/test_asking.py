@@ -84,6 +84,7 @@ def data() -> Any:
     return nr.simulate({"tissue_elasticity": 0.35}, protocol=PROTOCOL, name="mine", rate_hz=20.0)
 
 
+@pytest.mark.whole
 def test_an_effect_that_does_not_help_is_refused_without_options() -> None:
     with pytest.raises(nr.NeedleRigError, match=r"With force it is added all the same\.$"):
         nr.add_effect(data(), "torque_bias", nr.add_effect(data(), "tissue_elasticity"))
@@ -95,12 +96,14 @@ def test_what_a_recording_lacks_is_asked_in_python() -> None:
     assert "needle-rig" not in said
 
 
+@pytest.mark.whole
 def test_notes_of_a_quick_diagnosis_name_arguments() -> None:
     notes = " ".join(nr.diagnose(data(), quick=True, jobs=1).notes)
     assert "Without quick it is." in notes
     assert "--" not in notes
 
 
+@pytest.mark.whole
 def test_a_plain_script_asks_all_cores_without_running_itself_again(tmp_path: Path) -> None:
     script = tmp_path / "ask.py"
     script.write_text(UNGUARDED)
@@ -125,6 +128,7 @@ def test_mypy_accepts_what_the_docs_write_without_a_cast(tmp_path: Path) -> None
 
 
 def test_effects_and_parameter_sets_are_listed() -> None:
+    pytest.importorskip("pandas")
     effects = nr.effects()
     assert effects["tissue_elasticity"].name() == "tissue_elasticity"
     assert len(effects) == len(list(effects)) == len(set(effects.to_pandas()["effect"]))

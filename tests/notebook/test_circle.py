@@ -49,6 +49,7 @@ def circle() -> tuple[dict[str, Any], list[str]]:
     return names, said
 
 
+@pytest.mark.whole
 def test_the_notebook_tells_the_whole_circle(tmp_path: Path) -> None:
     """One test: processes that share tests would each run the notebook."""
     names, said = circle()
@@ -109,6 +110,7 @@ def test_importing_the_package_imports_no_workbench() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.whole
 def test_a_quick_diagnosis_says_what_it_left_out_and_whether_values_hold() -> None:
     hidden = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     found = nr.diagnose(hidden, "rig_rigid", quick=True, jobs=1)

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import needle_rig as nr
@@ -14,6 +13,8 @@ from needle_rig.dataset import Dataset
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.tables import table_of
 from tests.workbench.hidden import PROTOCOL
+
+pd = pytest.importorskip("pandas")
 
 SETTLED = "reed2008"
 

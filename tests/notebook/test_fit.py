@@ -27,6 +27,7 @@ def fitted() -> Fit:
 
 
 def test_what_was_hidden_lies_in_its_interval() -> None:
+    pytest.importorskip("pandas")
     params = fitted().params
     stiffness = params[STIFFNESS]
     assert stiffness.interval is not None
@@ -45,6 +46,7 @@ def test_what_was_hidden_lies_in_its_interval() -> None:
 
 
 def test_statistics_agree_with_the_residuals() -> None:
+    pytest.importorskip("pandas")
     fit = fitted()
     residuals = fit.residuals()
     assert len(residuals) == fit.ndata
@@ -55,6 +57,7 @@ def test_statistics_agree_with_the_residuals() -> None:
 
 
 def test_predictions_lie_on_what_was_measured_in_degrees_and_nmm() -> None:
+    pytest.importorskip("pandas")
     predicted = fitted().predict()
     assert list(predicted)[:4] == ["trial", "time_s", "base_deg", "torque_nmm"]
     first = predicted[predicted["trial"] == "01"]
@@ -120,6 +123,7 @@ def test_what_cannot_be_fitted_is_one_sentence() -> None:
 
 
 def test_constants_are_identified_with_what_would_give_the_others() -> None:
+    pytest.importorskip("pandas")
     found = nr.identify(data())
     assert RIGIDITY in {*found.params, *found.experiments}
     assert set(found.params) | set(found.experiments) == set(found.to_pandas()["parameter"])

@@ -43,9 +43,11 @@ def test_the_tutorial_s_fit_runs_in_a_fresh_notebook(tmp_path: Path, monkeypatch
     assert (tmp_path / "fitted.yaml").is_file()
 
 
+@pytest.mark.whole
 def test_the_tutorial_s_fit_is_short_and_each_of_its_lines_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pytest.importorskip("pandas")
     blocks = fit_blocks()
     assert 20 < sum(len(block.splitlines()) for block in blocks) <= MOST_LINES
     monkeypatch.chdir(tmp_path)

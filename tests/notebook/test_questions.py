@@ -17,6 +17,7 @@ BETWEEN = ("tip_friction", "chuck_backlash")
 
 
 def test_strategies_meet_on_one_rig() -> None:
+    pytest.importorskip("pandas")
     found = nr.strategies("reed2008", "none", targets_deg=[45.0], seeds=1, jobs=1)
     rows = found.to_pandas().set_index("strategy")
     assert rows.loc["reed2008", "worst_deg"] < rows.loc["none", "worst_deg"]
@@ -26,6 +27,7 @@ def test_strategies_meet_on_one_rig() -> None:
     assert len(found.plot().axes) == 2
 
 
+@pytest.mark.whole
 def test_planned_works_with_the_model_that_it_is_given() -> None:
     found = nr.strategies(
         "planned",
@@ -47,6 +49,7 @@ def test_a_strategy_that_there_is_not_is_refused_before_anything_is_fitted() -> 
 
 
 def test_an_experiment_is_a_protocol_that_can_be_simulated(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
     data = dataset(effect("tip_friction", torque_nmm=0.02))
     found = nr.experiment(data, BETWEEN)
     rows = found.to_pandas()
@@ -60,7 +63,9 @@ def test_an_experiment_is_a_protocol_that_can_be_simulated(tmp_path: Path) -> No
         nr.experiment(data, ("tip_friction", "tip_friction"))
 
 
+@pytest.mark.whole
 def test_what_the_library_holds_is_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pandas")
     monkeypatch.setattr(Question, "library", lambda *_: few("tissue_elasticity", "torque_bias"))
     data = nr.simulate({"tissue_elasticity": 0.45}, protocol=PROTOCOL, name="mine", rate_hz=20.0)
     found = nr.learn(data, jobs=1)

@@ -56,6 +56,7 @@ def ask(request: pytest.FixtureRequest, tmp_path: Path) -> Ask:
     return asked
 
 
+@pytest.mark.whole
 def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(ask: Ask) -> None:
     assert ask("1.0") == (2.0, 0)
     assert ask("1.0") == (2.0, 1)
@@ -78,6 +79,7 @@ print(run(1.0))
 """
 
 
+@pytest.mark.whole
 def test_where_no_folder_can_be_written_it_compiles_and_says_so_once(ask: Ask, tmp_path: Path) -> None:
     """As of a read-only installation for a user without a home; and what this process starts says nothing."""
     ask("1.0")

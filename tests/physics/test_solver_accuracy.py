@@ -96,6 +96,7 @@ def test_torque_is_right_in_a_needle_far_stiffer_than_the_tissue() -> None:
     assert np.abs(found.torque_nm - exact.torque_nm).max() * 1e3 < WORST_NMM
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("inertia", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_papers_explicit_scheme_agrees(inertia: bool) -> None:
     """An independent implementation: Karnopp friction with static = kinetic, explicit steps."""
@@ -111,6 +112,7 @@ def test_the_papers_explicit_scheme_agrees(inertia: bool) -> None:
     assert np.abs(ours.torque_nm - explicit.torque_nm).max() * 1e3 < WORST_NMM
 
 
+@pytest.mark.whole
 def test_the_papers_literal_law_depends_on_an_unstated_velocity_band() -> None:
     """No kinetic level: inside the band the 0.45 N·mm hold the tip at 0°, below it the tip nearly follows."""
     assert largest_stable_step_s(paper_literal(MODEL)) == pytest.approx(5.6e-5, rel=0.01)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
@@ -45,7 +45,6 @@ def any_rod(
     )
 
 
-@settings(max_examples=60, deadline=None)
 @given(any_rod(), paths)
 def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle: Rod, targets: list[float]) -> None:
     time, base = path(targets, settle_s=0.5)
@@ -54,7 +53,6 @@ def test_the_mirror_image_of_a_path_gives_the_mirror_image(needle: Rod, targets:
     assert one.torque_nm == pytest.approx(-other.torque_nm, abs=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
 @given(any_rod(), paths)
 def test_energy_is_never_created(needle: Rod, targets: list[float]) -> None:
     needle = replace(needle, base_compliance_rad_per_nm=0.0)
@@ -71,7 +69,6 @@ def test_energy_is_never_created(needle: Rod, targets: list[float]) -> None:
     assert (work - stored >= -allowed).all()
 
 
-@settings(max_examples=60, deadline=None)
 @given(any_rod(), paths, st.integers(1, 10_000))
 def test_going_on_from_a_state_equals_one_run(needle: Rod, targets: list[float], cut: int) -> None:
     time, base = path(targets, settle_s=0.5)
@@ -132,7 +129,6 @@ def test_without_rates_the_number_of_steps_changes_nothing(
     assert torque < 1e-6
 
 
-@settings(max_examples=30)
 @given(paths, stiffnesses, st.floats(0.2e-3, 3e-3))
 def test_refining_the_mesh_changes_little_and_full_slip_not_at_all(
     targets: list[float], stiffness: float, element_length_m: float
@@ -163,7 +159,6 @@ def node_torques(needle: Rod, solution: Solution) -> tuple[np.ndarray, np.ndarra
     return pull, 100 * np.finfo(float).eps * stiffness * (np.abs(angle).max(axis=0) + 1e-3)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_random_layouts_are_solved_and_obey_their_limits(data: st.DataObject) -> None:
     layout = data.draw(layouts())
@@ -334,6 +329,7 @@ def test_limits_with_memory_are_found_in_few_solves(memory: dict[str, Any]) -> N
     assert solution.solves < 2.5 * solution.steps
 
 
+@pytest.mark.whole
 def test_a_snap_does_not_shrink_the_steps_to_nothing() -> None:
     """Its error is the same at any length; far shorter steps would end in angles that are no numbers."""
     time, base = refined(*path(compensation()), 4)

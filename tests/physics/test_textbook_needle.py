@@ -38,6 +38,7 @@ def differences(ours: Solution, theirs: TextbookNeedle) -> tuple[float, float]:
     return float(np.degrees(angle)), float(np.abs(ours.torque_nm - theirs.torques_nm).max() * 1e3)
 
 
+@pytest.mark.whole
 def test_both_agree_where_friction_does_not_fall() -> None:
     time, base = path([45.0, 20.0], settle_s=0.5)
     found = solve(rod(viscous=0.05), time, base)

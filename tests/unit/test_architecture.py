@@ -16,6 +16,7 @@ LINT = "from importlinter.cli import lint_imports_command as lint; lint(['--no-c
 
 
 def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    pytest.importorskip("importlinter")
     return subprocess.run(
         [sys.executable, "-c", LINT], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -84,6 +85,7 @@ def test_tidy():
 """
 
 
+@pytest.mark.whole
 def test_a_task_left_behind_fails_its_test(tmp_path: Path) -> None:
     shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
     (tmp_path / "test_it.py").write_text(LEAVES_A_TASK)

@@ -6,7 +6,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
-from vulture import Vulture
+import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOUND_BY_FILE_NAME = ("needle_rig/physics/effects", "needle_rig/control/strategies")
@@ -49,7 +49,7 @@ READ_BY_NAME = {
 
 def test_every_name_is_used_and_every_exception_is_needed() -> None:
     scripts = [p for p in (REPOSITORY / "scripts").iterdir() if p.is_file() and "python" in first_line(p)]
-    looked_at = Vulture()
+    looked_at = pytest.importorskip("vulture").Vulture()
     effects = REPOSITORY / "config" / "recordings" / "effects"
     looked_at.scavenge([str(p) for p in (REPOSITORY / "needle_rig", REPOSITORY / "tests", effects, *scripts)])
     unused = {}

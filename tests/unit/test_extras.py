@@ -148,6 +148,7 @@ def without(packages: tuple[str, ...], folder: Path, *arguments: str) -> subproc
 BASE = ("matplotlib", "mcap", "polars", "python_calamine", "rosbags", "pandas", "ziglang", "cffi")
 
 
+@pytest.mark.whole
 def test_a_base_installation_reads_a_csv(tmp_path: Path) -> None:
     turned = [0.9 * max(0, min(k - 30, 50)) for k in range(120)]
     rows = "\n".join(f"{k * 20};{b:.2f};{0.8 * b:.2f}".replace(".", ",") for k, b in enumerate(turned))

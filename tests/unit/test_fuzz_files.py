@@ -7,10 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = Path(__file__).resolve().parent.parent.parent / "scripts/fuzz_files"
 SHARE = 0.008
 
 
+@pytest.mark.whole
 def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> None:
     line = [
         sys.executable,

@@ -73,6 +73,7 @@ def test_a_run_s_superblock_is_understood(good: Path) -> None:
     assert found.closed(found.end_bytes) == good.read_bytes()[:SUPERBLOCK_BYTES]
 
 
+@pytest.mark.whole
 def test_a_damaged_head_holds_up_no_command(good: Path, tmp_path: Path) -> None:
     shutil.copy(DAMAGED_HEAD, tmp_path)
     shutil.copy(good, tmp_path)

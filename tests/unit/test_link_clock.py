@@ -2,7 +2,7 @@ import math
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.devices.link_clock import LinkClock
@@ -173,7 +173,6 @@ JITTERS = ["none", "usb", "random"]
 
 
 @given(st.floats(-0.02, 0.02), st.sampled_from([50.0, 100.0, 200.0]), st.sampled_from(JITTERS))
-@settings(max_examples=25, deadline=None)
 def test_a_healthy_link_is_never_said_older_than_it_is(rate: float, rate_hz: float, jitter: str) -> None:
     assert Link(rate_hz, jitter, rate).run(60.0).overstated_s < 0.01
 
@@ -191,7 +190,6 @@ def test_a_healthy_link_is_not_said_older_after_hours(rate: float, jitter: str) 
     st.sampled_from(["none", "usb"]),
     st.floats(10.5, 60.0),
 )
-@settings(max_examples=25, deadline=None)
 def test_a_queue_that_begins_to_grow_hides_50_ms_at_most(
     growth: float, rate: float, rate_hz: float, jitter: str, healthy_s: float
 ) -> None:

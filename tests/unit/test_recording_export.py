@@ -102,6 +102,7 @@ def test_csv_has_one_file_a_source_in_degrees(
     assert capsys.readouterr().err == "out: exists already; name another place\n"
 
 
+@pytest.mark.whole
 def test_mcap_has_every_row_with_its_schema(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,12 +22,14 @@ def campaigns() -> ModuleType:
     return module
 
 
+@pytest.mark.whole
 def test_power_cuts(campaigns: ModuleType, tmp_path: Path) -> None:
     tally = campaigns.cuts(18, tmp_path, 1)
     assert tally.good, tally.table("cuts")
     assert tally.torn_seen, "no end was torn: the cuts test nothing"
 
 
+@pytest.mark.whole
 def test_full_disks(campaigns: ModuleType, tmp_path: Path) -> None:
     tally = campaigns.full(6, tmp_path, 4)
     assert tally.good, tally.table("full")

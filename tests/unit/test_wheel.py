@@ -23,6 +23,7 @@ print(load_rig_config().name)
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the package as a wheel installs it."""
+    pytest.importorskip("hatchling")
     folder = tmp_path_factory.mktemp("wheel")
     name = subprocess.run(
         [sys.executable, "-c", BUILD, str(folder)], cwd=ROOT, check=True, capture_output=True, text=True

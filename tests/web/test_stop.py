@@ -151,6 +151,7 @@ def test_what_is_no_stop_closes_the_websocket(rig_server: Served, text: str | by
         assert stop_on(another, within_s=10.0) == {"type": "stop", "key": 1}
 
 
+@pytest.mark.whole
 def test_a_text_that_is_no_utf8_closes_the_websocket_and_leaves_no_traceback(
     shell: Shell, tmp_path: Path
 ) -> None:

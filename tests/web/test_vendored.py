@@ -34,6 +34,7 @@ def test_every_package_has_a_licence_and_its_text() -> None:
         assert entry.package.replace("-core", "") in with_text
 
 
+@pytest.mark.whole
 @pytest.mark.skipif(which("tsc") is None, reason="no tsc here: npm install --global typescript")
 def test_the_types_of_the_modules_are_right() -> None:
     done = subprocess.run(

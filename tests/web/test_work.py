@@ -26,6 +26,7 @@ def asked(kind: str, out: Path, **request: Any) -> tuple[dict[str, Any], list[st
     return document, said
 
 
+@pytest.mark.whole
 def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
     about = {"data": ["reed2008"], "effects": []}
     compared, said = asked("compare", tmp_path, **about, model=None)
@@ -43,6 +44,7 @@ def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
     assert back == {"model": None, "steps": [], "values": [], "added": []}
 
 
+@pytest.mark.whole
 def test_an_effect_is_added_by_name_as_a_learnt_law_is(tmp_path: Path) -> None:
     law = {"data": ["reed2008"], "model": None, "effect": "tissue_elasticity"}
     model, said = asked("adopt_law", tmp_path, **law, effects=[])
@@ -50,6 +52,7 @@ def test_an_effect_is_added_by_name_as_a_learnt_law_is(tmp_path: Path) -> None:
     assert said == ["fitting tissue_elasticity"]
 
 
+@pytest.mark.whole
 def test_strategies_run_on_the_rig_that_planned_knows(tmp_path: Path) -> None:
     rig = {"parameters": "rig_elastic", "model": "rig_elastic", "effects": []}
     found, _ = asked("strategies", tmp_path, **rig, targets_deg=[10.0], seeds=1)

@@ -13,10 +13,12 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.workbench.estimation import map_fit
+from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.selection import candidates
+from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
@@ -42,6 +44,20 @@ def few(*names: str) -> dict[str, type[Effect]]:
 def dataset(*effects: Effect, seed: int = 1, name: str = "hidden", noise: Noise | None = None) -> Dataset:
     model = load_parameters("rig_rigid").with_effects(*effects)
     return simulate_dataset(model, PROTOCOL, seed, noise, name=name)
+
+
+@lru_cache
+def null_fit(
+    *hidden: Effect, seed: int = 1, noise: Noise | None = None, library: tuple[str, ...] = FEW
+) -> Baseline:
+    """The null model held against such a dataset: the answer is always the same, so it is asked once."""
+    return fit_baseline(dataset(*hidden, seed=seed, noise=noise), None, few(*library))
+
+
+@lru_cache
+def diagnosed(*hidden: Effect, seed: int = 1, library: tuple[str, ...] = FEW) -> Diagnosis:
+    """What is missing in the null model of such a dataset; it, too, is asked once."""
+    return diagnose(dataset(*hidden, seed=seed), few(*library))
 
 
 def fit(problem: Problem, effects: Sequence[str], start: ParameterVector, **settings: Any) -> Fit:

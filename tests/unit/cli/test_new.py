@@ -32,6 +32,7 @@ def test_an_effect_is_listed_compiled_and_simulated() -> None:
     ran("simulate", "--effect", "my_spring", "--rate-hz", "5", "--out", "d")
 
 
+@pytest.mark.whole
 def test_a_strategy_turns_the_simulated_needle(capfd: pytest.CaptureFixture[str]) -> None:
     ran("new", "strategy", "my_lag")
     words = ["--fast", "--target", "45", "--strategy", "my_lag", "--option", "lag_part=0.5", "--out", "runs"]

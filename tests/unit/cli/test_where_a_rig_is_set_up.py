@@ -98,6 +98,7 @@ def test_the_service_is_told_as_systemd_knows_it(standing: UnitStanding, words: 
     assert words in standing.sentence
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("asked", [("--simulated", "--fast"), ("--seed", "0", "--fast")], ids=str)
 def test_who_asks_for_the_simulated_rig_gets_it_and_all_says_so(
     here: Installation, asked: tuple[str, ...], capsys: pytest.CaptureFixture[str]

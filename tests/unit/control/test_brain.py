@@ -7,7 +7,7 @@ import math
 from typing import Any, Literal
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.config.loader import load_rig_config
@@ -431,7 +431,6 @@ def test_a_strategy_that_fails_stops_the_drive_with_its_sentence() -> None:
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e9])
 
 
-@settings(max_examples=60)
 @given(st.data())
 def test_whatever_comes_in_only_a_healthy_rig_in_an_active_phase_is_driven(data: st.DataObject) -> None:
     rig = Rig()

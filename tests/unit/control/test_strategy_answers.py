@@ -313,6 +313,7 @@ def endless() -> Iterator[Waypoint]:
     return (Waypoint(rad(0.2 * (k % 2)), "again", rad(60.0), 0.1) for k in itertools.count())
 
 
+@pytest.mark.whole
 def test_endless_motions_end() -> None:
     bench = Bench()
     motions = endless()
@@ -376,6 +377,7 @@ LIKELY = st.builds(
 )
 
 
+@pytest.mark.whole
 @given(st.one_of(ANYTHING, WAYPOINTS, LIKELY))
 def test_any_object_is_refused_or_within_the_limits(answer: Any) -> None:
     try:

@@ -6,7 +6,7 @@ import asyncio
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.config.files import find_config_file
@@ -241,7 +241,6 @@ lines = st.one_of(
 )
 
 
-@settings(max_examples=40)
 @given(st.lists(lines, max_size=20))
 def test_whatever_an_adapter_sends_the_next_good_frame_is_taken(noise: list[bytes]) -> None:
     async def scenario() -> None:

@@ -220,6 +220,7 @@ def test_rates_are_counted_over_a_second_and_fall_to_zero() -> None:
     assert len(passed) == 200
 
 
+@pytest.mark.whole
 def test_the_shipped_simulated_rig_is_checked_and_said_to_be_simulated(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

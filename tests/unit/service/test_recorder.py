@@ -73,14 +73,6 @@ async def test_a_run_that_never_began_leaves_no_file(config: RigConfig, tmp_path
     assert len(list(tmp_path.iterdir())) == 1
 
 
-async def test_a_folder_that_cannot_be_written_is_bad_input(config: RigConfig, tmp_path: Path) -> None:
-    recorder = Recorder(lambda sentence: None)
-    await recorder.start(tmp_path)
-    with pytest.raises(BadInput, match="/proc/nowhere"):
-        await recorder.begin(Path("/proc/nowhere"), config, REQUEST)
-    await recorder.close()
-
-
 @pytest.fixture
 def failures() -> list[str]:
     return []
@@ -243,25 +235,28 @@ async def test_a_run_stalled_at_its_end_is_closed_by_another_recorder(
     await assert_records(recorder, tmp_path, config)
 
 
-@pytest.mark.parametrize(
-    ("what", "value"),
-    [
+@started
+async def test_what_no_file_can_hold_is_refused_before_there_is_one(
+    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path
+) -> None:
+    for what, value in (
         ("strategy", "a\0b"),
         ("strategy", "\ud800"),
         ("strategy", "s" * 100_000),
         ("parameters", "p\0"),
         ("options", {"not": "text"}),
         ("options", None),
-    ],
-)
-@started
-async def test_what_no_file_can_hold_is_refused_before_there_is_one(
-    recorder: Recorder, failures: list[str], config: RigConfig, tmp_path: Path, what: str, value: object
-) -> None:
-    with pytest.raises(BadInput, match=f"^{what}: ") as told:
-        await recorder.begin(tmp_path, config, {**REQUEST, what: value})
-    assert len(str(told.value)) < 200
-    assert list(tmp_path.iterdir()) == []
+    ):
+        with pytest.raises(BadInput, match=f"^{what}: ") as told:
+            await recorder.begin(tmp_path, config, {**REQUEST, what: value})
+        assert len(str(told.value)) < 200
+        assert list(tmp_path.iterdir()) == []
+    for folder, named in (
+        (Path("/proc/nowhere"), "/proc/nowhere"),
+        (Path(__file__), f"{Path(__file__).name}: cannot be the folder of the runs: Not a directory"),
+    ):
+        with pytest.raises(BadInput, match=named):
+            await recorder.begin(folder, config, REQUEST)
     await assert_records(recorder, tmp_path, config)
     assert failures == []
 
@@ -341,15 +336,6 @@ async def test_a_folder_that_was_taken_away_is_told(
     with pytest.raises(RigFault, match="was deleted or moved"):
         await recorder.finish({"status": "fault"}, 1.0)
     await assert_records(recorder, folder, config)
-
-
-@started
-async def test_a_file_in_the_place_of_the_folder_is_named(
-    recorder: Recorder, config: RigConfig, tmp_path: Path
-) -> None:
-    (tmp_path / "runs").write_text("")
-    with pytest.raises(BadInput, match="runs: cannot be the folder of the runs: Not a directory"):
-        await recorder.begin(tmp_path / "runs", config, REQUEST)
 
 
 async def test_the_run_of_a_killed_daemon_is_told_and_closed_at_the_next_start(

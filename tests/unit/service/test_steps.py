@@ -42,13 +42,13 @@ def test_it_waits_for_a_process_that_ends_by_itself() -> None:
         assert not step.is_done()
         step.do()
         assert step.is_done()
-        assert process.returncode == 0
+        assert process.wait(10) == 0
 
 
 def test_what_goes_on_is_told_to_end() -> None:
     with running(OBEYING, "echo ready; exec sleep 60") as process:
         AwaitProcesses(OBEYING, patience_s=0.3).do()
-        assert process.returncode == -15
+        assert process.wait(10) == -15
 
 
 def test_what_does_not_obey_is_named() -> None:

@@ -140,6 +140,7 @@ def test_other_strategies_think_in_one_other_process(thinker: Thinker) -> None:
         asked(thinker, Refuses()).result(60)
 
 
+@pytest.mark.whole
 def test_a_child_that_died_is_replaced(thinker: Thinker) -> None:
     first = process_of(thinker)
     with pytest.raises(RigFault, match="strategy Dies lost its process; choose another"):
@@ -147,6 +148,7 @@ def test_a_child_that_died_is_replaced(thinker: Thinker) -> None:
     assert process_of(thinker) != first
 
 
+@pytest.mark.whole
 def test_a_strategy_that_never_answers_is_told_by_name_and_its_process_replaced() -> None:
     thinker = Thinker(limit_s=10.0)
     first = process_of(thinker)
@@ -170,12 +172,14 @@ def test_an_answer_that_nobody_waits_for_is_dropped(thinker: Thinker) -> None:
     assert lost.done()
 
 
+@pytest.mark.whole
 def test_a_process_that_thinks_no_more_is_kept(thinker: Thinker) -> None:
     first = process_of(thinker)
     thinker.drop()
     assert process_of(thinker) == first
 
 
+@pytest.mark.whole
 async def test_the_child_is_started_before_the_first_question_where_one_will_be_needed() -> None:
     thinker = Thinker()
     await thinker.get_ready("reed2008")

@@ -36,6 +36,7 @@ def story() -> Story:
     return tell_story(plant, {name: library[name] for name in CANDIDATES}, runs=4)
 
 
+@pytest.mark.whole
 def test_the_circle_closes(story: Story) -> None:
     told = story.as_json()
     assert told["adopted"] == ["tissue_elasticity"]
@@ -54,6 +55,7 @@ def test_the_circle_closes(story: Story) -> None:
     assert known(told["times_better"]) > 3.0
 
 
+@pytest.mark.whole
 def test_it_can_be_read_and_seen(story: Story) -> None:
     words = in_words(story)
     assert words[2].startswith("3. diagnose names tissue_elasticity; adopting brings that error to 1.")

@@ -35,6 +35,7 @@ def _bout(name: str = "rig_elastic", model: str | None = None) -> Bout:
     return Bout(plant, plant.torsional_rigidity_nm2, saved=saved)
 
 
+@pytest.mark.whole
 def test_the_command_identifies_a_model_and_prints_the_stated_rows(tmp_path: Path) -> None:
     asked = ["--targets", "45", "--seeds", "1", "--jobs", "1", "--json", "--pictures", str(tmp_path)]
     for name in ("planned", "reed2008", "none"):
@@ -75,6 +76,7 @@ def test_settled_runs_end_where_whole_runs_end() -> None:
     assert settled.time_s == pytest.approx(whole.time_s, rel=0.2)
 
 
+@pytest.mark.whole
 def test_every_strategy_runs_and_meets_the_same_needles() -> None:
     bout = _bout(model="rig_elastic")
     table = compare_strategies(bout, all_strategies(), [30.0], 1, starts=("relaxed",))
@@ -89,6 +91,7 @@ def test_rigid_uniform_tissue_is_aligned_by_the_papers_sequence() -> None:
     assert found.values["tip_lag_deg"] < 0.5
 
 
+@pytest.mark.whole
 def test_runs_in_which_planned_gave_way_are_counted() -> None:
     wrong = compare_strategies(_bout(model="rig_rigid"), ["planned"], [45.0], 2, starts=("relaxed",))
     assert wrong.overall()[0]["gave_way_to_reed2008"] == 2
@@ -109,6 +112,7 @@ def test_it_says_beforehand_when_little_is_to_be_gained() -> None:
     assert "less than 3 times better, because reed2008 leaves little to gain" in told.sentence
 
 
+@pytest.mark.whole
 def test_what_is_predicted_is_of_the_targets_and_starts_that_are_run() -> None:
     bout = _bout(model="rig_elastic")
     small, large = (predicted(bout, (target,), ("relaxed",)) for target in (2.0, 90.0))

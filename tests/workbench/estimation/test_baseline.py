@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from needle_rig.units import rad
-from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline, with_noise_at
+from needle_rig.workbench.estimation.baseline import Baseline, with_noise_at
 from needle_rig.workbench.estimation.discretisation_error import refitted
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
-from tests.workbench.hidden import dataset, few
+from tests.workbench.hidden import null_fit
 
 WANDERS_DEG, WANDERS_S = 0.15, 2.0
 SET_ASIDE_DEG = 1.5
@@ -18,7 +18,7 @@ SET_ASIDE_DEG = 1.5
 def beside_one_set_aside(request: pytest.FixtureRequest) -> tuple[Baseline, Problem, Fit]:
     """Data of the baseline's model with Hall angles that wander, and what an effect set aside does to them:
     the baseline, the problem with that as a nuisance, and the fit to it."""
-    baseline = fit_baseline(dataset(seed=request.param), None, few())
+    baseline = null_fit(seed=request.param)
     problem, random = baseline.problem, np.random.default_rng(request.param)
     correlated, correlation_s = problem.noise.correlated.copy(), problem.noise.correlation_s.copy()
     correlated[1:], correlation_s[1:] = rad(WANDERS_DEG), WANDERS_S

@@ -132,6 +132,7 @@ def slipping(encoder_deg: float) -> tuple[Dataset, Problem, Fit]:
     return data, baseline.problem, found
 
 
+@pytest.mark.whole
 def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison() -> None:
     """A path off by 0.01° slips a sample sooner or later: true values would leave more than the noise."""
     data, problem, found = slipping(encoder_deg=0.02)
@@ -146,6 +147,7 @@ def test_what_the_encoder_s_noise_does_to_stick_slip_is_noise_of_the_comparison(
     )
 
 
+@pytest.mark.whole
 def test_an_effect_of_the_acceleration_is_not_driven_by_the_encoder_s_noise() -> None:
     """Between samples half a millisecond apart 0.02° are thousands of rad/s²."""
     hidden = effect("chuck_inertia", inertia_gcm2=27.5)
@@ -164,6 +166,7 @@ def test_an_effect_of_the_acceleration_is_not_driven_by_the_encoder_s_noise() ->
     assert again.parameters[0].value(float(again.vector.scaled_values[0])) == pytest.approx(27.5, rel=0.05)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("finer", [True, False])
 def test_the_discretisation_error_of_an_acceleration_is_no_second_effect(
     finer: bool, monkeypatch: pytest.MonkeyPatch
@@ -232,12 +235,14 @@ def test_a_path_of_samples_that_fits_worse_only_widens_the_spread(
         assert again.scaled_errors[0] == pytest.approx(np.hypot(at_least, found.scaled_errors[0]), rel=0.1)
 
 
+@pytest.mark.whole
 def test_an_encoder_without_noise_adds_none() -> None:
     data, problem, found = slipping(encoder_deg=0.0)
     wider, _ = by_every_sample(problem, found, data.trials)
     assert all(b.from_encoder is not None and not b.from_encoder.any() for b in wider.trials)
 
 
+@pytest.mark.whole
 def test_directions_of_other_nuisances_outlast_a_change_of_the_noise() -> None:
     data, problem, found = slipping(encoder_deg=0.02)
     raw = [np.cos(3.0 * b.base_rad) + np.zeros_like(b.mean) for b in problem.trials]
@@ -250,6 +255,7 @@ def test_directions_of_other_nuisances_outlast_a_change_of_the_noise() -> None:
         assert nuisance[:, 1] == pytest.approx(whitener(given))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", [31, 32])
 def test_a_sloppy_solver_is_not_an_effect(seed: int) -> None:
     """Data from cells and tolerances eight times coarser hold a numerical error, and no effect."""

@@ -22,7 +22,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import dataset, effect, few, fit, try_effect
+from tests.workbench.hidden import dataset, effect, few, fit, null_fit, try_effect
 
 EVERY = find_effects()
 
@@ -54,7 +54,7 @@ def test_off_is_the_origin(name: str) -> None:
 
 
 def test_the_null_model_finds_friction_and_the_noise() -> None:
-    baseline = fit_baseline(dataset(), None, few())
+    baseline = null_fit()
     friction = np.exp(baseline.current.vector.log_friction)
     assert friction * 100 == pytest.approx(0.0996, rel=0.03)
     assert abs(baseline.current.pull_rigidity) < 3
@@ -63,9 +63,7 @@ def test_the_null_model_finds_friction_and_the_noise() -> None:
 
 
 def test_a_hidden_stiffness_is_found_within_its_error() -> None:
-    baseline = fit_baseline(
-        dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)), None, few()
-    )
+    baseline = null_fit(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     found = try_effect(baseline.problem, baseline.current, "tissue_elasticity")
     parameter, at, error = (
         found.fit.parameters[0],
@@ -79,7 +77,7 @@ def test_a_hidden_stiffness_is_found_within_its_error() -> None:
 
 
 def test_a_trend_of_friction_over_a_few_trials_is_no_evidence() -> None:
-    parent = fit_baseline(dataset(), None, few()).current
+    parent = null_fit().current
     gain = 2.0 * parent.scatter_dof * math.log(2.0)
     seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
     steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
@@ -92,7 +90,7 @@ def test_a_trend_of_friction_over_a_few_trials_is_no_evidence() -> None:
 
 
 def test_a_child_is_never_worse_than_its_parent() -> None:
-    baseline = fit_baseline(dataset(), None, few())
+    baseline = null_fit()
     for name in few():
         found = try_effect(baseline.problem, baseline.current, name).fit
         assert found.objective < baseline.current.objective + 1.0
@@ -124,7 +122,7 @@ def test_strengths_that_can_only_grow_one_way_have_one_sided_axes() -> None:
 def test_a_trial_s_random_effect_scales_lumped_friction_too(name: str) -> None:
     """With 15 % scatter and no other noise, the right model finds each trial's factor and leaves nothing."""
     quiet = Noise(hall_deg=0.01, torque_nmm=0.00003, encoder_deg=0.001, friction_scatter=0.15)
-    baseline = fit_baseline(dataset(EVERY[name].at_strength(1.0), noise=quiet, seed=3), None, few(name))
+    baseline = null_fit(EVERY[name].at_strength(1.0), noise=quiet, seed=3, library=(name,))
     found = try_effect(baseline.problem, baseline.current, name).fit
     factors = [
         1.0 + 0.15 * np.random.default_rng([3, i + 1]).standard_normal()
@@ -267,6 +265,7 @@ def test_the_predictive_density_is_that_of_a_linear_model(hidden: Effect) -> Non
     assert cross_validate(problem, found).loss == pytest.approx(loss, abs=1.0)
 
 
+@pytest.mark.whole
 def test_wear_that_one_command_shows_predicts_better_than_scatter() -> None:
     data = dataset(effect("friction_wear", loss_per_turn=0.5))
     baseline = fit_baseline(data, None, few("friction_wear"))
@@ -275,6 +274,7 @@ def test_wear_that_one_command_shows_predicts_better_than_scatter() -> None:
     assert predictive_gain(baseline.validation, found.validation) > 5.0
 
 
+@pytest.mark.whole
 def test_a_fit_goes_on_along_what_the_data_hardly_tell_apart() -> None:
     """The trials' own friction stands in for wear at the start: a valley a hundred of its widths long."""
     noise = Noise(hall_deg=0.04, torque_nmm=0.0002, friction_scatter=0.01)
@@ -314,10 +314,11 @@ def test_factors_of_sections_count_against_their_mean() -> None:
     assert cross_validate(baseline.problem, found).error < 1.1
 
 
+@pytest.mark.whole
 def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    baseline = null_fit(effect("stribeck", static_excess=0.3), library=("stribeck",))
     start = dataclasses.replace(
         baseline.current.vector, scaled_values=np.zeros(len(EVERY["stribeck"].parameters()))
     )
@@ -339,7 +340,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
 
 @pytest.mark.slow
 def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest() -> None:
-    baseline = fit_baseline(dataset(effect("stribeck", static_excess=0.3)), None, few("stribeck"))
+    baseline = null_fit(effect("stribeck", static_excess=0.3), library=("stribeck",))
     start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, -1.5, 0.0]))
     stuck = fit(baseline.problem, ["stribeck"], start)
     assert stuck is not None

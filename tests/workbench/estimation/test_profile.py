@@ -10,12 +10,12 @@ import pytest
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation import profile
-from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
+from needle_rig.workbench.estimation.baseline import as_baseline
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.estimation.profile import over_profiles
-from tests.workbench.hidden import dataset, effect, few, fit
+from tests.workbench.hidden import effect, fit, null_fit
 
 GROWTH, REST_TIME = 0.2, 1.0
 Held = Callable[..., Fit]
@@ -24,7 +24,7 @@ Held = Callable[..., Fit]
 def ageing(seed: int = 1) -> tuple[Problem, Fit]:
     """(problem, fit of the hidden effect from its true values)."""
     hidden = effect("stiction_ageing", growth_per_decade=GROWTH, rest_time_s=REST_TIME)
-    baseline = fit_baseline(dataset(hidden, seed=seed), None, few("stiction_ageing"))
+    baseline = null_fit(hidden, seed=seed, library=("stiction_ageing",))
     at = scaled_values_of(baseline.problem.parameters(["stiction_ageing"]), [hidden])
     start = dataclasses.replace(baseline.current.vector, scaled_values=at)
     return baseline.problem, fit(baseline.problem, ["stiction_ageing"], start)
@@ -88,10 +88,11 @@ def test_a_lower_point_of_a_profile_is_gone_on_from(monkeypatch: pytest.MonkeyPa
 
 
 def test_an_effect_without_a_form_keeps_its_fit() -> None:
-    baseline = fit_baseline(dataset(), None, few())
+    baseline = null_fit()
     assert over_profiles(baseline.problem, baseline.current) is baseline.current
 
 
+@pytest.mark.whole
 def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
     problem, found = ageing()
     start = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values + np.array([0.0, 0.1]))
@@ -110,7 +111,7 @@ def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
 def test_the_interval_of_ageing_holds_the_truth(seed: int) -> None:
     """Curvature alone, or a path of blocks, held it in one of two."""
     hidden = effect("stiction_ageing", growth_per_decade=GROWTH, rest_time_s=REST_TIME)
-    baseline = fit_baseline(dataset(hidden, seed=seed), None, few("stiction_ageing"))
+    baseline = null_fit(hidden, seed=seed, library=("stiction_ageing",))
     at = scaled_values_of(baseline.problem.parameters(["stiction_ageing"]), [hidden])
     start = dataclasses.replace(baseline.current.vector, scaled_values=at - np.array([0.2, 0.15]))
     coarse = fit(baseline.problem, ["stiction_ageing"], start)

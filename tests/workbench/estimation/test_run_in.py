@@ -80,6 +80,7 @@ def test_relaxed_starts_are_left_as_they_are(wide: Dataset) -> None:
     assert judged(wide) is wide
 
 
+@pytest.mark.whole
 def test_readings_that_depend_on_the_start_are_left_out(wide: Dataset, wide_begun_late: Dataset) -> None:
     found = judged(wide_begun_late)
     for trial, given in zip(found.trials[:2], wide_begun_late.trials[:2], strict=True):
@@ -99,6 +100,7 @@ def test_readings_that_depend_on_the_start_are_left_out(wide: Dataset, wide_begu
     assert not any(t.start_found for t in found.trials)
 
 
+@pytest.mark.whole
 def test_the_friction_found_after_a_run_in_is_that_of_relaxed_starts(
     wide: Dataset, wide_begun_late: Dataset
 ) -> None:
@@ -111,6 +113,7 @@ def test_the_friction_found_after_a_run_in_is_that_of_relaxed_starts(
     assert late.refit.reduced_chi2 < 1.15
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("start", ["wound", "zeroed"])
 def test_a_start_that_is_never_forgotten_is_fitted(start: Start) -> None:
     # Reed's sequence goes back by less than twice the lag: its end still depends on the beginning
@@ -175,6 +178,7 @@ def test_friction_at_the_tip_is_not_taken_for_less_wound_starts(start: Start) ->
     assert found.held_out_error_after < 1.1
 
 
+@pytest.mark.whole
 def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -195,6 +199,7 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself
     assert found.held_out_error_after < 1.1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("beyond", "verdict"), [(0.0, "effect"), (1.0, "unknown")])
 def test_what_is_named_stands_from_its_own_starts_where_another_effect_found_them(
     monkeypatch: pytest.MonkeyPatch, beyond: float, verdict: str
@@ -223,6 +228,7 @@ def test_what_is_named_stands_from_its_own_starts_where_another_effect_found_the
     assert [r.rule for r in found.reasons] == ["starts_of_another"] * (verdict == "unknown")
 
 
+@pytest.mark.whole
 def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -243,6 +249,7 @@ def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
         assert set(asked[unknown_starts.MOST_PROMISING :]) == rest
 
 
+@pytest.mark.whole
 def test_a_users_effect_that_holds_the_shaft_is_found_in_processes_of_their_own(tmp_path: Path) -> None:
     given = (Path(built_in.__path__[0]) / "tissue_elasticity.py").read_text()
     (tmp_path / "my_elasticity.py").write_text(given)
@@ -258,6 +265,7 @@ def test_a_users_effect_that_holds_the_shaft_is_found_in_processes_of_their_own(
     assert found.fit.chi2 < 1.3 * found.baseline.problem.size
 
 
+@pytest.mark.whole
 def test_after_a_run_in_no_starts_are_looked_for(wide_begun_late: Dataset) -> None:
     said: list[str] = []
     found = diagnose(wide_begun_late, few("torque_bias"), quick=True, say=said.append)

@@ -26,7 +26,7 @@ from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.learning.adopt import adopt, undo
 from needle_rig.workbench.learning.observations import Traces
 from tests.values import known
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, null_fit
 
 ORIGIN = Origin("hidden", "cd" * 32, "2026-11-23")
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
@@ -56,6 +56,7 @@ def learnt(data: Any) -> Any:
     return learn_laws(data, few(), origin=ORIGIN)
 
 
+@pytest.mark.whole
 def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt: Any) -> None:
     assert learnt.verdict == "law"
     (law,) = learnt.laws
@@ -71,6 +72,7 @@ def test_a_hidden_law_is_found_with_place_variable_and_formula(learnt: Any) -> N
     assert abs(fields["sine_deg"][0] - 2.0) < 4.0 * fields["sine_deg"][1]
 
 
+@pytest.mark.whole
 def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
     curve = learnt.laws[0].curve
     truth = 2.0 * np.sin(np.radians(3.0 * curve.at))
@@ -84,6 +86,7 @@ def test_the_true_curve_lies_in_the_band_where_data_are(learnt: Any) -> None:
         assert np.abs(half - truth)[there].mean() < 0.5
 
 
+@pytest.mark.whole
 def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:
     told = json.loads(json.dumps(learnt.as_json(1.25)))
     assert set(told) == {"verdict", "laws", "seconds"}
@@ -93,6 +96,7 @@ def test_the_json_answer_has_what_is_promised_and_no_more(learnt: Any) -> None:
     assert [told["laws"][0][k] for k in ("hook", "place", "variable")] == ["observe", "hall_2", "angle"]
 
 
+@pytest.mark.whole
 def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
     learnt: Any, data: Any, tmp_path: Any
 ) -> None:
@@ -108,6 +112,7 @@ def test_the_drafted_effect_is_adopted_lowers_the_error_and_is_taken_back(
     assert undo(again).model.effects == ()
 
 
+@pytest.mark.whole
 def test_the_curves_are_drawn(learnt: Any) -> None:
     from needle_rig.figures.laws import laws_figure
 
@@ -116,11 +121,13 @@ def test_the_curves_are_drawn(learnt: Any) -> None:
     assert "hall_2" in figure.axes[0].get_title()
 
 
+@pytest.mark.whole
 def test_nothing_hidden_is_no_law() -> None:
     found = learn_laws(dataset(seed=5), few(), origin=ORIGIN)
     assert (found.verdict, found.laws) == ("none", ())
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("hidden", "verdict", "library"),
     [
@@ -249,8 +256,9 @@ class SoftSection(Effect):
         return dataclasses.replace(rod, compliance_rad_per_nm=rod.compliance_rad_per_nm + added)
 
 
+@pytest.mark.whole
 def test_a_law_in_one_section_is_reached_from_a_model_that_is_far_off() -> None:
-    baseline = fit_baseline(dataset(SoftSection(300.0), seed=61), None, few())
+    baseline = null_fit(SoftSection(300.0), seed=61)
     problem, shared = baseline.problem, Shared(baseline.problem)
     made = next(m for m in candidates(problem, "law") if m.law == Law("shape", "stiffness", "x"))
     screened = screen(shared, baseline.current, made)

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from peers import TERMS, Data, Discrepancy, Sindy, Symbolic, left_out_error, library_features, of_command
 
-from needle_rig.workbench.estimation.baseline import fit_baseline
-from tests.workbench.hidden import dataset, few
+from tests.workbench.hidden import null_fit
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 
@@ -32,7 +31,7 @@ def script(name: str) -> ModuleType:
 
 @pytest.fixture(scope="module")
 def data() -> Data:
-    return Data(fit_baseline(dataset(seed=5), None, few()))
+    return Data(null_fit(seed=5))
 
 
 class Told:

@@ -27,6 +27,7 @@ TWO = (
 )
 
 
+@pytest.mark.whole
 def test_the_error_falls_step_by_step_and_steps_can_be_taken_back() -> None:
     data = Traces(dataset(*TWO))
     one = adopt(data, "tissue_elasticity", few(), today="2026-01-01", name="mine")
@@ -51,6 +52,7 @@ def test_the_error_falls_step_by_step_and_steps_can_be_taken_back() -> None:
         undo(undo(back))
 
 
+@pytest.mark.whole
 def test_an_effect_that_predicts_nothing_is_refused() -> None:
     data = Traces(dataset(seed=5))
     with pytest.raises(Refused, match="With force it is added"):
@@ -86,6 +88,7 @@ def test_unknown_and_double_effects_are_refused() -> None:
         adopt(data, "tissue_elasticity", few(), one)
 
 
+@pytest.mark.whole
 def test_one_command_alone_is_judged_by_blocks_of_its_time(tmp_path: Path) -> None:
     data = dataset(*TWO)
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))

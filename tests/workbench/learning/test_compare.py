@@ -15,6 +15,7 @@ from tests.workbench.hidden import dataset, effect, few
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
 
 
+@pytest.mark.whole
 def test_the_worst_places_are_the_reversals_of_an_elastic_tissue(tmp_path: Path) -> None:
     found = compare(dataset(ELASTIC), few())
     assert found.held is None

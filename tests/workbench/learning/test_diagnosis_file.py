@@ -60,6 +60,7 @@ def tie(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return path, result.stdout
 
 
+@pytest.mark.whole
 def test_a_file_gives_back_what_was_kept(kept: KeptDiagnosis, file: Path) -> None:
     again = load_diagnosis(file)
     assert (again.sha256, again.verdict, again.effects) == (kept.sha256, kept.verdict, kept.effects)
@@ -75,6 +76,7 @@ def test_a_file_gives_back_what_was_kept(kept: KeptDiagnosis, file: Path) -> Non
         assert one.improves == other.improves
 
 
+@pytest.mark.whole
 def test_both_effects_of_a_pair_are_adopted_in_one_step_and_taken_back_in_one(
     file: Path, traces: Path
 ) -> None:
@@ -92,6 +94,7 @@ def test_both_effects_of_a_pair_are_adopted_in_one_step_and_taken_back_in_one(
     assert back.history == ()
 
 
+@pytest.mark.whole
 def test_what_was_kept_is_what_fitting_again_finds(kept: KeptDiagnosis, traces: Path) -> None:
     """Not to the bit: the noise of the second step is measured against a model that has the first effect."""
     observed = read_observations([traces])
@@ -102,6 +105,7 @@ def test_what_was_kept_is_what_fitting_again_finds(kept: KeptDiagnosis, traces: 
         assert taken_over.model.values()[name] == pytest.approx(value, abs=2 * two.uncertainties[name])
 
 
+@pytest.mark.whole
 def test_a_diagnosis_that_began_at_a_model_goes_on_in_its_history(traces: Path) -> None:
     observed = read_observations([traces])
     one = adopt(observed, "tissue_elasticity", few(), name="mine", today="2026-01-01")
@@ -207,6 +211,7 @@ def test_a_file_that_is_cut_off_is_one_sentence_and_no_traceback(
     assert not (tmp_path / "model.yaml").exists()
 
 
+@pytest.mark.whole
 def test_a_tie_lists_its_alternatives_and_waits_for_a_choice(tie: tuple[Path, str], tmp_path: Path) -> None:
     path, _ = tie
     kept = load_diagnosis(path)
@@ -225,6 +230,7 @@ def test_a_tie_lists_its_alternatives_and_waits_for_a_choice(tie: tuple[Path, st
     assert load_model(model).history[0].dataset == "reed2008"
 
 
+@pytest.mark.whole
 def test_settled_values_are_adopted_by_name_as_traces_are(tie: tuple[Path, str], tmp_path: Path) -> None:
     model = tmp_path / "model.yaml"
     result = CliRunner().invoke(adopt_command, ["reed2008", "tissue_elasticity", "--out", str(model)])
@@ -233,6 +239,7 @@ def test_settled_values_are_adopted_by_name_as_traces_are(tie: tuple[Path, str],
     assert load_model(model).model.values() == pytest.approx(dict(taken_over.model.values()), rel=1e-9)
 
 
+@pytest.mark.whole
 def test_diagnose_prints_the_command_that_takes_its_answer_over(tie: tuple[Path, str]) -> None:
     path, printed = tie
     assert f"adopt it: needle-rig adopt {path} reed2008 {CHOICE}" in printed

@@ -68,6 +68,7 @@ def test_a_wrong_value_is_told_with_its_size_and_its_distance(
     assert "its values as they stand: " in found.headline()[1]
 
 
+@pytest.mark.whole
 def test_a_right_model_is_told_as_right() -> None:
     seeds = [held(seed=seed) for seed in range(1, 7)]
     errors = [f.held.error for f in seeds if f.held is not None]
@@ -137,6 +138,7 @@ def test_what_cannot_be_held_is_a_sentence(values: Held, saved: bool, sentence: 
         compare(dataset(ELASTIC), few(), model() if saved else None, values)
 
 
+@pytest.mark.whole
 def test_the_command_takes_a_file_or_a_set_and_prints_both_columns(tmp_path: Path) -> None:
     folder = str(write_dataset(dataset(ELASTIC), tmp_path / "data"))
     save_model(tmp_path / "half.yaml", model(STIFFNESS, 0.5))
@@ -199,6 +201,7 @@ def test_the_scale_of_the_map_is_the_same_for_all_data() -> None:
     assert scales[0] == scales[1] == (0.5, 100.0)
 
 
+@pytest.mark.whole
 def test_a_diagnosis_says_whether_values_fail_before_it_speaks_of_the_structure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

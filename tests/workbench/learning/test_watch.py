@@ -47,6 +47,7 @@ def after(first: list[WatchedRun], *later: WatchedRun) -> Watch:
     return judge([*first, *later], REFERENCE)
 
 
+@pytest.mark.whole
 def test_nothing_changed_is_said(in_control: list[WatchedRun]) -> None:
     found = after(in_control, *(one(1, number) for number in range(20, 28)))
     assert found.verdict == "unchanged"

@@ -75,6 +75,7 @@ def test_the_error_left_out_of_one_command_is_a_number_that_tells_a_right_model(
     assert NOTE in baseline.dataset.notes
 
 
+@pytest.mark.whole
 def test_the_blocks_of_a_trial_have_one_friction_whose_scatter_is_no_trend() -> None:
     """Three draws may lie along a line, and twelve blocks are three draws."""
     for seed in range(4):

@@ -83,6 +83,7 @@ def test_a_run_begins_as_the_runs_before_it_left_the_shaft(runs: list[Path]) -> 
         assert misfit < 1.2
 
 
+@pytest.mark.whole
 def test_without_the_run_before_the_twist_is_unknown(runs: list[Path]) -> None:
     _, told, _ = stiffness(runs[2])
     runs[1].unlink()
@@ -168,6 +169,7 @@ def test_a_path_without_times_turns_without_a_stop() -> None:
     assert timed.base_angle_rad == pytest.approx(plain.base_angle_rad)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("timed", [True, False])
 def test_friction_that_ages_remembers_when_the_base_turned(timed: bool) -> None:
     """In one long recording the shaft stands 4 s before a trial, as it does not after turns without times."""

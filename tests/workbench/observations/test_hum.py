@@ -36,6 +36,7 @@ def humming(noise: Noise, hall_deg: float, torque_nmm: float) -> Noise:
     return dataclasses.replace(noise, hum=sizes, hum_hz=HUM_HZ)
 
 
+@pytest.mark.whole
 def test_hum_has_its_frequency_and_no_less_than_its_size(
     binned: tuple[BinnedTrial, ...], white: Noise
 ) -> None:

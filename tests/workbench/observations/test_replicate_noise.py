@@ -104,6 +104,7 @@ def test_a_sensor_of_another_time_has_its_own(binned: tuple[BinnedTrial, ...], w
     assert own <= 1.0 < 5.0 <= others
 
 
+@pytest.mark.whole
 def test_the_torque_wanders_as_much_as_it_may_where_most_halls_do(
     binned: tuple[BinnedTrial, ...], white: Noise
 ) -> None:
@@ -123,6 +124,7 @@ def test_the_torque_wanders_as_much_as_it_may_where_most_halls_do(
     assert np.mean(covered) >= 0.9
 
 
+@pytest.mark.whole
 def test_white_noise_stays_white(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
     for seed in range(20):
         found = with_correlation(white, binned, drawn(white, binned, 100 + seed), [GROUP, [2], [3]])
@@ -192,6 +194,7 @@ def gain(
     return replicates_favour(other, noise, binned, residuals, [GROUP, [2], [3]]), total
 
 
+@pytest.mark.whole
 def test_replicates_bear_out_noise_from_a_gain_of_one_in_twenty(
     binned: tuple[BinnedTrial, ...], white: Noise
 ) -> None:

@@ -63,6 +63,7 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return json.loads(result.stdout)
 
 
+@pytest.mark.whole
 def test_the_paper_s_numbers_leave_a_tie_of_three_in_the_order_of_plausibility(answer: Any) -> None:
     assert answer["verdict"] == "effect"
     assert answer["effects"] == ["tissue_elasticity"]
@@ -77,6 +78,7 @@ def test_the_paper_s_numbers_leave_a_tie_of_three_in_the_order_of_plausibility(a
     assert answer["held_out_error_after"] < 0.5 * answer["held_out_error_before"]
 
 
+@pytest.mark.whole
 def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: Any) -> None:
     found = answer["next_experiment"]
     assert found["between"] == TIED
@@ -88,6 +90,7 @@ def test_what_decides_is_the_deep_sensor_in_the_third_motion(answer: Any) -> Non
     assert [p["between"] for p in found["pairs"]] == [TIED[:2], TIED[::2], TIED[1:]]
 
 
+@pytest.mark.whole
 def test_what_the_source_gives_without_scatter_is_shown_and_not_weighed(answer: Any) -> None:
     said = [n for n in answer["notes"] if "not weighed" in n]
     assert [number for n in said for number in re.findall(r"^.*?: ([\d.]+) ", n)] == ["0.068", "43.8", "4.4"]
@@ -110,6 +113,7 @@ def test_values_are_predicted_with_the_strategy_s_loop_inside(
     assert problem.predict(model) == pytest.approx(expected, abs=0.5)
 
 
+@pytest.mark.whole
 def test_the_deciding_reading_decides() -> None:
     ofs = [v.of for v in paper().weighed] + [Seen(0, "back", "hall_deg", 3)]
     ofs += [Seen(0, m, "torque_nmm") for m in ("rotate", "overshoot", "back")]
@@ -157,12 +161,14 @@ def test_any_strategy_with_its_options_can_be_told(tmp_path: Path) -> None:
     assert [round(deg(m.base_angle_rad)) for m in runs[0]] == [0, 45, -30]
 
 
+@pytest.mark.whole
 def test_without_zeroed_sensors_a_torque_bias_ties_as_well() -> None:
     data = dataclasses.replace(paper(), zeroed_at_rest=False)
     found = diagnose_settled(data, few("torque_bias", "torque_gain"))
     assert {found.effects[0], *found.ranking[0].indistinguishable_from} == {"torque_bias", "torque_gain"}
 
 
+@pytest.mark.whole
 def test_a_user_s_effect_ties_under_its_own_name(tmp_path: Path) -> None:
     source = Path(find_effects()["chuck_compliance"].__module__.replace(".", "/") + ".py").read_text()
     (tmp_path / "soft_holder.py").write_text(source.replace("class ChuckCompliance", "class SoftHolder"))
@@ -174,6 +180,7 @@ def test_a_user_s_effect_ties_under_its_own_name(tmp_path: Path) -> None:
     assert known(found.ranking[0].separation_sigma) < 0.1
 
 
+@pytest.mark.whole
 def test_what_no_plausible_effect_meets_is_unknown_and_told() -> None:
     found = diagnose_settled(paper(), few("tip_friction", "chuck_backlash", "torque_bias"))
     assert (found.verdict, found.effects) == ("unknown", ())
@@ -189,6 +196,7 @@ def test_an_effect_with_as_many_parameters_as_values_is_no_answer() -> None:
     assert "would fit anything" in found.ranking[0].against
 
 
+@pytest.mark.whole
 def test_nothing_hidden_is_none() -> None:
     data = paper()
     ofs = [Seen(0, m, "hall_deg", k) for m in ("rotate", "back", "final") for k in range(4)]
@@ -199,6 +207,7 @@ def test_nothing_hidden_is_none() -> None:
     assert found.residual_patterns.patterns == ()
 
 
+@pytest.mark.whole
 def test_a_model_that_has_the_effect_needs_no_other() -> None:
     found = diagnose_settled(paper(), few("torque_gain", "tissue_elasticity"), load_parameters("rig_elastic"))
     assert found.verdict == "none"

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from needle_rig.workbench.selection.decisions import decide, decision_at, may_snap
-from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.search import SearchTrace
-from tests.workbench.hidden import dataset, few
+from tests.workbench.hidden import diagnosed
 
 
 def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step() -> None:
     """Next to stick-slip a step from 0 moves slips: errors of what was fitted there come out as good as 0."""
-    search = diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
+    search = diagnosed(seed=24, library=("tissue_elasticity", "torque_bias")).search
     candidates = {c.effect: c for c in search.children[search.best]}
     fit = candidates["tissue_elasticity"].fit
     assert fit is not None
@@ -32,7 +31,7 @@ def test_a_limit_of_what_is_not_there_is_no_finer_than_the_derivatives_step() ->
 
 @pytest.fixture(scope="module")
 def nothing_found() -> SearchTrace:
-    return diagnose(dataset(seed=24), few("tissue_elasticity", "torque_bias")).search
+    return diagnosed(seed=24, library=("tissue_elasticity", "torque_bias")).search
 
 
 def test_a_limit_stiffer_than_its_file_allows_is_the_stiffest_allowed(nothing_found: SearchTrace) -> None:
@@ -62,7 +61,7 @@ def test_what_is_present_stays_so_while_commands_left_out_are_missed(nothing_fou
 
 def test_of_friction_that_may_let_the_needle_snap_no_size_is_ruled_out() -> None:
     """Another code's needle whose excess of 0.25 is lost within no slip was fitted by 0.02 over 1.9°."""
-    found = diagnose(dataset(seed=24), few("stribeck", "torque_bias"))
+    found = diagnosed(seed=24, library=("stribeck", "torque_bias"))
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "absent"
     told = found.decisions["stribeck"]

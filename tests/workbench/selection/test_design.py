@@ -6,18 +6,17 @@ from click.testing import CliRunner
 from needle_rig.cli.experiment import command
 from needle_rig.dataset import write_dataset
 from needle_rig.simulation.protocol import load_protocol
-from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.selection.design import commands, expected_power, proposals
 from tests.values import known
-from tests.workbench.hidden import dataset, effect, few, try_effect
+from tests.workbench.hidden import dataset, effect, null_fit, try_effect
 
 NAMES = ("tip_friction", "chuck_backlash")
 
 
 def fits() -> tuple[Problem, Fit, Fit]:
-    baseline = fit_baseline(dataset(effect("tip_friction", torque_nmm=0.02)), None, few(*NAMES))
+    baseline = null_fit(effect("tip_friction", torque_nmm=0.02), library=NAMES)
     tip, play = (try_effect(baseline.problem, baseline.current, name).fit for name in NAMES)
     return baseline.problem, tip, play
 

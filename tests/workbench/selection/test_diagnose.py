@@ -11,7 +11,6 @@ from noise_kinds import noisy
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.units import nm
-from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import workers
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import notes, search
@@ -20,13 +19,14 @@ from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.notes import of_no_use
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
-from tests.workbench.hidden import dataset, effect, few, try_effect
+from tests.workbench.hidden import dataset, diagnosed, effect, few, null_fit, try_effect
 
 ELASTIC = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45)
+BIAS_AND_FRICTION = effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03)
 
 
 def test_nothing_hidden_is_none() -> None:
-    found = diagnose(dataset(seed=5), few())
+    found = diagnosed(seed=5)
     assert found.verdict == "none"
     assert found.effects == ()
     assert {d.decision for d in found.decisions.values()} <= {"absent", "cannot_tell", "negligible"}
@@ -34,7 +34,7 @@ def test_nothing_hidden_is_none() -> None:
 
 
 def test_one_hidden_effect_is_named_with_its_size() -> None:
-    found = diagnose(dataset(ELASTIC), few())
+    found = diagnosed(ELASTIC)
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     value = found.ranking[0].values[0]
     assert value.low <= 0.45 <= value.high
@@ -45,14 +45,15 @@ def test_one_hidden_effect_is_named_with_its_size() -> None:
     assert found.decisions["tissue_elasticity"].decision == "present"
 
 
+@pytest.mark.whole
 def test_two_hidden_effects_are_both_named() -> None:
-    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
-    found = diagnose(data, few())
+    found = diagnosed(*BIAS_AND_FRICTION)
     assert set(found.effects) == {"torque_bias", "tip_friction"}
 
 
+@pytest.mark.whole
 def test_an_effect_in_no_library_is_unknown_and_described() -> None:
-    found = diagnose(dataset(ELASTIC), few("torque_bias", "hall_offset", "clock_offset"))
+    found = diagnosed(ELASTIC, library=("torque_bias", "hall_offset", "clock_offset"))
     assert found.verdict == "unknown"
     assert found.effects == ()
     assert found.residual_patterns.patterns
@@ -60,6 +61,7 @@ def test_an_effect_in_no_library_is_unknown_and_described() -> None:
     assert found.as_json()["left_over"]["explained"] is False
 
 
+@pytest.mark.whole
 def test_a_needle_that_snaps_and_that_no_effect_predicts_is_called_stick_slip() -> None:
     snapping = dataset(effect("stribeck", static_excess=1.0, rate_deg_s=11.5, weakening_deg=0.8))
     found = diagnose(snapping, few("torque_bias", "hall_offset"))
@@ -70,6 +72,7 @@ def test_a_needle_that_snaps_and_that_no_effect_predicts_is_called_stick_slip() 
     assert not any("too small to matter" in note for note in found.notes)
 
 
+@pytest.mark.whole
 def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     creeping = effect(
         "tissue_viscoelasticity",
@@ -77,13 +80,14 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
         relaxing_stiffness_nmm_per_rad_per_100mm=0.05,
         relaxation_time_s=2.0,
     )
-    found = diagnose(dataset(creeping), few("tissue_elasticity", "torque_bias", "hall_offset"))
+    found = diagnosed(creeping, library=("tissue_elasticity", "torque_bias", "hall_offset"))
     assert found.explained_fraction > 0.99
     assert found.verdict == "unknown"
     assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
     assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
 
 
+@pytest.mark.whole
 @pytest.mark.slow
 def test_friction_of_which_screening_promises_nothing_is_found_from_a_finite_strength() -> None:
     """Beside viscous slip a little static excess makes nothing better: the damping must rise with it."""
@@ -107,7 +111,7 @@ def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch:
 
 
 def test_an_effect_too_small_to_matter_is_negligible() -> None:
-    found = diagnose(dataset(effect("torque_bias", bias_nmm=0.001)), few("torque_bias", "chuck_backlash"))
+    found = diagnosed(effect("torque_bias", bias_nmm=0.001), library=("torque_bias", "chuck_backlash"))
     assert found.verdict == "none"
     assert found.decisions["torque_bias"].decision == "negligible"
     assert [(s.kind, s.best) for s in found.search.steps] == [("set aside", frozenset())]
@@ -115,23 +119,23 @@ def test_an_effect_too_small_to_matter_is_negligible() -> None:
     assert directions == [1, 2]
 
 
+@pytest.mark.whole
 def test_a_torque_gain_is_known_by_the_needle_s_stated_constants() -> None:
-    found = diagnose(
-        dataset(effect("torque_gain", gain=0.7)), few("torque_gain", "torque_bias", "tip_friction")
-    )
+    found = diagnosed(effect("torque_gain", gain=0.7), library=("torque_gain", "torque_bias", "tip_friction"))
     assert found.effects == ("torque_gain",)
     assert found.ranking[0].values[0].value == pytest.approx(0.7, abs=0.06)
 
 
+@pytest.mark.whole
 def test_friction_that_wears_is_not_taken_for_scatter() -> None:
-    found = diagnose(
-        dataset(effect("friction_wear", loss_per_turn=0.5)),
-        few("friction_wear", "torque_bias", "tip_friction"),
+    found = diagnosed(
+        effect("friction_wear", loss_per_turn=0.5), library=("friction_wear", "torque_bias", "tip_friction")
     )
     assert found.effects == ("friction_wear",)
     assert found.ranking[0].values[0].value == pytest.approx(0.5, abs=0.1)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("hidden", "law"),
     [
@@ -140,12 +144,13 @@ def test_friction_that_wears_is_not_taken_for_scatter() -> None:
     ],
 )
 def test_what_rigidity_or_random_effects_absorbed_is_a_residual_pattern(hidden: Effect, law: str) -> None:
-    found = diagnose(dataset(hidden), few("torque_bias", "tip_friction"))
+    found = diagnosed(hidden, library=("torque_bias", "tip_friction"))
     assert (found.verdict, found.effects) == ("unknown", ())
     assert law in found.residual_patterns.patterns[0].sentence()
     assert not found.residual_patterns.patterns[1:]
 
 
+@pytest.mark.whole
 def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
     none_at_any_value = dataclasses.replace(POLICY.verdict, at_any_value=0)
     monkeypatch.setattr(notes, "POLICY", dataclasses.replace(POLICY, verdict=none_at_any_value))
@@ -155,12 +160,13 @@ def test_several_effects_at_odd_values_describe_and_are_not_named(monkeypatch: p
     assert found.residual_patterns.patterns
 
 
+@pytest.mark.whole
 def test_the_answer_does_not_depend_on_names_and_order(tmp_path: Path) -> None:
     data = dataset(ELASTIC)
     shuffled = tuple(data.trials[i] for i in (3, 0, 4, 2, 1))
     renamed = tuple(dataclasses.replace(t, file=f"other/{i}.csv") for i, t in enumerate(shuffled))
     other = dataclasses.replace(data, name="another", trials=in_series(renamed))
-    one, two = diagnose(data, few()).as_json(), diagnose(other, few()).as_json()
+    one, two = diagnosed(ELASTIC).as_json(), diagnose(other, few()).as_json()
     assert one["dataset"] != two["dataset"]
     assert {**one, "dataset": ""} == {**two, "dataset": ""}
 
@@ -170,14 +176,16 @@ TWO = ("chuck_backlash", "torque_bias")
 
 @pytest.fixture(scope="module")
 def answer_here() -> Any:
-    return diagnose(dataset(effect("chuck_backlash", play_deg=5.0)), few(*TWO)).as_json()
+    return diagnosed(effect("chuck_backlash", play_deg=5.0), library=TWO).as_json()
 
 
+@pytest.mark.whole
 def test_processes_give_the_same_answer(answer_here: Any) -> None:
     data = dataset(effect("chuck_backlash", play_deg=5.0))
     assert diagnose(data, few(*TWO), work=workers(2, None)).as_json() == answer_here
 
 
+@pytest.mark.whole
 def test_a_dask_cluster_gives_the_same_answer(answer_here: Any) -> None:
     distributed = pytest.importorskip("distributed")
     data = dataset(effect("chuck_backlash", play_deg=5.0))
@@ -194,6 +202,7 @@ def test_without_replicates_the_answer_says_so() -> None:
     assert any("repeat one command" in n for n in found.notes)
 
 
+@pytest.mark.whole
 def test_outliers_are_not_physics() -> None:
     data = dataset(seed=7)
     random = np.random.default_rng(2)
@@ -235,6 +244,7 @@ def test_the_command_prints_the_stated_json(tmp_path: Path, monkeypatch: pytest.
     assert "torque_bias missing" in plain.stdout
 
 
+@pytest.mark.whole
 def test_a_single_command_is_ranked_by_blocks_of_its_time_and_said_to_be_weak() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     one = dataclasses.replace(data, trials=in_series(tuple(data.trials[i] for i in (0, 1, 4))))
@@ -244,6 +254,7 @@ def test_a_single_command_is_ranked_by_blocks_of_its_time_and_said_to_be_weak() 
     assert any("One command alone" in n for n in found.notes)
 
 
+@pytest.mark.whole
 def test_a_dead_sensor_does_not_stop_the_diagnosis() -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     trials = []
@@ -255,6 +266,7 @@ def test_a_dead_sensor_does_not_stop_the_diagnosis() -> None:
     assert found.effects == ("torque_bias",)
 
 
+@pytest.mark.whole
 def test_two_names_for_one_law_are_a_tie(tmp_path: Path) -> None:
     import needle_rig.physics.effects.torque_bias as built_in
     from needle_rig.physics.library import find_effects
@@ -270,6 +282,7 @@ def test_two_names_for_one_law_are_a_tie(tmp_path: Path) -> None:
     assert "fits as well" in found.ranking[0].against
 
 
+@pytest.mark.whole
 def test_a_tie_comes_with_the_trial_that_breaks_it() -> None:
     data = dataset(effect("guide_friction", torque_nmm=0.004))
     found = diagnose(data, few("guide_friction", "chuck_backlash", "tip_friction"))
@@ -278,9 +291,9 @@ def test_a_tie_comes_with_the_trial_that_breaks_it() -> None:
         assert known(found.next_experiment)["separation_sigma"] > 1
 
 
+@pytest.mark.whole
 def test_what_was_not_refitted_is_said() -> None:
-    data = dataset(effect("torque_bias", bias_nmm=0.02), effect("tip_friction", torque_nmm=0.03))
-    found = diagnose(data, few())
+    found = diagnosed(*BIAS_AND_FRICTION)
     search = found.search
     on_top = search.children[search.best]
     assert on_top
@@ -295,6 +308,7 @@ def test_what_was_not_refitted_is_said() -> None:
         assert len(said) == bool(left_out)
 
 
+@pytest.mark.whole
 def test_the_seed_and_the_folder_change_no_verdict(tmp_path: Path) -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     names = few("torque_bias", "tip_friction")
@@ -306,7 +320,7 @@ def test_the_seed_and_the_folder_change_no_verdict(tmp_path: Path) -> None:
 
 
 def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
-    baseline = fit_baseline(dataset(ELASTIC), None, few("tissue_elasticity", "torque_bias"))
+    baseline = null_fit(ELASTIC, library=("tissue_elasticity", "torque_bias"))
     problem, names = baseline.problem, ("tissue_elasticity", "torque_bias")
     good = try_effect(problem, baseline.current, "tissue_elasticity")
     worse = dataclasses.replace(good.fit, objective=good.fit.objective + 30.0)
@@ -320,11 +334,11 @@ def test_an_effect_of_no_size_lends_its_better_fit_to_the_others() -> None:
     assert [s.kind for s in after.steps] == ["taken out"]
 
 
+@pytest.mark.whole
 def test_what_is_left_and_matters_is_not_forgiven_to_what_explains_nearly_all() -> None:
     """Friction of the guide, not in the library: two others take 99 % of it and leave the torque."""
-    found = diagnose(
-        dataset(effect("guide_friction", torque_nmm=0.02)),
-        few("layered_friction", "insertion_depth"),
+    found = diagnosed(
+        effect("guide_friction", torque_nmm=0.02), library=("layered_friction", "insertion_depth")
     )
     assert found.explained_fraction > 0.97
     assert known(found.search.fits[found.search.best][1]).error < 1.1
@@ -345,6 +359,7 @@ def test_a_quick_diagnosis_names_one_effect_and_says_what_it_left_out() -> None:
     assert found.decisions["hall_offset"].decision == "cannot_tell"
 
 
+@pytest.mark.whole
 def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
     late = effect("clock_offset", torque_delay_ms=55.0, hall_delay_ms=55.0)
     silent = dataset(late, seed=4, noise=Noise(hall_deg=0.0, torque_nmm=0.0))
@@ -359,6 +374,7 @@ def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
     assert found.baseline.problem.noise.correlated.min() > 0.0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [

@@ -2,10 +2,9 @@ import dataclasses
 
 import pytest
 
-from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.selection.evidence import improves_cross_validation
-from tests.workbench.hidden import dataset, few
+from tests.workbench.hidden import null_fit
 
 
 @pytest.mark.parametrize(
@@ -21,7 +20,7 @@ from tests.workbench.hidden import dataset, few
 def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_them(
     loss: float, error: float, relieved_sigmas: float, speaks_for: bool
 ) -> None:
-    child = fit_baseline(dataset(seed=21), None, few()).current
+    child = null_fit(seed=21).current
     child = dataclasses.replace(child, pull_rigidity=0.0)
     parent = dataclasses.replace(child, pull_rigidity=relieved_sigmas)
     assert (
@@ -33,7 +32,7 @@ def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_t
 
 
 def test_nothing_is_predicted_where_nothing_was_left_out() -> None:
-    found = fit_baseline(dataset(seed=21), None, few()).current
+    found = null_fit(seed=21).current
     parent = dataclasses.replace(found, pull_rigidity=5.0)
     child = dataclasses.replace(found, pull_rigidity=0.0)
     assert not improves_cross_validation(parent, None, child, CrossValidation(1.0, 1.0, ()))

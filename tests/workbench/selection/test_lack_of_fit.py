@@ -12,7 +12,7 @@ from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit, lack_of_fit
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
-from tests.workbench.hidden import dataset, effect, few, fit, try_effect
+from tests.workbench.hidden import dataset, diagnosed, effect, few, fit, try_effect
 
 
 def checked(data: Dataset) -> LackOfFit:
@@ -20,6 +20,7 @@ def checked(data: Dataset) -> LackOfFit:
     return known(lack_of_fit(baseline.problem, baseline.current, data.sensor_names))
 
 
+@pytest.mark.whole
 def test_nothing_hidden_is_seldom_significant_at_any_scatter() -> None:
     found = [
         checked(dataset(seed=300 + s, noise=Noise(friction_scatter=(0.02, 0.15)[s % 2]))) for s in range(12)
@@ -97,7 +98,7 @@ def test_without_replicates_there_is_no_test() -> None:
 
 
 def test_the_answer_carries_the_test_before_and_after() -> None:
-    answer = diagnose(dataset(effect("torque_bias", bias_nmm=0.02), seed=46), few("torque_bias")).as_json()
+    answer = diagnosed(effect("torque_bias", bias_nmm=0.02), seed=46, library=("torque_bias",)).as_json()
     assert known(answer["lack_of_fit"]["before"])["p"] < 1e-6
     assert known(answer["lack_of_fit"]["after"])["p"] > 0.001
     assert answer["effects"] == ["torque_bias"]

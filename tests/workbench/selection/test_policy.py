@@ -42,7 +42,7 @@ from needle_rig.workbench.selection.search import (
     next_move,
 )
 from needle_rig.workbench.selection.verdict import Findings, reasons, verdict
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, null_fit
 
 WORKBENCH_TESTS = Path(__file__).resolve().parents[1]
 
@@ -62,7 +62,7 @@ def fit(**known: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def baseline() -> Baseline:
-    return fit_baseline(dataset(seed=21), None, few())
+    return null_fit(seed=21)
 
 
 def test_every_threshold_says_why_and_names_a_test_that_is_there() -> None:

@@ -7,11 +7,10 @@ import dataclasses
 import numpy as np
 
 from needle_rig.physics.library import find_effects
-from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.search import SearchTrace, _back, expand, set_aside
-from tests.workbench.hidden import dataset, few
+from tests.workbench.hidden import null_fit
 
 NAMES = ("chuck_backlash", "hall_offset", "tip_friction", "torque_bias")
 HIDDEN = frozenset({"chuck_backlash"})
@@ -20,7 +19,7 @@ HIDDEN = frozenset({"chuck_backlash"})
 def aside() -> SearchTrace:
     """A search that stands at backlash, once a torque bias too small to matter is set aside."""
     hidden = find_effects()["chuck_backlash"].at_strength(1.0)
-    baseline = fit_baseline(dataset(hidden), None, few(*NAMES))
+    baseline = null_fit(hidden, library=NAMES)
     work = Work()
     work.share(baseline.problem)
     trace = SearchTrace.begin(baseline.problem, NAMES, baseline.current, baseline.validation)

@@ -10,10 +10,10 @@ import pytest
 
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection import unknown_starts
-from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
+from needle_rig.workbench.selection.diagnose import Diagnosis
 from needle_rig.workbench.selection.rivals import find_rivals
 from needle_rig.workbench.selection.unknown_starts import FoundStarts, Holder
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, diagnosed, effect
 
 NAMED, LIKE, UNLIKE = "tip_friction", "platform_friction", "hall_offset"
 ERROR, CLOSE = 0.9, 10.0
@@ -21,7 +21,7 @@ ERROR, CLOSE = 0.9, 10.0
 
 @functools.cache
 def friction_at_the_tip() -> Diagnosis:
-    found = diagnose(dataset(effect(NAMED, torque_nmm=0.03)), few(NAMED, LIKE, UNLIKE))
+    found = diagnosed(effect(NAMED, torque_nmm=0.03), library=(NAMED, LIKE, UNLIKE))
     assert found.effects == (NAMED,)
     return found
 

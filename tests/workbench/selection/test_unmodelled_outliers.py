@@ -8,14 +8,14 @@ import pytest
 
 from needle_rig.dataset import Dataset
 from needle_rig.units import rad
-from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
+from needle_rig.workbench.estimation.baseline import Baseline
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.noise import covariance
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.unmodelled_outliers import outlying_bins, without_outliers
 from needle_rig.workbench.virtual.noise import Noise
-from tests.workbench.hidden import dataset, effect, few
+from tests.workbench.hidden import dataset, effect, few, null_fit
 
 CHANNEL, TRIAL = 4, 1
 TOLD = 12
@@ -24,7 +24,7 @@ TOLD = 12
 
 @functools.cache
 def clean() -> Baseline:
-    return fit_baseline(dataset(), None, few())
+    return null_fit()
 
 
 def off(sigmas: dict[int, float], told: int = TOLD) -> tuple[Problem, Fit]:
@@ -110,6 +110,7 @@ def by_camera() -> Dataset:
     return dataclasses.replace(data, trials=tuple(trials))
 
 
+@pytest.mark.whole
 def test_what_is_missing_is_named_beside_a_camera_that_sees_wrong_at_times() -> None:
     found = diagnose(by_camera(), few("tissue_elasticity", "tip_friction", "torque_bias"))
     assert found.effects == ("tissue_elasticity",)

@@ -28,6 +28,7 @@ def unrepeated(kind: str, *hidden: Effect, seed: int = 77_001, shape: str = "no 
     return recorded(SHAPES[shape], hidden, kind, SETUPS[1].noise, seed)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["wanders over 2 s", "wanders over 10 s"])
 def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
     found = diagnose(unrepeated(kind), WITHOUT)
@@ -38,6 +39,7 @@ def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
     assert "is taken for noise that wanders over seconds" in found.notes[0]
 
 
+@pytest.mark.whole
 def test_what_cannot_be_taken_for_noise_and_may_be_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(diagnose_module, "under_wander", lambda *_: None)
     found = diagnose(unrepeated("wanders over 2 s"), WITHOUT)
@@ -47,6 +49,7 @@ def test_what_cannot_be_taken_for_noise_and_may_be_is_said(monkeypatch: pytest.M
     assert {d.decision for d in found.decisions.values()} == {"cannot_tell"}
 
 
+@pytest.mark.whole
 def test_noise_that_wanders_is_no_second_effect() -> None:
     hidden = effect("bearing_drag", torque_nmm=0.0125, viscous_nmms_per_rad=0.0125)
     others = ("platform_friction", "torque_low_pass", "hall_offset", "guide_friction", "layered_friction")
@@ -62,6 +65,7 @@ def test_limits_hold_under_noise_that_wanders(bias_nmm: float) -> None:
     assert bias_nmm < limit_nmm < 0.002
 
 
+@pytest.mark.whole
 def test_a_torque_gain_is_named_for_the_rigidity_that_it_restores() -> None:
     """A rigidity that is off by as much predicts commands left out as well, against what is stated."""
     hidden = effect("torque_gain", gain=1.5)
@@ -70,6 +74,7 @@ def test_a_torque_gain_is_named_for_the_rigidity_that_it_restores() -> None:
     assert found.effects == ("torque_gain",)
 
 
+@pytest.mark.whole
 def test_three_effects_beside_what_may_be_noise_are_not_named() -> None:
     data = unrepeated("wanders over 2 s", effect("hall_eccentricity", cosine_deg=4.0), seed=77_002)
     found = diagnose(data, few("hall_harmonics", "hall_offset", "hall_gain"))
@@ -82,6 +87,7 @@ def test_more_than_may_wander_is_no_noise() -> None:
     assert under_wander(baseline, baseline.problem, baseline.current) is None
 
 
+@pytest.mark.whole
 def test_where_commands_were_repeated_replicates_must_bear_it_out(monkeypatch: pytest.MonkeyPatch) -> None:
     given = fit_baseline(unrepeated("wanders over 2 s", shape="standard series"), None, WITHOUT)
     monkeypatch.setattr(unrepeated_module, "replicates_favour", lambda *_: False)
@@ -92,6 +98,7 @@ def test_where_commands_were_repeated_replicates_must_bear_it_out(monkeypatch: p
     assert "Repeat one command more often" in changed[1]
 
 
+@pytest.mark.whole
 def test_hum_is_found_by_its_frequency() -> None:
     found = diagnose(unrepeated("hum"), WITHOUT)
     problem, _, validation = found.concluded
@@ -101,6 +108,7 @@ def test_hum_is_found_by_its_frequency() -> None:
     assert "oscillates at 0.17 Hz" in found.notes[0]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "hidden",
     [
@@ -118,6 +126,7 @@ def test_what_an_effect_leaves_is_no_hum(hidden: Effect) -> None:
     assert under_hum(baseline, baseline.problem, baseline.current) is None
 
 
+@pytest.mark.whole
 def test_what_is_missing_and_matters_is_unknown() -> None:
     hidden = effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.1)
     for kind in ("white", "wanders over 2 s"):
@@ -139,6 +148,7 @@ def test_a_dead_sensor_leaves_nothing() -> None:
     assert 0.0 < left_to_white(baseline.problem, baseline.current) < 1.0
 
 
+@pytest.mark.whole
 def test_what_is_left_is_measured_in_white_noise() -> None:
     def left(kind: str, *hidden: Effect, shape: str = "no replicates") -> float:
         baseline = fit_baseline(unrepeated(kind, *hidden, shape=shape), None, WITHOUT)
