@@ -35,9 +35,13 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
     with tempfile.TemporaryDirectory(prefix="nr-") as temporary:
         shell = Shell(tmp_path, temporary=temporary)
         yield shell
-        for pid in shell.processes():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+        end_all(shell)
+
+
+def end_all(shell: Shell) -> None:
+    for pid in shell.processes():
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
@@ -51,7 +55,10 @@ def test_workers_end_with_the_command_that_started_them(name: str, number: int, 
         time.sleep(instant_s)
         process.send_signal(number)
         process.wait(20.0)
-        all_gone(shell.processes())
+        try:
+            all_gone(shell.processes(), within_s=10.0)
+        finally:
+            end_all(shell)  # they would hold the pipes that are read to their end now
 
 
 def wait_for_workers(shell: Shell, process: subprocess.Popen[str]) -> None:
