@@ -109,6 +109,7 @@ def test_a_killed_daemon_leaves_nothing(shell: Shell, daemon: subprocess.Popen[s
     wait_until_gone(shell)
 
 
+@pytest.mark.whole
 def test_a_signal_before_the_daemon_is_ready_leaves_nothing(shell: Shell) -> None:
     the_socket(shell).parent.mkdir(parents=True)
     for delay_s in (0.4, 0.7, 1.0):

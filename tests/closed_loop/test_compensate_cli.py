@@ -51,6 +51,7 @@ def check_schema(result: dict[str, Any]) -> None:
     assert final["range_deg"] == pytest.approx(max(final["hall_deg"]) - min(final["hall_deg"]), abs=1e-3)
 
 
+@pytest.mark.whole
 def test_rigid_tissue_is_aligned_as_the_model_says(shell: Shell) -> None:
     result = shell.compensate("--fast", "--parameters", "rig_rigid", "--out", "here")
     check_schema(result)

@@ -42,6 +42,7 @@ def ask(shell: Shell, method: str, path: str, **content: Any) -> httpx.Response:
         return client.request(method, path, **content)
 
 
+@pytest.mark.whole
 def test_commands_use_the_running_daemon(shell: Shell, daemon: subprocess.Popen[str]) -> None:
     place = shell.folder / "run" / "needle-rig" / "daemon.sock"
     assert stat.S_IMODE(place.stat().st_mode) == 0o660

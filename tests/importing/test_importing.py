@@ -93,6 +93,7 @@ def test_a_letter_at_the_end_of_a_name_is_no_unit() -> None:
     assert split_name("Torque (N·mm)") == ("Torque", "N·mm")
 
 
+@pytest.mark.whole
 def test_a_recording_becomes_the_dataset_it_was_written_from(
     tmp_path: Path, rig: RigPart, table: np.ndarray
 ) -> None:

@@ -47,6 +47,7 @@ def test_both_agree_where_friction_does_not_fall() -> None:
     assert torque_nmm < 2e-4
 
 
+@pytest.mark.whole
 def test_inertia_of_the_wire_changes_nothing_that_can_be_measured() -> None:
     time, base = path([8.0], settle_s=0.05)
     plain = textbook(0.06)

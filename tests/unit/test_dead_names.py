@@ -47,6 +47,7 @@ READ_BY_NAME = {
 }
 
 
+@pytest.mark.whole
 def test_every_name_is_used_and_every_exception_is_needed() -> None:
     scripts = [p for p in (REPOSITORY / "scripts").iterdir() if p.is_file() and "python" in first_line(p)]
     looked_at = pytest.importorskip("vulture").Vulture()

@@ -73,11 +73,12 @@ def test_no_target_is_refused_in_a_sentence() -> None:
         Strategies(names=["none"], targets_deg=()).answer()
 
 
+@pytest.mark.whole
 def test_the_worst_trials_are_drawn_first_and_a_figure_needs_no_second_comparison(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(traces, "TRIALS", 2)
-    data = dataset(TissueElasticity(0.35))
+    data = dataset(TissueElasticity(0.35), seed=2)
     found, _ = asked("compare", tmp_path, data=data, model=None, effects=[])
     drawn = [trial["file"] for trial in found["traces"]["trials"]]
     worst = max((place for place in found["places"] if place["sigmas"]), key=lambda place: place["sigmas"])

@@ -244,6 +244,7 @@ def test_of_many_stopped_questions_the_last_stay(
         assert len(list(cache.iterdir())) == 3
 
 
+@pytest.mark.whole
 def test_a_command_that_is_stopped_three_times_says_what_one_says_that_is_not(
     tmp_path: Path, cache: Path
 ) -> None:
@@ -311,6 +312,7 @@ print(digest_of(Bout(saved.model, 1e-4, Noise(), saved)), digest_of(find_effects
 """
 
 
+@pytest.mark.whole
 def test_one_task_has_one_name_in_every_process() -> None:
     """A set of names has an order of its own in each."""
     root = str(Path(__file__).parents[2])

@@ -44,6 +44,7 @@ def end_all(shell: Shell) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 @pytest.mark.parametrize("name", COMMANDS)
 def test_workers_end_with_the_command_that_started_them(name: str, number: int, shell: Shell) -> None:

@@ -17,7 +17,6 @@ from needle_rig.workbench.estimation.cross_validation import cross_validate
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.multistart import over_forms
 from needle_rig.workbench.estimation.parameters import free_parameters, make_effects, scaled_values_of
-from needle_rig.workbench.estimation.posterior import STEP
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
@@ -148,11 +147,15 @@ def test_derivatives_by_a_random_effect_are_those_of_its_simulation() -> None:
     baseline = fit_baseline(data, None, few("tip_friction"))
     problem = baseline.problem
     found = try_effect(problem, baseline.current, "tip_friction").fit
-    moved = dataclasses.replace(found.vector, trial_friction=found.vector.trial_friction + STEP)
-    readings = [problem.predict(found.parameters, p) for p in (found.vector, moved)]
+    step = 1e-6
+    moved = [
+        dataclasses.replace(found.vector, trial_friction=found.vector.trial_friction + way)
+        for way in (-step, step)
+    ]
+    readings = [problem.predict(found.parameters, p) for p in moved]
     for t in range(len(problem.trials)):
-        change = problem.whiteners[t](readings[1][t] - readings[0][t]) / STEP
-        assert found.jacobians[t][:, -1] == pytest.approx(change, rel=1e-6, abs=1e-6)
+        change = problem.whiteners[t](readings[1][t] - readings[0][t]) / (2 * step)
+        assert np.linalg.norm(found.jacobians[t][:, -1] - change) < 2e-3 * np.linalg.norm(change)
     shared = np.concatenate([j[:, 0] for j in found.jacobians])
     own = np.concatenate([j[:, -1] for j in found.jacobians])
     assert np.linalg.norm(own - shared) > 0.1 * np.linalg.norm(own)

@@ -284,6 +284,7 @@ def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
     assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
 
 
+@pytest.mark.whole
 def test_a_users_effect_goes_to_another_process_as_its_file(
     baseline: Any, learnt: Any, tmp_path: Any
 ) -> None:

@@ -39,6 +39,7 @@ def test_commands_keep_to_the_rig_s_limits() -> None:
         assert max(abs(s) for s in (*planned.steps_deg, planned.target_deg or 0.0)) <= 100.0
 
 
+@pytest.mark.whole
 def test_the_command_writes_a_protocol_that_can_be_run(tmp_path: Path) -> None:
     folder = write_dataset(dataset(effect("tip_friction", torque_nmm=0.02)), tmp_path / "data")
     out = tmp_path / "decide.yaml"
