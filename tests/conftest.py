@@ -64,9 +64,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what passed already; examples of hypothesis may be more this time."""
-    if not config.option.not_again or config.cache is None:
+    cache = getattr(config, "cache", None)  # there is none without the plugin
+    if not config.option.not_again or cache is None:
         return
-    passed = set(config.cache.get(PASSED, []))
+    passed = set(cache.get(PASSED, []))
     again = [i for i in items if i.nodeid not in passed or i.get_closest_marker("hypothesis")]
     config.hook.pytest_deselected(items=[i for i in items if i not in set(again)])
     items[:] = again
@@ -75,10 +76,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Keep which tests passed."""
     config = session.config
-    if hasattr(config, "workerinput") or config.option.not_again or config.cache is None:
+    cache = getattr(config, "cache", None)
+    if hasattr(config, "workerinput") or config.option.not_again or cache is None:
         return
     reporter: Any = config.pluginmanager.get_plugin("terminalreporter")
-    config.cache.set(PASSED, sorted({r.nodeid for r in reporter.stats.get("passed", ()) if r.when == "call"}))
+    cache.set(PASSED, sorted({r.nodeid for r in reporter.stats.get("passed", ()) if r.when == "call"}))
 
 
 @pytest.hookimpl(tryfirst=True)
