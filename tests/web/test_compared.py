@@ -7,6 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from needle_rig.model import load_saved, save_model
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER
 from tests.closed_loop.shell import Shell
