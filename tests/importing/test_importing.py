@@ -107,6 +107,7 @@ def test_a_recording_becomes_the_dataset_it_was_written_from(
     assert trial.torque_nm * 1e3 == pytest.approx(table[:, 2] - table[:20, 2].mean(), abs=3e-4)
 
 
+@pytest.mark.whole
 def test_an_import_from_its_mapping_alone_is_the_same_bit_for_bit(tmp_path: Path, table: np.ndarray) -> None:
     log = written(tmp_path / "log.csv", table)
     line = ["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(tmp_path / "one")]

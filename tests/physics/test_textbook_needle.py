@@ -56,6 +56,7 @@ def test_inertia_of_the_wire_changes_nothing_that_can_be_measured() -> None:
     assert np.degrees(np.abs(without.halls_rad - having.halls_rad).max()) < 0.02
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
 def test_the_solver_follows_the_textbooks_law_where_damping_keeps_it_from_snapping(exponent: float) -> None:
     """The resistance rises with the rate all along: (υ_s − υ_k)/ω_s is 0.125 N·mm·s per 100 mm at most."""

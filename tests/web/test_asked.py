@@ -21,6 +21,7 @@ def test_the_page_offers_the_figures_that_there_are() -> None:
     assert set(re.findall(r"^  (\w+):", listed, re.MULTILINE)) == set(FIGURES)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -52,6 +53,7 @@ def worked(served: Served, request: dict[str, Any]) -> tuple[str, dict[str, Any]
     return job, answer
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("what", "said"),
     [("loops", "figure loops: there are traces"), ("loop", "reed2008 has settled values only, no traces")],
@@ -62,6 +64,7 @@ def test_a_figure_is_of_the_comparison_that_the_page_has(served: Served, what: s
     assert said in answer["error"]
 
 
+@pytest.mark.whole
 def test_a_model_file_that_is_dropped_is_a_model_to_hold_against_data(served: Served, tmp_path: Path) -> None:
     save_model(tmp_path / "mine.yaml", load_saved("rig_elastic"))
     upload = served.ask("POST", "/api/uploads", json={"name": "mine"}).json()["upload"]
