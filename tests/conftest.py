@@ -153,7 +153,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     from needle_rig.firmware.cache import built_firmware
 
     with ThreadPoolExecutor() as beside:
-        beside.submit(built_firmware, images=True)  # what it lacks is told by the tests that need it
+        beside.submit(built_firmware, images=True)  # tests that need it say what is missing
         compile_solver()
 
 

@@ -359,7 +359,7 @@ def _follow(
         shortest_step_s=SHORTEST_SNAP_S if memory else SHORTEST_STEP_S,
         # over a slip of the weakening length the static excess breaks down, while an age only halves
         longest_slip_rad=max(
-            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 2.0), LEAST_RESOLVED_SLIP_RAD
+            rod.weakening_rad / (8.0 if np.any(rod.static_excess) else 4.0), LEAST_RESOLVED_SLIP_RAD
         ),
         most_solves_per_sample=most_solves_per_sample,
         torque_scale=rod.torque_scale,

@@ -25,7 +25,7 @@ class Doing:
 
     A worker of the page is cancelled by its end, a command and a cell by KeyboardInterrupt: nothing here
     catches it, and `work` ends its processes. A question that was stopped so, or by a machine without power,
-    goes on from what was done when it is asked again.
+    goes on from what was done when it is re-run.
     """
 
     jobs: int | None = None

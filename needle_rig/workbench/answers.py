@@ -1,6 +1,6 @@
 """Answers of tasks, kept on disk until the question that they belong to is answered.
 
-A question that was stopped and is asked again goes on from them. An answer is found by its task alone: the
+A question that was stopped and is re-run goes on from them. An answer is found by its task alone: the
 function, its arguments, and the source of all that they name. What cannot be read is worked again.
 """
 
