@@ -183,11 +183,11 @@ def test_the_first_answer_after_a_reference_is_held_against_the_reading_it_belon
 ) -> None:
     """The drive takes its zero, falls silent, and what counts from another zero is heard next."""
     watched = Watched()
-    assert watched.tick(referenced=False) == []
-    assert watched.supervision.reference.wanted_rad == 0.0
-    assert watched.tick(referenced=False) == []
-    assert watched.tick(referenced=True, in_time=False) == []
-    assert watched.supervision.reference.wanted_rad is None
+    wanted_rad = []
+    for referenced, in_time in ((False, True), (False, True), (True, False)):
+        assert watched.tick(referenced=referenced, in_time=in_time) == []
+        wanted_rad.append(watched.supervision.reference.wanted_rad)
+    assert wanted_rad == [0.0, 0.0, None]
     for _ in range(dead_ticks):
         assert watched.tick(dead="drive") == []
     # 20 ms of smoothing, and nobody could see the 90° as a jump of the drive's own angle
