@@ -40,3 +40,15 @@ def forward_jacobian(
             moved[j] += step if above >= step else -step
         columns.append((f(moved) - f_x) / (moved[j] - x[j]))
     return np.stack(columns, axis=-1)
+
+
+def lower_root(covariance: Array) -> Array:
+    """Lower triangular root (n, n) of a covariance (n, n): Cholesky's, of the correlations.
+
+    Each variance is taken to be larger by what rounding makes of it, so that a part of low rank, however
+    large beside the others, leaves the root real.
+    """
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation)
+    correlation[np.diag_indices_from(correlation)] += deviation.size * np.finfo(np.float64).eps
+    return np.asarray(deviation[:, None] * np.linalg.cholesky(correlation), dtype=np.float64)

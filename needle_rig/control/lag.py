@@ -18,10 +18,13 @@ def tissue_length_m(layout: Layout) -> float:
 def effective_length_m(layout: Layout, position_m: float | None = None) -> float:
     """∫ carried torque / base torque dx from the base to `position_m` (the tip when None), metres.
 
-    225 mm in the model geometry (7), 285 mm in the experiment geometry (9).
+    225 mm in the model geometry (7), 285 mm in the experiment geometry (9); 0 without tissue, which alone
+    holds the shaft against a torque.
     """
     until = layout.needle_length_m if position_m is None else position_m
     total = tissue_length_m(layout)
+    if not total:
+        return 0.0
     length = 0.0
     here, before = 0.0, 0.0
     for start, end in (*layout.tissue_sections_m, (layout.needle_length_m, layout.needle_length_m)):

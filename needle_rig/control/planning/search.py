@@ -197,7 +197,7 @@ def _two_fronts(aim: Aim, needle: SettledNeedle) -> list[tuple[float, float, flo
     carried_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1]
     lag = float((carried_nm[1:] / rod.stiffness_nm_per_rad).sum())
     lag += float(carried_nm[0]) * rod.base_compliance_rad_per_nm
-    back = 1.0 - 1.5 * (whole - 0.125 * tissue) / whole
+    back = 1.0 - 1.5 * (whole - 0.125 * tissue) / whole if whole else 1.0
     target = aim.task.target_rad
     return [(target + s * lag, target + s * back * lag, target) for s in (1.0, -1.0)]
 

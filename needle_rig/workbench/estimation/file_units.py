@@ -33,9 +33,11 @@ def within_bounds(parameters: Sequence[FreeParameter], x: Array) -> Array:
 
 
 def in_file_units(parameters: Sequence[FreeParameter], x: Array) -> Array:
-    """The vector x (p,) in the units of files."""
+    """The vector x (p,) in the units of files; a logarithm beyond the largest number is infinite."""
     effects = [p.value(float(v)) for p, v in zip(parameters, x[2:], strict=True)]
-    return np.asarray(np.r_[per_100mm(np.exp(x[0])), np.exp(x[1]) * NMM2_PER_NM2, effects])
+    with np.errstate(over="ignore"):
+        friction_n, rigidity_nm2 = np.exp(x[:2])
+    return np.asarray(np.r_[per_100mm(friction_n), rigidity_nm2 * NMM2_PER_NM2, effects])
 
 
 def deviations_in_file_units(parameters: Sequence[FreeParameter], x: Array, deviations: Array) -> Array:

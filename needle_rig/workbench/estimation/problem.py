@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -110,6 +110,14 @@ class Problem:
     def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
         """Free parameters of the named effects."""
         return free_parameters(self.library, names, self.base.layout, self.base.torque_scale)
+
+    def candidates(self, present: Container[str]) -> tuple[str, ...]:
+        """Effects of the library that are not `present` and have a size in this layout, sorted by name.
+
+        One with a size for each Hall sensor has none where the layout has no sensor.
+        """
+        sizes = (p.effect for p in self.parameters(sorted(self.library)) if not p.info.shapes)
+        return tuple(name for name in dict.fromkeys(sizes) if name not in present)
 
     def model(
         self, parameters: Sequence[FreeParameter], vector: ParameterVector, trial: int | None = None

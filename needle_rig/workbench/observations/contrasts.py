@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, helmert, solve_triangular
+from scipy.linalg import helmert, solve_triangular
 
-from needle_rig.numerics import Array
+from needle_rig.numerics import Array, lower_root
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.noise import Noise, Places, covariance
 
@@ -57,7 +57,7 @@ def contrasts(
             use, matrix = covariance(noise, binned[i], channel)
             at = np.searchsorted(use, own)
             covariances.append(matrix[np.ix_(at, at)])
-        lower = cholesky(np.mean(covariances, 0), lower=True)
+        lower = lower_root(np.mean(covariances, 0))
         mean = seen.mean(0)
         rows = np.vstack(
             [helmert(len(group)) @ seen, mean, np.gradient(mean, binned[group[0]].time_s[places[0]])]
@@ -76,7 +76,7 @@ def each_alone(
         use, matrix = covariance(noise, trial, channel)
         if use.size < FEWEST_BINS:
             continue
-        lower = cholesky(matrix, lower=True)
+        lower = lower_root(matrix)
         independent = solve_triangular(lower, left[channel, use], lower=True)[None]
         found.append(Contrasts([i], use[None], lower, independent, np.zeros((0, use.size))))
     return found

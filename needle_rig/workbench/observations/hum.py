@@ -140,6 +140,8 @@ def _with_line(
 ) -> Noise:
     channels = _Channels(noise.white, lines)
     span_s = float(np.median([float(np.ptp(trial.time_s)) for trial in trials]))
+    if not span_s:  # one bin a trial
+        return noise
     step_hz = 1.0 / (STEPS_PER_LINE * span_s)
     # more lines than half the bins are not told apart
     tried_hz = np.arange(periods / span_s, HIGHEST_HZ, step_hz)[: most_bins * STEPS_PER_LINE // 2]

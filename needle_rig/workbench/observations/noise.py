@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from needle_rig.dataset import DatasetTrial
 from needle_rig.dataset.samples import is_slow
-from needle_rig.numerics import Array
+from needle_rig.numerics import Array, lower_root
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, channels, motions_of
 from needle_rig.workbench.observations.outliers import set_aside
@@ -365,7 +365,7 @@ def whitener(noise: Noise, binned: BinnedTrial) -> Whitener:
     for c in range(binned.mean.shape[0]):
         bins, matrix = covariance(noise, binned, c)
         use.append(bins)
-        lower = np.linalg.cholesky(matrix) if bins.size else np.zeros((0, 0))
+        lower = lower_root(matrix) if bins.size else np.zeros((0, 0))
         inverted = solve_triangular(lower, np.eye(bins.size), lower=True) if bins.size else lower
         inverse.append(np.asarray(inverted, dtype=np.float64))
         log_det += 2 * float(np.log(np.diag(lower)).sum())

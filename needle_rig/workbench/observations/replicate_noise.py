@@ -236,8 +236,8 @@ def _likeliest(channels: Sequence[_Channel], times_s: Sequence[float] = CORRELAT
 
     every = [at(tau_s) for tau_s in times_s]
     best = max(every, key=lambda each: each.log_likelihood)
-    likely = [each for each in every if each.log_likelihood > best.log_likelihood - UPPER]
-    rate = max(each.size**2 / each.tau_s for each in likely)
+    likely = (each for each in every if each.log_likelihood > best.log_likelihood - UPPER)
+    rate = max(each.size**2 / each.tau_s for each in (best, *likely))
     return dataclasses.replace(best, size=float(np.sqrt(rate * best.tau_s)))
 
 

@@ -132,7 +132,7 @@ def diagnose(
             say("finding the unknown starts with each effect that may hold them")
             starts = from_found_starts(dataset, model, library, baseline, at, quick)
             baseline, known = starts.baseline, starts.fit
-        names = tuple(sorted(set(library) - set(baseline.current.effects)))
+        names = baseline.problem.candidates(baseline.current.effects)
         say("trying every effect")
 
         def searched(of: Baseline, start: Fit | None) -> SearchTrace:

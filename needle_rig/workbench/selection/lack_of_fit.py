@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import ncfdtr
 
-from needle_rig.numerics import Array
+from needle_rig.numerics import Array, lower_root
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
@@ -156,7 +156,7 @@ def _averaging_matrix(whitener: Whitener, averages: Averages, cells: int) -> Arr
     """(cells, n): from whitened values of a trial to its cell means, independent and of unit variance."""
     averaging = np.zeros((cells, whitener.channel.size))
     for c, rows, given in averages:
-        lower = np.linalg.cholesky(given @ given.T)
+        lower = lower_root(given @ given.T)
         place = np.flatnonzero(whitener.channel == c)
         averaging[np.ix_(np.asarray(rows), place)] = solve_triangular(lower, given, lower=True)
     return averaging

@@ -155,7 +155,7 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
     limit = limit_sigmas(POLICY.verdict.pattern_significance, len(names))
     picked: list[tuple[int, float]] = []
     left, basis = project.missed, projected.copy()
-    for _ in range(POLICY.verdict.patterns):
+    for _ in range(min(POLICY.verdict.patterns, len(names))):
         seen = basis.T @ left
         best = int(np.argmax(np.abs(seen)))
         if abs(seen[best]) < limit:

@@ -129,7 +129,7 @@ def from_found_starts(
     Raises SolverError.
     """
     problem, current = baseline.problem, baseline.current
-    others = sorted(set(library) - set(current.effects))
+    others = problem.candidates(current.effects)
     least = _error(baseline.validation.error, current, problem, problem)
     work.share(problem)
     ahead = work.run(screen, [(current, name) for name in others])
