@@ -107,7 +107,8 @@ def fit_baseline(
     `prepared` is what is done to the trials before: with blocks something can be left out of one command
     alone, whole trials have one friction each. Parameters `fixed`, by name, stay as the model has them.
     `say` hears of both steps, the noise and the fit.
-    Raises BadInput when the dataset has no trial, or a model file's geometry has another number of sensors.
+    Raises BadInput when the dataset has no trial or no reading, or a model file's geometry has another number
+    of sensors.
     """
     if not dataset.trials:
         raise BadInput(f"{dataset.name}: no trial is left to compare with; see its notes")
@@ -138,6 +139,9 @@ def fit_baseline(
         noise,
         max(dataset.needle.rigidity_sigma, EXACT),
     )
+    if not problem.size:
+        why = "\n".join(dataset.notes)
+        raise BadInput(f"{dataset.name}: no reading is left to compare with; record one that changes\n{why}")
     names = tuple(effects)
     at = scaled_values_of(problem.parameters(names), current.effects)
     values = values_by_name(problem.parameters(names), current)
