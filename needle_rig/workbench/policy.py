@@ -414,9 +414,6 @@ class VerdictPolicy:
     )
     patterns: int = _threshold(5, "patterns that are told", CHOSEN, _RULES)
     lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)
-    explained_share: float = _threshold(
-        0.8, "share of the explainable error below which effects do not explain it", TABLE, _RULES
-    )
     reached: float = _threshold(
         1.1,
         "error on commands left out, in units of the noise, above which something is left: 20 % in variance",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,7 +47,6 @@ from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
 from needle_rig.workbench.selection.unknown_starts import (
     FoundStarts,
     from_found_starts,
-    own_start_error,
     with_starts_of,
 )
 from needle_rig.workbench.selection.unmodelled_outliers import without_outliers
@@ -161,13 +160,7 @@ def diagnose(
             say("looking for what cannot be told apart")
             apart, rivals = find_rivals(trace, at, seed, starts)
             say("testing the answer against the discretisation error")
-
-            def from_own(fitted: Fit) -> float:
-                if known is None or set(known.effects) == set(fitted.effects):
-                    return 0.0
-                return own_start_error(dataset, of.problem, fitted)
-
-            return _conclude(of, apart, rivals, dataset.sensor_names, from_own)
+            return _conclude(of, apart, rivals, dataset.sensor_names)
 
         baseline, known, trace = settled(baseline, known)
         if starts is not None and not quick:
@@ -206,7 +199,6 @@ def _conclude(
     search: SearchTrace,
     rivals: dict[str, list[Rival]],
     sensors: tuple[str, ...],
-    from_own: Callable[[Fit], float],
 ) -> Diagnosis:
     root, root_validation = search.root, search.root_validation
     named = search.named(search.best)
@@ -233,13 +225,11 @@ def _conclude(
             tuple(named),
             left,
             lack,
-            explained_fraction,
             validation.error,
             seen,
             scale,
             fitted_error,
             share,
-            from_own(best) if named else 0.0,
         )
     )
     verdict = judge(named, why)

@@ -172,15 +172,6 @@ def with_starts_of(
     return dataclasses.replace(found, baseline=renewed, fit=fitted, holders=holders)
 
 
-def own_start_error(dataset: Dataset, problem: Problem, found: Fit) -> float:
-    """Error of a fit's effects from the starts that they find themselves, in the noise of `problem`.
-
-    Infinite where the model cannot be solved there.
-    """
-    own = held((dataset, problem), found.effects, found.vector, math.inf)
-    return math.inf if own is None else own.error
-
-
 def held(
     shared: tuple[Dataset, Problem], names: tuple[str, ...], vector: ParameterVector, below: float
 ) -> Holder | None:

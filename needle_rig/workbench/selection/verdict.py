@@ -24,7 +24,6 @@ class Findings:
     named: tuple[str, ...]
     left: ResidualPatterns
     lack: LackOfFit | None
-    explained_share: float
     held_out_error: float
     """Root mean square error of cross-validation, in units of the noise."""
     snaps: tuple[Snap, ...] = ()
@@ -33,9 +32,6 @@ class Findings:
     """Root mean square of the residual in the trials that were fitted, in units of the noise."""
     left_to_white: float = math.inf
     """`unrepeated.left_to_white`."""
-    own_start_error: float = 0.0
-    """`unknown_starts.own_start_error` of what is named; 0 where no start was found with another
-    effect."""
 
 
 @dataclass(frozen=True)
@@ -54,19 +50,6 @@ def pattern_matters(found: Findings) -> str | None:
     """A significant pattern in the residual is large enough to matter."""
     matters = [p for p in found.left.patterns if not POLICY.size.small(p.size, p.unit, found.torque_scale)]
     return f"the residual is large enough to matter: {matters[0].sentence()}" if matters else None
-
-
-def little_explained(found: Findings) -> str | None:
-    """The named effects take too little of what can be explained."""
-    if not found.named or not found.left.significant:
-        return None
-    least = POLICY.verdict.explained_share
-    if found.explained_share >= least:
-        return None
-    return (
-        f"{' with '.join(found.named)} takes {100 * found.explained_share:.0f} % of what can be explained,"
-        f" less than {100 * least:.0f} %"
-    )
 
 
 def above_noise(held_out_error: float, limit: float) -> bool:
@@ -113,19 +96,6 @@ def stick_slip(found: Findings) -> str | None:
     )
 
 
-def starts_of_another(found: Findings) -> str | None:
-    """Unknown starts were found with an effect that is not named, and what is named does not explain the data
-    from the starts that it finds itself."""
-    limit = POLICY.verdict.reached
-    if not found.named or not above_noise(found.own_start_error, limit):
-        return None
-    return (
-        f"{' and '.join(found.named)} meets the noise from starts that were found with another effect alone;"
-        f" from its own the error on commands left out is {found.own_start_error:.2f} × the noise, more than"
-        f" {limit:g}"
-    )
-
-
 def replicates_agree_on_more(found: Findings) -> str | None:
     """Replicates share a misfit that matters, and no effect is named for it."""
     lack = found.lack
@@ -141,11 +111,9 @@ def replicates_agree_on_more(found: Findings) -> str | None:
 
 RULES: tuple[Callable[[Findings], str | None], ...] = (
     pattern_matters,
-    little_explained,
     noise_not_reached,
     replicates_agree_on_more,
     stick_slip,
-    starts_of_another,
 )
 """Each gives a sentence, or None where it finds nothing unexplained. Their names stand in the JSON answer."""
 

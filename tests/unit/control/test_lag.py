@@ -87,4 +87,6 @@ def test_a_relaxed_shaft_keeps_a_ninth_of_its_lag_in_the_model_geometry() -> Non
 
 def test_a_needle_in_no_tissue_has_no_lag() -> None:
     layout = Layout(0.3, (), (0.1, 0.29))
-    assert effective_length_m(layout) == lag_rad(1e-4, layout, 6e-5) == unwinding_rad(1e-4, layout, 6e-5) == 0.0
+    assert (
+        effective_length_m(layout) == lag_rad(1e-4, layout, 6e-5) == unwinding_rad(1e-4, layout, 6e-5) == 0.0
+    )

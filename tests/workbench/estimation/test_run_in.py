@@ -3,7 +3,6 @@
 import dataclasses
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from needle_rig.physics.library import load_effect
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
 from needle_rig.workbench.estimation.baseline import fit_baseline, judged
-from needle_rig.workbench.estimation.multistart import over_strength
 from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.observations.earlier_path import PHASE
@@ -25,10 +23,8 @@ from needle_rig.workbench.selection import unknown_starts
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.unknown_starts import (
-    FoundStarts,
     _error,
     from_found_starts,
-    own_start_error,
 )
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
@@ -179,15 +175,12 @@ def test_friction_at_the_tip_is_not_taken_for_less_wound_starts(start: Start) ->
 
 
 @pytest.mark.whole
-def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself() -> None:
     whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
     trials = list(whole.trials)
     for place in (2, 4):
         trials[place] = begun_late(trials[place], "overshoot", "wound")
     said: list[str] = []
-    monkeypatch.setattr(DIAGNOSE + ".own_start_error", lambda *_: pytest.fail("they are its own"))
     found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few(), say=said.append)
     assert said[:3] == [
         "measuring the noise",
@@ -197,35 +190,6 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
     assert found.held_out_error_after < 1.1
-
-
-@pytest.mark.whole
-@pytest.mark.parametrize(("beyond", "verdict"), [(0.0, "effect"), (1.0, "unknown")])
-def test_what_is_named_stands_from_its_own_starts_where_another_effect_found_them(
-    monkeypatch: pytest.MonkeyPatch, beyond: float, verdict: str
-) -> None:
-    whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
-    late = begun_late(whole.trials[2], "overshoot", "wound")
-    own: list[float] = []
-
-    def from_another(*given: Any) -> FoundStarts:
-        found = from_found_starts(*given)
-        vector = dataclasses.replace(found.baseline.current.vector, scaled_values=np.zeros(1))
-        fitted = over_strength(found.baseline.problem, ("torque_bias",), vector)
-        return dataclasses.replace(found, fit=fitted)
-
-    def from_own(*given: Any) -> float:
-        own.append(own_start_error(*given))
-        return own[-1] + beyond
-
-    monkeypatch.setattr(DIAGNOSE + ".from_found_starts", from_another)
-    monkeypatch.setattr(DIAGNOSE + ".own_start_error", from_own)
-    data = dataclasses.replace(whole, trials=(*whole.trials[:2], late, *whole.trials[3:]))
-    found = diagnose(data, few("torque_bias", "tissue_elasticity"), quick=True)
-    assert len(own) == 1
-    assert own[0] < 1.1
-    assert found.verdict == verdict
-    assert [r.rule for r in found.reasons] == ["starts_of_another"] * (verdict == "unknown")
 
 
 @pytest.mark.whole

@@ -111,12 +111,6 @@ def test_starts_and_fit_are_found_in_turn_until_they_hold_each_other(
     assert next(left) == 0.8
 
 
-def test_what_is_named_is_judged_from_starts_that_its_own_fit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, _ = rounds_that_leave((1.6, 1.02, 1.01, 1.01), monkeypatch)
-    root = found.search.root
-    assert unknown_starts.own_start_error(found.baseline.dataset, found.baseline.problem, root) == 1.01
-
-
 def rounds_that_leave(
     errors: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> tuple[Diagnosis, Iterator[float]]:
