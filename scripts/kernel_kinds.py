@@ -18,7 +18,8 @@ from typing import Any, TypedDict
 import numpy as np
 
 from needle_rig.physics.rod import Layout, Rod, TorqueLaw, build_rod
-from needle_rig.physics.solver import Solution, solve
+from needle_rig.physics.solution import Solution
+from needle_rig.physics.solver import solve
 
 JG = 62.56e-6
 LAYOUT = Layout(

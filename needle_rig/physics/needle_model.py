@@ -21,7 +21,8 @@ from needle_rig.numerics import Array
 from needle_rig.physics.compiled import torque_law
 from needle_rig.physics.effect import Effect, ParameterInfo, Reading, Trial
 from needle_rig.physics.rod import Layout, Rod, build_rod
-from needle_rig.physics.solver import DEFAULT_TOLERANCE_RAD, RodState, Sampled, Solution, solve, solve_batch
+from needle_rig.physics.solution import RodState, Sampled, Solution
+from needle_rig.physics.solver import DEFAULT_TOLERANCE_RAD, solve, solve_batch
 from needle_rig.units import per_100mm, per_length_n
 
 NMM2_PER_NM2 = 1e6

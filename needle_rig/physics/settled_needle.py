@@ -12,7 +12,8 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import RodState, Solution, relaxed
+from needle_rig.physics.solution import RodState, Solution
+from needle_rig.physics.solver import relaxed
 
 Truth = Callable[[NeedleModel, Trial, RodState], Solution]
 """Solves a piece of path as `NeedleModel.truth` does; raises what it raises."""

@@ -15,7 +15,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import RodState
+from needle_rig.physics.solution import RodState
 from needle_rig.records import Command, DriveState, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.simulation.drive_guard import DriveGuard, GuardSettings

@@ -10,7 +10,7 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.physics.solver import RodState, Solution
+from needle_rig.physics.solution import RodState, Solution
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ from needle_rig.physics.effects.stribeck import Stribeck
 from needle_rig.physics.effects.viscous_slip import ViscousSlip
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
-from needle_rig.physics.solver import Solution, relaxed
+from needle_rig.physics.solution import Solution
+from needle_rig.physics.solver import relaxed
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.physics.rod import Layout, Rod, build_rod
-from needle_rig.physics.solver import Solution
+from needle_rig.physics.solution import Solution
 
 JG = 62.56e-6
 EXPERIMENT = Layout(

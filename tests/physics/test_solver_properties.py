@@ -11,7 +11,8 @@ from hypothesis.strategies import DrawFn
 
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.rod import Layout, Rod, TorqueLaw
-from needle_rig.physics.solver import Solution, relaxed, solve, solve_batch
+from needle_rig.physics.solution import Solution
+from needle_rig.physics.solver import relaxed, solve, solve_batch
 from tests.physics.rods import EXPERIMENT, MODEL, compensation, errors, lumped, path, refined, rod
 from tests.physics.test_rod import layouts
 

@@ -9,7 +9,8 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout, Rod, build_rod
-from needle_rig.physics.solver import Path, Sampled, in_reach, solve_series
+from needle_rig.physics.solution import Path, Sampled
+from needle_rig.physics.solver import in_reach, solve_series
 from needle_rig.units import rad
 from tests.effects.common import LIBRARY
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from needle_rig.physics.effect import Trial
-from needle_rig.physics.solver import Solution, solve
+from needle_rig.physics.solution import Solution
+from needle_rig.physics.solver import solve
 from tests.physics.rods import EXPERIMENT, JG, path, rod
 from tests.physics.textbook_needle import TextbookNeedle, needle
 

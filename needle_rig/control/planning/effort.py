@@ -5,7 +5,7 @@ from __future__ import annotations
 from needle_rig.errors import SolverError
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.physics.solver import RodState, Solution
+from needle_rig.physics.solution import RodState, Solution
 
 CALL_SOLVES = 150.0
 LAW_SOLVES = 2.0

@@ -16,7 +16,7 @@ from needle_rig.physics.effect import Trial
 from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
-from needle_rig.physics.solver import RodState
+from needle_rig.physics.solution import RodState
 from needle_rig.units import nm, rad
 
 STIFFNESS_NMM_PER_RAD_PER_100MM = 0.45

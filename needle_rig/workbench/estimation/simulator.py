@@ -13,7 +13,8 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Path, Sampled, in_reach, solve_series
+from needle_rig.physics.solution import Path, Sampled
+from needle_rig.physics.solver import in_reach, solve_series
 from needle_rig.workbench.observations.binning import BinnedTrial
 
 Key = tuple[tuple[Effect, ...], float, float, float, float, int]

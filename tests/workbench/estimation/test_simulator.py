@@ -12,7 +12,8 @@ from needle_rig.errors import SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, parameter
 from needle_rig.physics.rod import Rod
-from needle_rig.physics.solver import Path, Sampled, solve_series
+from needle_rig.physics.solution import Path, Sampled
+from needle_rig.physics.solver import solve_series
 from needle_rig.workbench.estimation import simulator as simulator_module
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.estimation.posterior import start_vector
