@@ -6,6 +6,7 @@ import hashlib
 import math
 import pickle
 import sys
+from collections import ChainMap
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -76,18 +77,34 @@ class Memory:
     """Results of one dataset's diagnoses by their arguments: without a rule only what is new is computed."""
 
     def __init__(self) -> None:
-        self._results: dict[tuple[Any, ...], tuple[Any, BaseException | None]] = {}
-        self._stamps: dict[int, tuple[Any, bytes]] = {}
+        self._results: ChainMap[tuple[Any, ...], tuple[Any, BaseException | None]] = ChainMap()
+        self._stamps: ChainMap[int, tuple[Any, bytes]] = ChainMap()
         self.fresh: Collection[str] = ()
         """Functions that the rule which is off works inside of."""
-        self.rule = ""
+
+    @contextmanager
+    def apart(self, fresh: Collection[str]) -> Iterator[None]:
+        """What is computed within is forgotten after it: gigabytes, over all rules. Functions `fresh` are
+        asked anew."""
+        before = self._results, self._stamps
+        self._results, self._stamps = self._results.new_child(), self._stamps.new_child()
+        self.fresh = fresh
+        try:
+            yield
+        finally:
+            self._results, self._stamps = before
+            self.fresh = ()
 
     def of(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, asked once for the same arguments."""
 
         def remembered(*args: Any, **kwargs: Any) -> Any:
-            space = self.rule if name in self.fresh else ""
-            key = (name, space, *map(self._stamp, args), *((k, self._stamp(v)) for k, v in kwargs.items()))
+            key = (
+                name,
+                name in self.fresh,
+                *map(self._stamp, args),
+                *((k, self._stamp(v)) for k, v in kwargs.items()),
+            )
             if key not in self._results:
                 try:
                     self._results[key] = function(*args, **kwargs), None
@@ -339,14 +356,13 @@ RULES: tuple[Rule, ...] = (
 @contextmanager
 def switched_off(rule: Rule, memory: Memory) -> Iterator[None]:
     """Answers within are those without `rule`."""
-    memory.fresh, memory.rule = rule.fresh, rule.name
-    undo = rule.off()
-    try:
-        yield
-    finally:
-        for each in reversed(undo):
-            each()
-        memory.fresh, memory.rule = (), ""
+    with memory.apart(rule.fresh):
+        undo = rule.off()
+        try:
+            yield
+        finally:
+            for each in reversed(undo):
+                each()
 
 
 _USED = (decisions, notes, outliers, unmodelled_outliers, unrepeated)

@@ -43,12 +43,12 @@ def test_a_diagnosis_ends_in_an_answer(seed: int, tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(2000, 2500, 50))
-def test_none_of_five_hundred_ends_in_a_traceback(
+@pytest.mark.parametrize("first", range(2000, 2032, 8))
+def test_none_of_many_ends_in_a_traceback(
     first: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ended = {}
-    for seed in range(first, first + 50):
+    for seed in range(first, first + 8):
         folder = write_dataset(tmp_path / str(seed), seed)
         ended[seed] = [asked(folder, question, capsys) for question in QUESTIONS]
     assert {seed: each for seed, each in ended.items() if any(code == CRASHED for code, _ in each)} == {}

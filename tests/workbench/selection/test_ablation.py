@@ -67,13 +67,19 @@ def test_a_memory_asks_once_for_equal_arguments_and_again_inside_a_rule() -> Non
     remembered = memory.of("double", double)
     assert remembered([1, 2]) == remembered([1, 2]) == [2, 4]
     assert len(asked) == 1
-    memory.fresh, memory.rule = ("double",), "some rule"
-    assert remembered([1, 2]) == remembered([1, 2]) == [2, 4]
-    assert len(asked) == 2
+    with memory.apart(fresh=("double",)):
+        assert remembered([1, 2]) == remembered([1, 2]) == [2, 4]
+        assert len(asked) == 2
+    with memory.apart(fresh=()):
+        assert remembered([1, 2]) == [2, 4]
+        assert remembered([3]) == remembered([3]) == [6]
+        assert len(asked) == 3
+    assert remembered([3]) == [6]
+    assert len(asked) == 4
     for _ in range(2):
         with pytest.raises(ValueError, match="0"):
             remembered([1], by=0)
-    assert len(asked) == 3
+    assert len(asked) == 5
 
 
 @pytest.mark.parametrize(
