@@ -136,11 +136,10 @@ class _LeaveOut:
             after = x + step
             if float(step @ left @ step) < near:
                 return after, spread
-            moved = {
-                t: friction[t]
-                + terms[t].random_effect_step(residuals[t] - terms[t].shared @ step, friction[t])
-                for t in terms
-            }
+            moved = {}
+            for t, at in friction.items():
+                further = terms[t].random_effect_step(residuals[t] - terms[t].shared @ step, at)
+                moved[t] = float(np.clip(at + further, -FARTHEST, FARTHEST))
             after_residuals = self._residuals(dict.fromkeys(terms, after), moved)
             after_value = self._chi2(after, moved, after_residuals)
             if after_value < value:

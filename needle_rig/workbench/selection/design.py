@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 
 from needle_rig.dataset import DatasetTrial, TrialCommand
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.numerics import Array
+from needle_rig.numerics import Array, lower_root
 from needle_rig.physics.effect import Trial
 from needle_rig.simulation.base_drive import base_path, phases
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
@@ -151,8 +152,10 @@ def _proposal(
     difference, whiten = residuals[0], alone.whiteners[0]
     columns = LinearisedFit.at(alone, second.parameters, x, residuals, jacobians, second.scatter**-2).columns
     unknown = prediction_covariance(second.covariance, second.scatter**2, columns)
-    left = np.asarray(np.linalg.solve(np.eye(difference.size) + unknown, difference), dtype=np.float64)
-    separation = float(np.sqrt(difference @ left))
+    lower = lower_root(np.eye(difference.size) + unknown)
+    whitened = solve_triangular(lower, difference, lower=True)
+    left = np.asarray(solve_triangular(lower, whitened, lower=True, trans="T"), dtype=np.float64)
+    separation = float(np.linalg.norm(whitened))
     return Proposal(
         command, separation, duration_s, _watch(binned, whiten.channel, left, whiten.use, sensors)
     )

@@ -232,8 +232,9 @@ def _joint(
         if not columns:
             continue
         matrix = np.column_stack(columns)
-        square = matrix.T @ matrix + np.eye(len(columns)) * RIDGE
-        best = np.linalg.solve(square, matrix.T @ residual)
+        ridge = np.sqrt(RIDGE) * np.eye(len(columns))
+        padded = np.r_[residual, np.zeros(len(columns))]
+        best = np.linalg.lstsq(np.vstack([matrix, ridge]), padded, rcond=None)[0]
         scaled_values = form.copy()
         for amount, group in zip(best, places, strict=True):
             for i in group:
