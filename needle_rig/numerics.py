@@ -43,12 +43,15 @@ def forward_jacobian(
 
 
 def lower_root(covariance: Array) -> Array:
-    """Lower triangular root (n, n) of a covariance (n, n): Cholesky's, of the correlations.
+    """Lower triangular root (n, n) of a covariance (n, n), by Cholesky's method.
 
-    Each variance is taken to be larger by what rounding makes of it, so that a part of low rank, however
-    large beside the others, leaves the root real.
+    Where one part is so large beside the others that rounding leaves none of these, each variance is taken to
+    be larger by what rounding makes of it.
     """
-    deviation = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviation, deviation)
-    correlation[np.diag_indices_from(correlation)] += deviation.size * np.finfo(np.float64).eps
-    return np.asarray(deviation[:, None] * np.linalg.cholesky(correlation), dtype=np.float64)
+    try:
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        deviation = np.sqrt(np.diag(covariance))
+        correlation = covariance / np.outer(deviation, deviation)
+        correlation[np.diag_indices_from(correlation)] += deviation.size * np.finfo(np.float64).eps
+        return np.asarray(deviation[:, None] * np.linalg.cholesky(correlation), dtype=np.float64)
