@@ -79,10 +79,12 @@ def main_pid() -> int:
 def begun(process: subprocess.Popen[str]) -> None:
     """Wait until the base turns."""
     assert process.stderr is not None
+    said = ""
     for line in process.stderr:
         if "overshoot" in line and "moving" in line:
             return
-    raise AssertionError(f"it ended (exit {process.wait()})")
+        said = line
+    raise AssertionError(f"it ended (exit {process.wait()}): {said}")
 
 
 def started_run(*options: str) -> subprocess.Popen[str]:
