@@ -190,7 +190,7 @@ def without_verdict(rule: Callable[..., Any]) -> Off:
 
 @dataclass(frozen=True)
 class Rule:
-    """What can be switched off. Functions `fresh` are asked again, as the rule works inside of them."""
+    """What can be switched off. Functions `fresh` hold the rule: their results are computed anew."""
 
     name: str
     off: Off
