@@ -2,8 +2,8 @@
 
 Between the base and the first Hall sensor the shaft is a torsion spring: base - hall_1 = T c, where c is the
 length over the torsional rigidity. Past it the friction of the tissue may hold any twist that the torque at
-the base once made, and no more. Every change counts from the same datum: the first reading after the drive
-got its reference. Offsets of the sensors are in all of them. Motions, rests, holds, other faults and a
+the base once made, and no more. Every change counts from the same datum: the reading to which the drive's
+reference belongs. Offsets of the sensors are in all of them. Motions, rests, holds, other faults and a
 person's clear do not move the datum; a new reference alone does.
 """
 
@@ -105,11 +105,11 @@ class ShaftWatch:
         self._last: Measurement | None = None
         self.rebase()
 
-    def rebase(self) -> None:
-        """The drive got a reference, or has none: the next reading is the datum."""
+    def rebase(self, datum: Measurement | None = None) -> None:
+        """The drive gets a reference, to which the reading `datum` belongs; without one, the next reading."""
         if self._last is not None:
             self._past_rad = _past_rad(self._last) - self._turns_rad
-        self._datum: Measurement | None = None
+        self._datum = datum
         self._last = None
         self._motion_start: Measurement | None = None
         self._wound_before_rad = 0.0
@@ -120,6 +120,8 @@ class ShaftWatch:
         self._pace_rad_s = 0.0
         self._seen_rad: dict[int, tuple[float, float]] = {}
         """Least and largest disagreement at each torque."""
+        if datum is not None:
+            self._begin_at(datum)
 
     def begin(self) -> None:
         """A sequence starts: its travel is counted anew."""
@@ -135,9 +137,7 @@ class ShaftWatch:
         datum = self._datum
         if datum is None:
             datum = self._datum = now
-            self._torque_nm = now.torque_nm
-            self._wound_before_rad = self._own_twist_rad(now)
-            self._pairs = tuple(self._pairs_at(now))
+            self._begin_at(now)
         last, self._last = self._last or now, now
         self._motion_start = self._motion_start or now
         turned_rad = abs(now.base_angle_rad - last.base_angle_rad)
@@ -156,6 +156,11 @@ class ShaftWatch:
             or self._against_encoder(now, datum, dt_s)
             or self._neighbours(now, datum)
         )
+
+    def _begin_at(self, datum: Measurement) -> None:
+        self._torque_nm = datum.torque_nm
+        self._wound_before_rad = self._own_twist_rad(datum)
+        self._pairs = tuple(self._pairs_at(datum))
 
     def _own_twist_rad(self, now: Measurement) -> float:
         """What the shaft is wound by as torque and Hall angles tell it: the encoder's zero is not asked.

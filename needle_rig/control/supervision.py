@@ -7,6 +7,7 @@ faults. A link that is dead takes away what it alone can tell, and nothing else.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 
 from needle_rig.control.faults import Fault, FaultName
 from needle_rig.control.following import CLEAR_TEXT, FollowingError, FollowingLimits
@@ -36,6 +37,7 @@ class Supervision:
         self._shaft = ShaftWatch(shaft, layout, torsional_rigidity_nm2)
         spring = spring_to_first_sensor(layout, torsional_rigidity_nm2) if layout.sensor_positions_m else None
         self.reference = Reference(spring, reference_tolerance_rad)
+        self._telling = False
         self._foreign_commands = 0
 
     def begin(self) -> None:
@@ -95,8 +97,9 @@ class Supervision:
             yield lost
         if lost is not None or self.reference.wanted_rad is not None:
             self._following.rebase()
-            self._shaft.rebase()
+            self._refer(now, whole=in_time and all_heard)
             return
+        self._telling = False
         if now.drive_state in (DriveState.SILENT, DriveState.FAULT):
             self._following.rebase()  # without its supply a hand may turn it
         else:
@@ -107,3 +110,15 @@ class Supervision:
             disagreement = self._shaft.step(now, dt_s)
             if disagreement is not None:
                 yield disagreement
+
+    def _refer(self, now: Measurement, *, whole: bool) -> None:
+        """The drive has no zero, or is being told one: then the newest `whole` reading is the shaft's datum.
+
+        A drive that takes its zero and is wrong in its next answer is held against that reading.
+        """
+        wanted_rad = self.reference.wanted_rad
+        if wanted_rad is not None and whole:
+            self._shaft.rebase(replace(now, base_angle_rad=wanted_rad))
+        elif wanted_rad is None or not self._telling:
+            self._shaft.rebase()
+        self._telling = wanted_rad is not None

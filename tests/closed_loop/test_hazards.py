@@ -200,7 +200,7 @@ def test_what_the_host_sees_by_torque_and_hall_angles_it_sees_with_either_needle
             trial.tick()
         told[exact] = broken(trial, case, left_s=5.0)
     assert told[True].name == told[False].name
-    assert told[True].asked_deg == pytest.approx(told[False].asked_deg, abs=3.0)
+    assert told[True].asked_deg == pytest.approx(told[False].asked_deg, abs=4.0)
 
 
 def test_an_error_in_a_copy_is_no_result() -> None:

@@ -174,3 +174,69 @@ def test_a_first_look_confirms_the_zero_by_what_all_links_say(dead: str, told: b
     watched = Watched()
     assert watched.tick(dead=dead, referenced=False) == []
     assert (watched.supervision.reference.wanted_rad is not None) == told
+
+
+@pytest.mark.parametrize("dead_ticks", [0, 1, 20])
+@pytest.mark.parametrize("spoilt", ["encoder", "Hall angles"])
+def test_the_first_answer_after_a_reference_is_held_against_the_reading_it_belongs_to(
+    spoilt: str, dead_ticks: int
+) -> None:
+    """The drive takes its zero, falls silent, and what counts from another zero is heard next."""
+    watched = Watched()
+    wanted_rad = []
+    for referenced, in_time in ((False, True), (False, True), (True, False)):
+        assert watched.tick(referenced=referenced, in_time=in_time) == []
+        wanted_rad.append(watched.supervision.reference.wanted_rad)
+    assert wanted_rad == [0.0, 0.0, None]
+    for _ in range(dead_ticks):
+        assert watched.tick(dead="drive") == []
+    # 20 ms of smoothing, and nobody could see the 90° as a jump of the drive's own angle
+    watched.now = dataclasses.replace(watched.now, time_s=watched.now.time_s + 1.0)
+    lie = {"base_angle_rad": rad(90.0)} if spoilt == "encoder" else {"hall_rad": (rad(90.0),) * 4}
+    found = [fault for _ in range(5) for fault in watched.faults(**lie)]
+    assert {FaultName.TWIST_WITHOUT_TORQUE, FaultName.ENCODER_DISAGREES} & {fault.name for fault in found}
+
+
+def test_a_person_s_word_is_the_datum_where_no_hall_angle_was_heard() -> None:
+    """Then the next reading of all is, as nothing belongs to the word, and the datum before it is gone."""
+    watched = Watched()
+    assert [watched.tick() for _ in range(5)] == [[]] * 5
+    watched.supervision.reference.tell(rad(45.0))
+    assert watched.tick(dead="hall", base_angle_rad=0.0, referenced=False) == []
+    assert watched.tick(dead="hall", base_angle_rad=rad(45.0), referenced=True) == []
+    assert [watched.tick() for _ in range(40)] == [[]] * 40
+    found = [name for _ in range(5) for name in watched.tick(base_angle_rad=rad(65.0))]
+    assert FaultName.TWIST_WITHOUT_TORQUE in found
+
+
+def test_a_link_that_dies_while_the_drive_is_told_leaves_the_datum_before() -> None:
+    watched = Watched()
+    told = [
+        watched.tick(referenced=False),
+        watched.tick(dead="torque"),
+        watched.tick(dead="torque"),
+        watched.tick(referenced=True, in_time=False),
+    ]
+    assert told == [[]] * 4
+    watched.now = dataclasses.replace(watched.now, time_s=watched.now.time_s + 1.0)
+    found = [name for _ in range(5) for name in watched.tick(base_angle_rad=rad(90.0))]
+    assert {FaultName.TWIST_WITHOUT_TORQUE, FaultName.ENCODER_DISAGREES} & set(found)
+
+
+def test_a_reading_of_a_late_computer_is_no_datum() -> None:
+    """Its values are of different age: Hall angles here of a shaft that has turned since."""
+    watched = Watched()
+    assert watched.tick(referenced=False) == []
+    watched.supervision.reference.tell(0.0)
+    assert watched.tick(in_time=False, hall_rad=(rad(50.0),) * 4) == []
+    assert watched.tick(referenced=True, hall_rad=(0.0,) * 4) == []
+    assert [watched.tick() for _ in range(40)] == [[]] * 40
+
+
+def test_a_search_for_the_index_is_watched_from_its_first_reading() -> None:
+    watched = Watched()
+    watched.tick()
+    assert watched.tick(referenced=False) == [FaultName.REFERENCE_LOST]
+    watched.supervision.reference.searching = True
+    for _ in range(20):
+        assert watched.tick(TURNING, **watched.turned(0.1)) == []
