@@ -9,7 +9,7 @@ import sys
 from collections import ChainMap
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,8 @@ import needle_rig.workbench.selection.residual_patterns as residual_patterns
 import needle_rig.workbench.selection.rivals as rivals
 import needle_rig.workbench.selection.screening as screening
 import needle_rig.workbench.selection.search as search
+import needle_rig.workbench.selection.shown_noise as shown_noise
 import needle_rig.workbench.selection.unknown_starts as unknown_starts
-import needle_rig.workbench.selection.unmodelled_outliers as unmodelled_outliers
-import needle_rig.workbench.selection.unrepeated as unrepeated
 import needle_rig.workbench.selection.verdict as verdict
 from needle_rig.workbench.policy import POLICY
 
@@ -247,8 +246,12 @@ def _one_test(parent: Any, child: Any, _: int) -> float:
     return evidence.adjusted_p(parent, child, 1)
 
 
-def _not_sideways(trace: Any, _: Any, key: Any) -> Any:
-    return trace, key
+def _not_swapped(trace: Any, _: Any) -> Any:
+    return trace, trace.best
+
+
+def _known_noise(_: Any, problem: Any, __: Any) -> Any:
+    return problem.noise
 
 
 def _as_found(*given: Any) -> list[Any]:
@@ -257,9 +260,6 @@ def _as_found(*given: Any) -> list[Any]:
 
 def _as_fitted(_: Any, found: Any) -> Any:
     return found
-
-
-_ANY_NUMBER = replace(POLICY, verdict=replace(POLICY.verdict, at_any_value=99))
 
 
 def _one_start(ahead: Any) -> Any:
@@ -292,20 +292,18 @@ _SMALL_PATTERN = "find_residual_patterns"
 
 RULES: tuple[Rule, ...] = (
     # searches again
-    Rule("search again under noise that shows now", gives(diagnose, "with_noise_at", _as_it_is)),
-    Rule("search again driven by every sample", gives(diagnose, "with_samples_at", _as_it_is)),
-    Rule("search again without outliers", gives(diagnose, "without_outliers", _nothing)),
-    Rule("search again under hum", gives(diagnose, "under_hum", _nothing)),
-    Rule("search again under noise that wanders", gives(diagnose, "under_wander", _nothing)),
+    Rule("noise that shows beside what was found", gives(shown_noise, "with_noise_at", _as_it_is)),
+    Rule("driven by every sample", gives(shown_noise, "with_samples_at", _as_it_is)),
+    Rule("noise that the residual shows", gives(shown_noise, "left_over", _known_noise)),
+    Rule("no turns of effects and noise", gives(diagnose, "renewed", _nothing)),
     Rule("search again from the starts of another", gives(unknown_starts.FoundStarts, "simpler", _nothing)),
     Rule("starts as an effect holds them", gives(diagnose, "from_found_starts", _found_no_starts)),
-    Rule("most effects of a search again", gives(diagnose, "POLICY", _ANY_NUMBER)),
     # the search
     Rule("restart far from the noise", gives(search, "_restarts", _never)),
     Rule("fit from other friction", gives(search, "_over_friction", _as_it_is)),
     Rule("negligible effect set aside", threshold("search", "set_aside", 0)),
     Rule("effect of no size taken out", threshold("search", "no_size", 0.0)),
-    Rule("relatives tried sideways", gives(search, "_sideways", _not_sideways)),
+    Rule("swap of effects", gives(search, "_swapped", _not_swapped)),
     Rule("backward elimination", gives(search, "_back", _as_it_is)),
     Rule("fit from special cases", gives(search, "from_limits", _as_found)),
     Rule("several sets side by side", threshold("search", "frontier", 1)),
@@ -325,7 +323,7 @@ RULES: tuple[Rule, ...] = (
     *(Rule(f"verdict: {rule.__name__}", without_verdict(rule)) for rule in verdict.RULES),
     Rule("verdict: values beyond what is plausible", gives(diagnose, "contrived", _none)),
     Rule("verdict: of no use on commands left out", gives(diagnose, "of_no_use", _none)),
-    Rule("verdict: noise may wander without replicates", gives(verdict, "may_wander", _never)),
+    Rule("verdict: noise may wander without replicates", gives(verdict, "may_be_noise", _never)),
     Rule(
         "verdict: more is left where no pattern shows",
         threshold("verdict", "reached_without_pattern", POLICY.verdict.reached),
@@ -365,5 +363,5 @@ def switched_off(rule: Rule, memory: Memory) -> Iterator[None]:
                 each()
 
 
-_USED = (decisions, notes, outliers, unmodelled_outliers, unrepeated)
+_USED = (decisions, notes, outliers, shown_noise)
 """Imported, so that `everywhere` reaches them."""

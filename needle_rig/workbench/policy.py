@@ -25,7 +25,6 @@ _RULES = "selection/test_policy.py"
 _NOISE = "observations/test_policy.py"
 _REPLICATES = "observations/test_replicate_noise.py"
 _SNAPS = "observations/test_snaps.py"
-_OUTLIERS = "selection/test_unmodelled_outliers.py"
 
 
 @dataclass(frozen=True)
@@ -49,20 +48,6 @@ class NoisePolicy:
         "further from the median of its neighbours is an outlier: one Gaussian sample in 500 million",
         "normal distribution",
         _NOISE,
-    )
-    outlier_alone: float = _threshold(
-        2.0,
-        "an outlier beside a model leaves this many times what the bins beside it leave; what a model lacks"
-        " grows and fades over several",
-        "chosen, not derived; 8 to 27σ beside 3 at most in the set that showed them",
-        _OUTLIERS,
-    )
-    outlier_chance: float = _threshold(
-        0.001,
-        "chance of so many outliers beside a model in a channel with this share of outliers elsewhere, below"
-        " which the model is wrong",
-        "as of hum and of what is correlated over seconds",
-        _OUTLIERS,
     )
     floor_deg: float = _threshold(
         0.03,

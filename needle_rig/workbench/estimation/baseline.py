@@ -60,6 +60,8 @@ class Baseline:
     notes: tuple[str, ...]
     fine_m: float
     """Element length of the current model as it was given, m."""
+    assumed_noise: tuple[str, ...] = ()
+    """A sentence for each noise term that the residual alone shows, beside what a search found."""
 
 
 def null_model(dataset: Dataset) -> NeedleModel:

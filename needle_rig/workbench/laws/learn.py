@@ -35,8 +35,7 @@ from needle_rig.workbench.selection.candidates import Candidate, score, try_effe
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
-from needle_rig.workbench.selection.rivals import promise_asked
-from needle_rig.workbench.selection.search import SearchTrace, expand
+from needle_rig.workbench.selection.search import SearchTrace, expand, promise_asked
 
 
 def learn_laws(

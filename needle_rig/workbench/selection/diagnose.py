@@ -17,15 +17,12 @@ from needle_rig.workbench.estimation.baseline import (
     Baseline,
     as_baseline,
     fit_baseline,
-    with_noise_at,
-    with_samples_at,
 )
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
-from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
@@ -44,20 +41,13 @@ from needle_rig.workbench.selection.ranking import order, rank
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
+from needle_rig.workbench.selection.shown_noise import left_to_white, note, renewed
 from needle_rig.workbench.selection.unknown_starts import (
     FoundStarts,
     from_found_starts,
     with_starts_of,
 )
-from needle_rig.workbench.selection.unmodelled_outliers import without_outliers
-from needle_rig.workbench.selection.unrepeated import (
-    left_to_white,
-    may_wander,
-    note,
-    under_hum,
-    under_wander,
-)
-from needle_rig.workbench.selection.verdict import Findings, decisions_stand, reasons
+from needle_rig.workbench.selection.verdict import Findings, decisions_stand, may_be_noise, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
 QUICK = (
@@ -65,6 +55,8 @@ QUICK = (
     " chance; whether a second is missing, and what else could stand beside it, was not asked. Without"
     " quick it is."
 )
+MOST_TURNS = 4
+"""Searches, each under the noise that shows beside what the last one found. Two are enough, as a rule."""
 
 
 @dataclass(frozen=True)
@@ -134,27 +126,28 @@ def diagnose(
         names = baseline.problem.candidates(baseline.current.effects)
         say("trying every effect")
 
-        def searched(of: Baseline, start: Fit | None) -> SearchTrace:
-            fits = (of.problem, names, of.current, of.validation)
-            return search(*fits, max_effects=max_effects, work=at, quick=quick, known=start, say=say)
-
-        def settled(of: Baseline, start: Fit | None) -> tuple[Baseline, Fit | None, SearchTrace]:
-            """The search, again under noise and driven by samples as they show at what it finds."""
-            trace = searched(of, start)
-            renewed = with_noise_at(of, trace.problem, trace.fits[trace.best][0])
-            if renewed is not of:
-                say("trying every effect again, under the noise that shows now")
-                start = start and fit(renewed.problem, start.effects, start.vector)
-                of, trace = renewed, searched(renewed, start)
-            alone = trace.best_alone()
-            if alone is not None:
-                gain = alone.objective - trace.fits[trace.best][0].objective
-                driven = with_samples_at(of, trace.problem, alone, gain)
-                if driven is not of:
-                    say("trying every effect again, driven by every sample")
-                    start = start and fit(driven.problem, start.effects, start.vector)
-                    of, trace = driven, searched(driven, start)
-            return of, start, trace
+        def competed(of: Baseline, start: Fit | None) -> tuple[Baseline, SearchTrace]:
+            """Effects, then the noise beside them, in turn until neither changes."""
+            begin: Fit | None = None
+            for turn in range(1, MOST_TURNS + 1):
+                trace = search(
+                    *(of.problem, names, of.current, of.validation),
+                    max_effects=max_effects,
+                    work=at,
+                    quick=quick,
+                    known=start,
+                    begin=begin,
+                    say=say,
+                )
+                other = renewed(of, trace) if turn < MOST_TURNS else None
+                if other is None:
+                    break
+                of, told = other
+                say(told)
+                best, _ = trace.fits[trace.best]
+                begin = fit(of.problem, best.effects, best.vector)
+                start = start and fit(of.problem, start.effects, start.vector)
+            return of, trace
 
         def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
             say("looking for what cannot be told apart")
@@ -162,35 +155,18 @@ def diagnose(
             say("testing the answer against the discretisation error")
             return _conclude(of, apart, rivals, dataset.sensor_names)
 
-        baseline, known, trace = settled(baseline, known)
+        baseline, trace = competed(baseline, known)
         if starts is not None and not quick:
             simpler = starts.simpler(dataset, trace)
             if simpler is not None and starts.fit is not None and simpler.fit.effects != starts.fit.effects:
                 say(f"trying every effect again, from the starts of {simpler.fit.effects[-1]}")
                 starts = with_starts_of(simpler, starts, dataset, model, library)
-                baseline, known, trace = settled(starts.baseline, starts.fit)
+                baseline, trace = competed(starts.baseline, starts.fit)
                 simpler = starts.simpler(dataset, trace)
             key = frozenset(simpler.fit.effects) if simpler is not None else trace.best
             if key in trace.fits:
                 trace = dataclasses.replace(trace, best=key)
         found = concluded(baseline, trace)
-        if found.verdict == "unknown" or found.held_out_error_after > POLICY.verdict.reached:
-            for otherwise, said in (
-                (without_outliers, "without outliers"),
-                (under_hum, "under hum"),
-                (under_wander, "under noise that wanders"),
-            ):
-                changed = otherwise(baseline, trace.problem, trace.fits[trace.best][0])
-                if changed is None:
-                    continue
-                other, told = changed
-                say(f"trying every effect again, {said}")
-                start = known and fit(other.problem, known.effects, known.vector)
-                anew = concluded(other, searched(other, start))
-                # beside noise in the residual more effects than these can stand for anything
-                if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
-                    found = dataclasses.replace(anew, notes=(told, *anew.notes))
-                    break
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
 
 
@@ -202,7 +178,7 @@ def _conclude(
 ) -> Diagnosis:
     root, root_validation = search.root, search.root_validation
     named = search.named(search.best)
-    not_named = contrived(search, named)
+    not_named = contrived(search, named, bool(baseline.assumed_noise))
     gain = max(0.0, root.objective - search.fits[search.best][0].objective)
     problem, best, validation = search.problem, root, root_validation
     if named and not not_named:
@@ -261,8 +237,9 @@ def _conclude(
         notes=(
             *baseline.dataset.notes,
             *baseline.notes,
+            *baseline.assumed_noise,
             *(negligible(search) if decisions_stand(named, validation.error) else ()),
-            *([note(share)] if may_wander(share) and not decisions_stand(named, validation.error) else ()),
+            *([note(share)] if may_be_noise(share) and not decisions_stand(named, validation.error) else ()),
             *constrained_means(best),
             *(not_refitted(search, named) if verdict == "effect" else []),
             *(partial(named, explained_fraction, validation) if verdict == "unknown" and named else []),

@@ -15,19 +15,21 @@ from needle_rig.workbench.selection.ranking import values_of
 from needle_rig.workbench.selection.search import SearchTrace
 
 
-def contrived(search: SearchTrace, named: list[str]) -> list[str]:
-    """What to say of a set that meets the data but is too many effects at values that none should have."""
+def contrived(search: SearchTrace, named: list[str], assumed_noise: bool) -> list[str]:
+    """What to say of a set that meets the data but is too many effects: at values that none should have, or
+    beside noise that the residual alone shows."""
     found, validation = search.fits[search.best]
     odd = [(e, v) for e in named for v in values_of(found, e) if not v.plausible]
-    if len(named) <= POLICY.verdict.at_any_value or not odd:
+    if len(named) <= POLICY.verdict.at_any_value or not (odd or assumed_noise):
         return []
     said = ", ".join(f"{effect} {v.name} = {v.value:.3g} {v.unit}" for effect, v in odd)
+    why = f"with values outside what is plausible ({said})" if odd else "beside noise that nothing else shows"
     before = search.root_validation.error
     after = math.inf if validation is None else validation.error
     held_out = f" (on commands left out {before:.3g} → {after:.3g} × the noise)" if after < math.inf else ""
     return [
-        f"{', '.join(named[:-1])} and {named[-1]} together come nearer the data{held_out}, but with values"
-        f" outside what is plausible ({said}): they describe what is missing, they are not named for it."
+        f"{', '.join(named[:-1])} and {named[-1]} together come nearer the data{held_out}, but {why}: they"
+        " describe what is missing, they are not named for it."
     ]
 
 

@@ -13,7 +13,7 @@ from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.candidates import score
-from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand
+from needle_rig.workbench.selection.search import EffectSet, SearchTrace, expand, promise_asked
 from needle_rig.workbench.selection.unknown_starts import FoundStarts, Holder
 
 DRAWS = 400
@@ -54,14 +54,6 @@ def cannot_be_told_apart(
         return False
     near = POLICY.ties.close + missed
     return behind < near or (share < POLICY.ties.sure_share and behind < POLICY.ties.unsure * near)
-
-
-def promise_asked(gain: float) -> float:
-    """Screening gain that earns an effect a fit in the place of one with this gain; −1: any.
-
-    Screening says little where little is gained: there every effect is fitted.
-    """
-    return POLICY.search.in_place_share * gain if gain > POLICY.search.in_place_all_up_to else -1.0
 
 
 def bootstrap_share(problem: Problem, first: Fit, other: Fit, seed: int) -> float:

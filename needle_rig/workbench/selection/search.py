@@ -1,4 +1,4 @@
-"""The search for a set of effects: forward from the current model, sideways over relatives, back again.
+"""The search for a set of effects: add, drop and swap, from the current model on.
 
 Each step takes what the search knows and gives what it knows afterwards; nothing is changed in place.
 
@@ -43,12 +43,10 @@ from needle_rig.workbench.selection.evidence import (
 )
 
 EffectSet = frozenset[str]
-Move = Literal["forward", "restarted", "set aside", "taken out", "back"]
+Move = Literal["forward", "restarted", "set aside", "taken out", "back", "swapped"]
 
 LIKELY_CHANCE = 0.5
 """p from which a gain is left as it was when a nuisance is added: chance as likely as not."""
-MOST_REPLACED = 2
-"""Effects of a set that relatives may replace, one after the other."""
 
 
 def _silenced(candidate: Candidate, parent: Fit) -> Candidate:
@@ -167,24 +165,42 @@ def search(
     work: Work,
     quick: bool = False,
     known: Fit | None = None,
+    begin: Fit | None = None,
     say: Say = lambda _: None,
 ) -> SearchTrace:
-    """Search among `names` on top of `root`, until nothing more passes or more would be named.
+    """Add, drop and swap effects among `names` on top of `root`, until no move passes or more would be named.
 
     `quick` ends with the best single effect that is large enough to matter, and fits those alone of which
-    screening promises more than chance; `known` is a fit to the same
-    problem with one effect more than `root`, in a valley that this one's signature may not lead to.
+    screening promises more than chance. `known` is a fit to the same problem with one effect more than
+    `root`, in a valley that this one's signature may not lead to. The search begins at the effects of the fit
+    `begin`, or at `root`.
     """
     work.share(problem)
     trace = SearchTrace.begin(problem, names, root, root_validation)
-    if known is not None:
-        trace = trace.keep(known, cross_validate(problem, known))
-    frontier = [trace.start]
+    for fitted in (known, begin):
+        if fitted is not None:
+            trace = trace.keep(fitted, cross_validate(problem, fitted))
     if quick:
         trace = expand(trace, work, trace.start, POLICY.search.promising)
         best = next((key for key in _passing(trace) if trace.named(key)), trace.start)
         trace = _over_friction(trace, work, best)
         return dataclasses.replace(trace, best=best).stepped("forward")
+    if begin is not None:
+        trace = dataclasses.replace(trace, best=frozenset(begin.effects))
+    while True:
+        trace = _back(_added(trace, work, max_effects, say), work)
+        trace, swapped = _swapped(trace, work)
+        if swapped == trace.best or any(step.best == swapped for step in trace.steps):
+            break
+        trace = dataclasses.replace(trace, best=swapped).stepped("swapped")
+    gain = trace.fits[trace.start][0].objective - trace.fits[trace.best][0].objective
+    trace = expand(trace, work, trace.start, promise_asked(gain))
+    return expand(trace, work, trace.best, _least(trace, trace.best))
+
+
+def _added(trace: SearchTrace, work: Work, max_effects: int, say: Say) -> SearchTrace:
+    """The search with effects added, one after the other, until none passes."""
+    frontier = [trace.best]
     while True:
         trace, options = _forward(trace, work, frontier)
         if not options and _restarts(trace, max_effects):
@@ -193,7 +209,7 @@ def search(
             frontier = [trace.best]
             continue
         if not options:
-            break
+            return trace
         chosen = _chosen(trace, options)
         trace = _over_friction(trace, work, chosen)
         move, small = next_move(trace, chosen, max_effects)
@@ -204,13 +220,10 @@ def search(
             trace = set_aside(trace, work, chosen, small)
             frontier = [trace.best]
         elif move == "end":
-            break
+            return trace
         else:
-            trace, best = _sideways(trace, work, chosen)
-            trace = dataclasses.replace(trace, best=best).stepped("forward")
+            trace = dataclasses.replace(trace, best=chosen).stepped("forward")
             frontier = _frontier(trace, options, max_effects)
-    trace = _back(trace, work)
-    return expand(trace, work, trace.best, _least(trace, trace.best))
 
 
 def _over_friction(trace: SearchTrace, work: Work, key: EffectSet) -> SearchTrace:
@@ -408,40 +421,38 @@ def _chosen(trace: SearchTrace, options: Sequence[EffectSet]) -> EffectSet:
 
 
 def clearly_lower(after: float, before: float) -> bool:
-    """Whether a score is lower by enough to take a relative in an effect's place."""
+    """Whether a score is lower by enough to take another effect in one's place."""
     return after <= before - POLICY.search.relatives_gain
 
 
-def _sideways(trace: SearchTrace, work: Work, key: EffectSet) -> tuple[SearchTrace, EffectSet]:
-    """The search with each effect's relatives tried in its place, as long as that helps, and the best set."""
-    if len(key - trace.start) <= 1:
-        return trace, key
-    for _ in range(MOST_REPLACED):
-        found = trace.fits[key][0]
-        tasks = []
-        for effect in sorted(key - trace.start):
-            rest = key - {effect}
-            trace = _with_rest(trace, work, found, effect)
-            if rest not in trace.fits:
-                continue
-            for relative in trace.relatives(effect):
-                if relative not in key and rest | {relative} not in trace.fits:
-                    tasks.append((trace.fits[rest][0], relative))
-        for candidate in work.run(try_effect, tasks):
-            trace = trace.keep(candidate.fit, candidate.validation)
-        near = [
-            k for k in trace.fits if len(k) == len(key) and len(k & key) == len(key) - 1 and trace.start <= k
-        ]
-        best = min([*near, key], key=trace.by_score)
-        if not clearly_lower(trace.score(best), score(trace.problem, found)):
-            return trace, key
-        key = best
-    return trace, key
+def _swapped(trace: SearchTrace, work: Work) -> tuple[SearchTrace, EffectSet]:
+    """The search with every effect tried in the place of each that was added, and the best set with one
+    swapped; the present one where no swap lowers its score by enough."""
+    found = trace.fits[trace.best][0]
+    keys = [trace.best]
+    for effect in trace.named(trace.best):
+        rest = trace.best - {effect}
+        if rest not in trace.fits:
+            continue
+        if rest not in trace.children:
+            trace = expand(trace, work, rest, promise_asked(trace.fits[rest][0].objective - found.objective))
+        swaps = (rest | {c.effect} for c in trace.children[rest] if c.effect not in trace.best)
+        keys += [key for key in swaps if key in trace.fits and trace.passes(rest, key)]
+    best = min(keys, key=trace.by_score)
+    return trace, best if clearly_lower(trace.score(best), trace.score(trace.best)) else trace.best
+
+
+def promise_asked(gain: float) -> float:
+    """Screening gain that earns an effect a fit in the place of one with this gain; −1: any.
+
+    Screening says little where little is gained: there every effect is fitted.
+    """
+    return POLICY.search.in_place_share * gain if gain > POLICY.search.in_place_all_up_to else -1.0
 
 
 def _back(trace: SearchTrace, work: Work) -> SearchTrace:
     """The search with effects dropped whose removal still passes (backward elimination)."""
-    while len(trace.best - trace.start) > 1:
+    while trace.best > trace.start:
         found = trace.fits[trace.best][0]
         for effect in sorted(trace.best - trace.start):
             rest = trace.best - {effect}

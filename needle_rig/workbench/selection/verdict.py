@@ -11,7 +11,6 @@ from needle_rig.workbench.observations.snaps import Snap, sentence
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
-from needle_rig.workbench.selection.unrepeated import may_wander
 
 Verdict = Literal["none", "effect", "unknown"]
 """Nothing is missing, the named effects are, or something that they are not."""
@@ -31,7 +30,7 @@ class Findings:
     fitted_error: float = 1.0
     """Root mean square of the residual in the trials that were fitted, in units of the noise."""
     left_to_white: float = math.inf
-    """`unrepeated.left_to_white`."""
+    """`shown_noise.left_to_white`."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,11 @@ def decisions_stand(named: Sequence[str], held_out_error: float) -> bool:
     return not above_noise(held_out_error, policy.reached if named else policy.reached_without_pattern)
 
 
+def may_be_noise(share: float) -> bool:
+    """Whether noise alone may leave `share` times the white noise of a sample."""
+    return share <= POLICY.verdict.wandering
+
+
 def noise_not_reached(found: Findings) -> str | None:
     """Commands left out are not predicted to within the noise.
 
@@ -71,7 +75,7 @@ def noise_not_reached(found: Findings) -> str | None:
     Where nothing is named and no pattern is seen, the noise itself may be known badly. Where no command was
     repeated, that holds whatever is seen.
     """
-    if may_wander(found.left_to_white):
+    if may_be_noise(found.left_to_white):
         return None
     policy = POLICY.verdict
     limit = policy.reached if found.left.significant else policy.reached_without_pattern

@@ -20,7 +20,7 @@ from needle_rig.workbench.estimation.discretisation_error import (
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.problem import Problem
-from needle_rig.workbench.selection import diagnose as diagnose_module
+from needle_rig.workbench.selection import shown_noise
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import within_discretisation_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
@@ -173,7 +173,7 @@ def test_the_discretisation_error_of_an_acceleration_is_no_second_effect(
 ) -> None:
     """Its shape is not that at the search's start: a delay takes up what the nuisance leaves."""
     if not finer:
-        monkeypatch.setattr(diagnose_module, "with_samples_at", lambda baseline, *_: baseline)
+        monkeypatch.setattr(shown_noise, "with_samples_at", lambda baseline, *_: baseline)
     hidden = effect("chuck_inertia", inertia_gcm2=27.5)
     data = recorded(SHAPES["one command"], (hidden,), "averaged", SETUPS[2].noise, 771_018)
     said: list[str] = []

@@ -32,7 +32,7 @@ from needle_rig.workbench.selection.residual_patterns import (
     find_residual_patterns,
     limit_sigmas,
 )
-from needle_rig.workbench.selection.rivals import cannot_be_told_apart, promise_asked
+from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 from needle_rig.workbench.selection.screening import Screening, Start, forms, out_of_reach, screen
 from needle_rig.workbench.selection.search import (
     EffectSet,
@@ -40,6 +40,7 @@ from needle_rig.workbench.selection.search import (
     asked_beside,
     clearly_lower,
     next_move,
+    promise_asked,
 )
 from needle_rig.workbench.selection.verdict import Findings, reasons, verdict
 from tests.workbench.hidden import dataset, effect, few, null_fit
@@ -404,20 +405,29 @@ def test_five_patterns_are_told() -> None:
     assert len([p for p in told if p.channel != "the trials' friction"]) == 5
 
 
-@pytest.mark.parametrize(("count", "described_only"), [(2, False), (3, True)])
-def test_more_than_two_effects_are_named_with_plausible_values_only(
-    baseline: Baseline, count: int, described_only: bool
+@pytest.mark.parametrize(
+    ("count", "size", "assumed_noise", "described_only"),
+    [
+        (2, 50.0, False, False),
+        (3, 50.0, False, True),
+        (3, 0.0, False, False),
+        (3, 0.0, True, True),
+        (2, 0.0, True, False),
+    ],
+)
+def test_more_than_two_effects_are_named_with_plausible_values_and_known_noise_only(
+    baseline: Baseline, count: int, size: float, assumed_noise: bool, described_only: bool
 ) -> None:
     names = ["torque_bias", "tip_friction", "chuck_backlash"][:count]
     parameters = baseline.problem.parameters(names)
     vector = SimpleNamespace(
-        scaled_values=np.array([50.0 if a.bounds[1] >= 50.0 else a.bounds[1] for a in parameters])
+        scaled_values=np.array([size if a.bounds[1] >= size else a.bounds[1] for a in parameters])
     )
     found = fit(parameters=parameters, vector=vector, scaled_errors=np.ones(len(parameters)))
     validations: Any = [SimpleNamespace(error=error) for error in (9.0, 2.5)]
     fits = {frozenset(names): (found, validations[1])}
     trace: Any = SimpleNamespace(best=frozenset(names), fits=fits, root_validation=validations[0])
-    said = contrived(trace, names)
+    said = contrived(trace, names, assumed_noise)
     assert ["9 → 2.5 × the noise" in each for each in said] == [True] * described_only
 
 

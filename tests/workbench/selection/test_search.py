@@ -7,13 +7,36 @@ import dataclasses
 import numpy as np
 
 from needle_rig.physics.library import find_effects
+from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.candidates import refit
-from needle_rig.workbench.selection.search import SearchTrace, _back, expand, set_aside
+from needle_rig.workbench.selection.search import SearchTrace, _back, expand, search, set_aside
 from tests.workbench.hidden import null_fit
 
 NAMES = ("chuck_backlash", "hall_offset", "tip_friction", "torque_bias")
 HIDDEN = frozenset({"chuck_backlash"})
+
+
+def begun_at(*effects: str) -> SearchTrace:
+    """A search for backlash that begins at `effects`, however little these explain."""
+    baseline = null_fit(find_effects()["chuck_backlash"].at_strength(1.0), library=NAMES)
+    problem, current = baseline.problem, baseline.current
+    sizes = np.zeros(len(problem.parameters(effects)))
+    begin: Fit | None = fit(problem, effects, dataclasses.replace(current.vector, scaled_values=sizes))
+    assert begin is not None
+    return search(problem, NAMES, current, baseline.validation, max_effects=3, work=Work(), begin=begin)
+
+
+def test_a_search_that_begins_at_another_effect_swaps_it() -> None:
+    trace = begun_at("tip_friction")
+    assert trace.best == HIDDEN
+    assert [step.kind for step in trace.steps][-1] in ("swapped", "back")
+
+
+def test_a_search_that_begins_at_too_much_drops_it() -> None:
+    trace = begun_at("chuck_backlash", "torque_bias")
+    assert trace.best == HIDDEN
+    assert "back" in [step.kind for step in trace.steps]
 
 
 def aside() -> SearchTrace:

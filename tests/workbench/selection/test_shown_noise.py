@@ -14,10 +14,9 @@ from noise_kinds import WANDER_SHARE
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
-from needle_rig.workbench.selection import diagnose as diagnose_module
-from needle_rig.workbench.selection import unrepeated as unrepeated_module
+from needle_rig.workbench.selection import shown_noise
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.unrepeated import left_to_white, under_hum, under_wander
+from needle_rig.workbench.selection.shown_noise import left_over, left_to_white
 from tests.workbench.hidden import effect, few
 
 WITHOUT = few("torque_bias", "hall_offset", "clock_offset")
@@ -36,12 +35,12 @@ def test_noise_that_wanders_is_nothing_missing(kind: str) -> None:
     assert found.verdict == "none"
     assert found.held_out_error_before < 1.1
     assert noise.correlated / noise.white == pytest.approx(np.full(5, WANDER_SHARE), abs=0.25)
-    assert "is taken for noise that wanders over seconds" in found.notes[0]
+    assert any("is taken for noise drift over seconds" in note for note in found.notes)
 
 
 @pytest.mark.whole
 def test_what_cannot_be_taken_for_noise_and_may_be_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(diagnose_module, "under_wander", lambda *_: None)
+    monkeypatch.setattr(shown_noise, "left_over", lambda _, problem, found: problem.noise)
     found = diagnose(unrepeated("wanders over 2 s"), WITHOUT)
     assert found.verdict == "none"
     assert found.held_out_error_before > 1.3
@@ -84,18 +83,17 @@ def test_three_effects_beside_what_may_be_noise_are_not_named() -> None:
 def test_more_than_may_wander_is_no_noise() -> None:
     data = unrepeated("white", effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45))
     baseline = fit_baseline(data, None, WITHOUT)
-    assert under_wander(baseline, baseline.problem, baseline.current) is None
+    assert left_over(baseline, baseline.problem, baseline.current) is baseline.problem.noise
 
 
 @pytest.mark.whole
 def test_where_commands_were_repeated_replicates_must_bear_it_out(monkeypatch: pytest.MonkeyPatch) -> None:
     given = fit_baseline(unrepeated("wanders over 2 s", shape="standard series"), None, WITHOUT)
-    monkeypatch.setattr(unrepeated_module, "replicates_favour", lambda *_: False)
-    assert under_wander(given, given.problem, given.current) is None
-    monkeypatch.setattr(unrepeated_module, "replicates_favour", lambda *_: True)
-    changed = under_wander(given, given.problem, given.current)
-    assert changed is not None
-    assert "Repeat one command more often" in changed[1]
+    known = given.problem.noise
+    monkeypatch.setattr(shown_noise, "replicates_favour", lambda *_: False)
+    assert left_over(given, given.problem, given.current) is known
+    monkeypatch.setattr(shown_noise, "replicates_favour", lambda *_: True)
+    assert left_over(given, given.problem, given.current) is not known
 
 
 @pytest.mark.whole
@@ -105,7 +103,7 @@ def test_hum_is_found_by_its_frequency() -> None:
     assert found.verdict == "none"
     assert validation.error < 1.1
     assert problem.noise.hum_hz == pytest.approx(0.17, abs=0.005)
-    assert "oscillates at 0.17 Hz" in found.notes[0]
+    assert any("oscillates at 0.17 Hz" in note for note in found.notes)
 
 
 @pytest.mark.whole
@@ -122,8 +120,6 @@ def test_what_an_effect_leaves_is_no_hum(hidden: Effect) -> None:
     library = few("hall_offset", "clock_offset")
     data = unrepeated("white", hidden)
     assert diagnose(data, library).verdict == "unknown"
-    baseline = fit_baseline(data, None, library)
-    assert under_hum(baseline, baseline.problem, baseline.current) is None
 
 
 @pytest.mark.whole
