@@ -140,3 +140,15 @@ def test_the_table_counts_better_and_worse(ablation: ModuleType) -> None:
     assert f"| {RULES[0].name} | 1 | 1 |  | 1 | 1000" in text
     assert "1 of 1 right" in text
     assert f"none: nothing, setup 0 | {RULES[0].name} | none | hall_gain |" in text
+
+
+def test_two_commits_are_compared_on_the_datasets_of_both(ablation: ModuleType) -> None:
+    right = {"verdict": "none", "named": [], "ties": {}, "points": 2}
+    wrong = {"verdict": "effect", "named": ["hall_gain"], "ties": {}, "points": 0}
+    task = {"kind": "none", "setup": 0, "whole_s": 3.0}
+    before = [{**task, "number": n, "answer": right, "commit": "old"} for n in range(3)]
+    after = [{**task, "number": n, "answer": a, "commit": "new"} for n, a in enumerate((right, wrong))]
+    text = ablation.beside(after, before)
+    assert "| old | 2 | 2 (" in text
+    assert "| new | 2 | 1 (" in text
+    assert text.count("| none: nothing, setup 0 | none | hall_gain |") == 1
