@@ -160,7 +160,7 @@ class Effect:
     """
 
     relatives: ClassVar[tuple[str, ...]] = ()
-    """Effects that look alike: tried in each other's place."""
+    """Effects that look alike."""
     limits: ClassVar[dict[str, dict[str, float]]] = {}
     """Effect that this one becomes, and the parameter values (extremes) at which it does."""
     redundant_with: ClassVar[tuple[str, ...]] = ()

@@ -131,10 +131,6 @@ class SearchTrace:
         alone = [self.start | {e} for e in named if self.start | {e} in self.fits]
         return self.fits[min(alone, key=self.by_score)][0] if len(named) > 1 and alone else None
 
-    def relatives(self, effect: str) -> list[str]:
-        """Effects declared to look like this one, in either file."""
-        return [n for n in sorted(self.names) if n != effect and related(self.problem.library, n, effect)]
-
     def keep(self, found: Fit | None, validation: CrossValidation | None) -> SearchTrace:
         """The search with a fit added, if it is the best of its set of effects."""
         if found is None:
