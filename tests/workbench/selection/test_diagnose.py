@@ -370,7 +370,7 @@ def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
         say=said.append,
     )
     assert (found.verdict, found.effects) == ("effect", ("clock_offset",))
-    assert any("again, under the noise that shows now" in each for each in said)
+    assert any("under the noise that shows beside what was found" in each for each in said)
     assert found.baseline.problem.noise.correlated.min() > 0.0
 
 
