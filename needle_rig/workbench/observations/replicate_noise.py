@@ -159,7 +159,10 @@ def _likelier(noise: Noise, every: Sequence[_Channel]) -> Noise:
     for together in ([0], halls):
         channels = {c: every[c] for c in together}
         pooled = _likeliest(list(channels.values()))
-        is_shown = pooled.log_likelihood - sum(each.present for each in channels.values()) > asked
+        present = sum(each.present for each in channels.values())
+        # taken at the upper end of its interval, it must be likelier than what was taken so before
+        taken = sum(each.log_likelihood(pooled.size, pooled.tau_s) for each in channels.values())
+        is_shown = taken > present and pooled.log_likelihood - present > asked
         for c, channel in channels.items():
             own = _likeliest([channel])
             chosen, value = None, channel.present
@@ -169,7 +172,10 @@ def _likelier(noise: Noise, every: Sequence[_Channel]) -> Noise:
                 chosen, value = None, channel.present
             if own.log_likelihood - value > asked:
                 at_their_time = _likeliest([channel], (pooled.tau_s,))
-                chosen = own if own.log_likelihood - at_their_time.log_likelihood > asked else at_their_time
+                if own.log_likelihood - at_their_time.log_likelihood > asked:
+                    chosen = own
+                elif at_their_time.log_likelihood - value > asked:
+                    chosen = at_their_time
             if chosen is not None:
                 correlated[c], correlation_s[c] = chosen.size * channel.white, chosen.tau_s
         if (

@@ -105,6 +105,30 @@ def test_a_sensor_of_another_time_has_its_own(binned: tuple[BinnedTrial, ...], w
 
 
 @pytest.mark.whole
+def test_noise_that_is_known_is_found_to_be_as_it_is(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
+    """A sensor to which a time of its own is nearly due is not measured anew, search after search."""
+    others = drawn(wandering(white, 0.3, 10.0, ALL), binned, 30)
+    quicker = drawn(wandering(white, 0.6, 0.5, slice(2, 3)), binned, 31)
+
+    def residuals(share: float) -> list[Array]:
+        found = [each.copy() for each in others]
+        for each, quick in zip(found, quicker, strict=True):
+            each[2] = (1.0 - share) * each[2] + share * quick[2]
+        return found
+
+    def time_is_due(share: float) -> float:
+        channel = channel_of(white, binned, residuals(share), 2)
+        own, at_theirs = (replicate_noise._likeliest([channel], *times) for times in ((), ((5.0,),)))
+        return 2.0 * (own.log_likelihood - at_theirs.log_likelihood) - 0.93 * 13.8
+
+    given = residuals(brentq(time_is_due, 0.0, 1.0, xtol=1e-4))
+    found = with_correlation(white, binned, given, [GROUP, [2], [3]])
+    assert (found.correlation_s[ALL] == 5.0).all()
+    refitted = [1.001 * each for each in given]
+    assert with_correlation(found, binned, refitted, [GROUP, [2], [3]]) is found
+
+
+@pytest.mark.whole
 def test_the_torque_wanders_as_much_as_it_may_where_most_halls_do(
     binned: tuple[BinnedTrial, ...], white: Noise
 ) -> None:
