@@ -119,7 +119,9 @@ def _findings(
             yield _network_sensor(config.links.torque)
     try:
         with _daemon(running, path) as client:
-            yield client.state()["rig"]["simulated"]
+            state = client.state()
+            yield state["rig"]["simulated"]
+            yield check.check_version(state.get("version"))
             if config.links.can.interface == "socketcan":
                 from needle_rig.devices.bus_watch import watch_bus
 
@@ -162,12 +164,12 @@ def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iter
 
 def _moved(client: DaemonClient, config: RigConfig, turn_deg: float) -> Iterator[Finding]:
     """Turn the base and back, with the display and the stop of every command that moves."""
-    from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, moved, view
+    from needle_rig.cli._motion import commanding, end_as_by_ctrl_c, follow, moved, view
     from needle_rig.service import check
 
     end_as_by_ctrl_c()
     seen = []
-    with client.lease(holder("check")):
+    with commanding(client, "check"):
         for by_deg in (turn_deg, -turn_deg):
             seen.append(_mean(_listen(client, 0.5)))
             jog = functools.partial(client.command, "jog", {"by_deg": by_deg})
