@@ -78,8 +78,12 @@ class Installation:
             return self.runs if self.runs.is_dir() else None
         from needle_rig.config.loader import load_rig_config
 
-        # one that is not absolute would depend on the unit's working folder: the unit gives its own place
-        return self.runs / load_rig_config(self.rig_file).recording.directory
+        return self.runs_of(load_rig_config(self.rig_file).recording.directory)
+
+    def runs_of(self, directory: str) -> Path:
+        """The folder of runs that a rig file names; one that is not absolute lies in the unit's folder."""
+        path = Path(directory)
+        return self.root / path.relative_to("/") if path.is_absolute() else self.runs / path
 
 
 HERE = Installation()
