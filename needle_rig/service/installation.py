@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from needle_rig.service.endpoint import sockets_for_client
 from needle_rig.service.systemd import UNIT, unit_standing
 
 _NETWORK_PREFIX = "60-needle-rig-"
+_UNIT_PATH = re.compile(r"(?m)^Environment=PATH=([^:\s]+)")
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,20 @@ class Installation:
     def link(self) -> Path:
         """Where everybody's shell finds needle-rig."""
         return self.root / "usr/local/bin/needle-rig"
+
+    @property
+    def cache(self) -> Path:
+        """What the daemon can make again: the compiled solver."""
+        return self.root / "var/cache/needle-rig"
+
+    @property
+    def program(self) -> Path | None:
+        """The needle-rig that the unit runs; None without a unit that names one."""
+        try:
+            found = _UNIT_PATH.search(self.unit.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return None if found is None else Path(found[1], "needle-rig")
 
     @property
     def calibration(self) -> Path:
