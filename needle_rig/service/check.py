@@ -182,7 +182,7 @@ def check_ticks(state: State) -> list[Finding]:
     ticks, period_ms = state.get("ticks", {}), 1e3 / state["rig"]["tick_hz"]
     late_ms = ticks.get("late_p99_ms")
     if late_ms is not None:
-        missed = f"{ticks['missed']} of {ticks['count']} missed"
+        missed = f"{ticks['missed']} of {ticks['missed'] + ticks['count']} missed"
         text = f"late by {late_ms:.2f} ms (99 %) of {period_ms:g} ms, {missed}"
         late = late_ms > LATE_SHARE * period_ms
         todo = "end other programs, or lower tick_hz" if late else ""

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.service.endpoint import sockets_for_client
-from needle_rig.service.systemd import UNIT, unit_standing
+from needle_rig.service.systemd import UNIT, UnitStanding, unit_standing
 
 _NETWORK_PREFIX = "60-needle-rig-"
 _UNIT_PATH = re.compile(r"(?m)^Environment=PATH=([^:\s]+)")
@@ -106,6 +106,26 @@ HERE = Installation()
 """This computer."""
 
 
+def _why_down(standing: UnitStanding) -> str:
+    """How the service stands, with the reason where it ended by a fault, and what to do."""
+    if not standing.failing:
+        return standing.sentence
+    from needle_rig.config.loader import load_rig_config
+    from needle_rig.service.logbook import Logbook
+
+    try:
+        load_rig_config(HERE.rig_file)
+    except BadInput as error:
+        found, *more = str(error).splitlines()
+        others = f" (and {len(more)} more)" if more else ""
+        return (
+            f"its service failed, as its rig file cannot be used: {found}{others};"
+            " mend it, then: sudo systemctl restart needle-rig"
+        )
+    ended = Logbook(HERE.runs).last_end
+    return f"{standing.sentence}{f'; the daemon said: {ended}' if ended else ''}"
+
+
 def nobody_answers(places: list[Path]) -> NeedleRigError:
     """What to tell a person for whom no daemon answers at `places`."""
     where = " or ".join(str(place) for place in places)
@@ -113,7 +133,8 @@ def nobody_answers(places: list[Path]) -> NeedleRigError:
     if not signs:
         return RigFault(f"no daemon answers at {where}; start one: needle-rig daemon")
     standing = unit_standing() if HERE.unit in signs else None
-    next_step = (
-        f"start it: needle-rig daemon --config {HERE.rig_file}" if standing is None else standing.sentence
-    )
+    if standing is None:
+        next_step = f"start it: needle-rig daemon --config {HERE.rig_file}"
+    else:
+        next_step = _why_down(standing)
     return RigFault(f"a rig is set up here ({signs[0]}), but no daemon answers at {where}: {next_step}")

@@ -62,6 +62,21 @@ def test_a_watch_is_below_all_others(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert told.read_text() == f"19 {os.SCHED_IDLE}"
 
 
+def test_a_watch_ends_with_its_recorder_also_beside_busy_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = made_to(monkeypatch, "while True: pass")
+    watch.end()  # nothing was started yet
+    assert watch.start(tmp_path)
+    keeper = Keeper(io.StringIO())
+    keeper._watch = watch
+    begun_s = time.monotonic()
+    keeper.orphaned()
+    assert ended(watch) == -signal.SIGTERM
+    assert time.monotonic() - begun_s < 2.0
+    watch.end()  # a second time
+
+
 def test_a_watch_that_cannot_be_started_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WatchProcess, "_command", lambda *_: ["/nowhere/python"])
     assert not WatchProcess().start(tmp_path)
