@@ -36,6 +36,8 @@ _CAN_INTERFACE = "280"
     "--member", "members", multiple=True, help="User who may use the rig.  [default: who calls sudo]"
 )
 @click.option("--start/--no-start", default=True, help="Start the service at once.")
+@click.option("--upgrade", metavar="WHEEL|VERSION", help="Let the service run another version.")
+@click.option("--rollback", is_flag=True, help="Let it run the version before the last upgrade.")
 @click.option("--remove", is_flag=True, help="Take the service away; the runs stay.")
 @click.option("--dry-run", is_flag=True, help="Show what would be done, and do nothing.")
 @click.option("--root", type=click.Path(path_type=Path), default=Path("/"), hidden=True)
@@ -50,6 +52,8 @@ def command(
     rig_file: Path | None,
     members: tuple[str, ...],
     start: bool,
+    upgrade: str | None,
+    rollback: bool,
     remove: bool,
     dry_run: bool,
     root: Path,
@@ -59,6 +63,12 @@ def command(
     What is not given as an option is asked for. A rig file that is there already is kept as it is; a second
     call changes nothing. Members of the group needle-rig may use the rig. --remove keeps the runs in
     /var/lib/needle-rig, and the rig file as /etc/needle-rig/rig.yaml.removed.
+
+    --upgrade installs a version beside the present one, backs the rig up, switches, and restarts at rest. It
+    goes back by itself where `check` then finds more that fails than before.
+
+    \b
+    Exit codes: 0 done, 2 bad use, nothing was changed, 3 it failed; an upgrade was taken back.
     """
     from needle_rig.service.install import (
         another_program,
@@ -73,6 +83,16 @@ def command(
     place = Installation(root.absolute())
     if place.root == Path("/") and not dry_run:
         refuse_unable(os.geteuid())
+    if upgrade is not None or rollback:
+        from needle_rig.service import upgrade as versions
+
+        if dry_run or remove or (upgrade is not None and rollback):
+            raise BadInput("--upgrade and --rollback stand alone, without --dry-run and --remove")
+        if upgrade is not None:
+            versions.upgrade(place, upgrade, click.echo)
+        else:
+            versions.roll_back(place, click.echo)
+        return
     if remove:
         _carry_out(removal_steps(place), dry_run)
         click.echo("\n".join(["Nothing was done."] if dry_run else stays(place)))
