@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from needle_rig.cli._motion import commanding
 from needle_rig.service.client import DaemonClient
 from needle_rig.version import VERSION
+from needle_rig.web.rig_link import RigLink
 
 
 class Answering(DaemonClient):
@@ -42,3 +44,19 @@ def test_one_line_tells_of_another_version(
     with commanding(Answering(answer), "hold"):
         pass
     assert capsys.readouterr().err == said
+
+
+async def test_the_page_tells_of_a_daemon_of_another_version_while_it_answers() -> None:
+    link = RigLink(Path("nobody.sock"))
+    told = [link.other_version]
+    for version in (VERSION, "0.0.9"):
+        link._take(json.dumps({"type": "state", "version": version}))
+        told.append(link.other_version)
+    link._lost()
+    told.append(link.other_version)
+    assert [None if each is None else each.partition(",")[0] for each in told] == [
+        None,
+        None,
+        "the daemon runs needle-rig 0.0.9",
+        None,
+    ]
