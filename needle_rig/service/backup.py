@@ -104,8 +104,8 @@ def restore(place: Installation, path: Path) -> Backed:
                 pack.take(entry, target)
                 taken.append(entry)
             refuse_over_a_run(runs)
-            _move_in(new_runs, runs)
             _exchange(new_folder, folder)
+            _move_in(new_runs, runs)
     told = [f"{kept} runs of it were there already"] if kept else []
     told += [
         f"/{entry.name.removeprefix(_ELSEWHERE)}: is in the backup, but was not put back; unzip it from there"
