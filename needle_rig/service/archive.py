@@ -60,9 +60,14 @@ class Packing:
         """What is in it so far."""
 
     def add(self, name: str, source: Path) -> None:
-        """Copy a file in as it is now; raises BadInput for one that cannot be read."""
+        """Copy a file in as it is now; raises BadInput for one that cannot be read.
+
+        One that is gone by now, as a file that was written anew or a run that was too old, is left out.
+        """
         try:
             descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except FileNotFoundError:
+            return
         except OSError as error:
             raise BadInput(f"{show_path(source)}: cannot be read: {error.strerror}; run it as root") from None
         with os.fdopen(descriptor, "rb") as file:

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -289,6 +290,24 @@ def test_the_commands_say_what_they_did(
     assert "no rig is set up here" in capsys.readouterr().err
     assert run(["restore", str(tmp_path / "none.zip")]) == 2
     assert "cannot be read: No such file" in capsys.readouterr().err
+
+
+def test_a_file_that_goes_while_others_are_packed_is_left_out(
+    place: Installation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(place.runs / ".watch/a.new", b"of a watch that writes just now")
+    found = backup._files
+
+    def going(top: Path, left_out: list[str]) -> Iterator[Path]:
+        for source in found(top, left_out):
+            if source.suffix == ".new":
+                source.unlink()
+            yield source
+
+    monkeypatch.setattr(backup, "_files", going)
+    packed = back_up(place, tmp_path / "rig.zip", with_runs=True)
+    assert (packed.files, packed.runs) == (6, 2)
+    restore(Installation(tmp_path / "new"), tmp_path / "rig.zip")
 
 
 def test_a_file_that_grows_while_it_is_packed_is_whole_as_far_as_it_was_read(tmp_path: Path) -> None:
