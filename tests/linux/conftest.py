@@ -173,7 +173,7 @@ def users() -> None:
 
 @pytest.fixture(scope="session")
 def installed(users: None) -> None:
-    """The service as one command sets it up, with a tick and ages of links that one emulated core can keep."""
+    """The service as one command sets it up, with tick and ages of links that one emulated core can keep."""
     if BOOT_MARK.exists():
         return
     shell(
