@@ -84,10 +84,13 @@ def begun(process: subprocess.Popen[str]) -> None:
         if "overshoot" in line and "moving" in line:
             return
         said = line
-    raise AssertionError(f"it ended (exit {process.wait()}): {said}")
+    told = process.communicate()[0]
+    raise AssertionError(f"it ended (exit {process.returncode}): {said}{told}{journal()}")
 
 
 def started_run(*options: str) -> subprocess.Popen[str]:
+    """A run that begins soon. What was written before goes to the disk first, as that takes the core too."""
+    os.sync()
     return subprocess.Popen(
         as_user("tech", PROGRAM, *MOVE, *options),
         cwd="/home/tech",
