@@ -21,14 +21,15 @@ def cache_folder() -> Path:
 
 
 @contextmanager
-def temporary_folder(prefix: str) -> Iterator[Path]:
+def temporary_folder(prefix: str, where: Path | None = None) -> Iterator[Path]:
     """A temporary folder for its owner alone, removed at the end; `prefix` must be used by nothing else.
 
+    It lies in `where`, else where the system keeps temporary files.
     Its maker holds a lock on it: a folder of the same prefix that nobody holds is left from a killed process.
     """
-    for left in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+    for left in Path(where or tempfile.gettempdir()).glob(f"{prefix}*"):
         _remove_unless_held(left)
-    folder, lock = _make(prefix)
+    folder, lock = _make(prefix, where)
     try:
         yield folder
     finally:
@@ -36,9 +37,9 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
         os.close(lock)
 
 
-def _make(prefix: str) -> tuple[Path, int]:
+def _make(prefix: str, where: Path | None) -> tuple[Path, int]:
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=prefix))
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=where))
         try:
             lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:  # another process took it for left behind before it was locked

@@ -44,8 +44,19 @@ def view(quiet: bool = False) -> View:
     return LiveDisplay(Console())
 
 
-def holder(command: str) -> str:
-    """Who commands the rig with `needle-rig COMMAND`, in words for those who find it taken."""
+@contextmanager
+def commanding(client: DaemonClient, command: str) -> Iterator[None]:
+    """Command the rig with `needle-rig COMMAND`, and say when the daemon is of another version."""
+    from needle_rig.version import differs
+
+    with client.lease(_holder(command)):
+        if told := differs(client.version):
+            click.echo(f"warning: {told}", err=True)
+        yield
+
+
+def _holder(command: str) -> str:
+    """Who commands, in words for those who find the rig taken."""
     try:
         person = getpass.getuser()
     except (KeyError, OSError):
@@ -91,7 +102,7 @@ def move(socket: Path | None, command: str, order: Message) -> Whole:
 
     end_as_by_ctrl_c()
     client = the_daemon(socket)
-    with client.lease(holder(command)):
+    with commanding(client, command):
         state = follow(client, lambda: client.command(command, order), view(), moved)
     if state["phase"] == "fault":
         raise RigFault(state["fault"] or "a fault")

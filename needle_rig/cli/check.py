@@ -54,8 +54,9 @@ def command(
 ) -> int:
     """Look at the rig file, the ports, the bus, the nodes, the clocks, the disk and the drive.
 
-    A running daemon is asked; without one, one is started for as long as it takes. Nothing moves without
-    --move, which also shows directions and scales of encoder, torque cell and Hall sensors.
+    A running daemon is asked. Without one, one is started for as long as it takes, but where a service is set
+    up: then it is said why that is down. Nothing moves without --move, which also shows directions and scales
+    of encoder, torque cell and Hall sensors.
 
     \b
     Exit codes: 0 nothing failed (warnings may stand), 1 something failed, 2 bad use.
@@ -91,14 +92,16 @@ def _findings(
     from needle_rig.config.loader import load_rig_config
     from needle_rig.config.schema import NetFtTorque
     from needle_rig.service import check
-    from needle_rig.service.installation import HERE
+    from needle_rig.service.endpoint import sockets_for_client
+    from needle_rig.service.installation import HERE, nobody_answers
     from needle_rig.service.interface import look_at
 
     path = rig_file or (HERE.rig_file if HERE.rig_file.exists() else find_config_file("rig.yaml"))
     try:
         config = load_rig_config(path)
     except BadInput as error:
-        yield check.Finding("rig file", "fail", str(error), "mend it")
+        again = ", then: sudo systemctl restart needle-rig" if HERE.unit.exists() else ""
+        yield check.Finding("rig file", "fail", str(error), f"mend it{again}")
         return
     yield check.Finding("rig file", "ok", f"{path}: {config.name}")
     yield from check.check_needle(config)
@@ -106,6 +109,7 @@ def _findings(
     runs = (HERE.runs_directory() if path == HERE.rig_file else None) or Path(config.recording.directory)
     yield check.check_disk(config, shutil.disk_usage(_that_exists(runs)).free)
     running = _running(socket, config, rig_file)
+    down = running is None and config.kind == "hardware" and HERE.unit.exists()
     if config.kind == "hardware":
         on_bus = config.links.can.interface == "socketcan"
         interface = look_at(config.links.can.channel) if on_bus else None
@@ -117,9 +121,16 @@ def _findings(
             yield check.check_port("Hall port", config.links.hall_port, mine=running is None)
         if isinstance(config.links.torque, NetFtTorque):
             yield _network_sensor(config.links.torque)
+    if down:
+        # a daemon of our own would take the rig from a service that starts again
+        said, _, todo = str(nobody_answers(sockets_for_client())).partition(": ")
+        yield check.Finding("daemon", "fail", said, todo)
+        return
     try:
         with _daemon(running, path) as client:
-            yield client.state()["rig"]["simulated"]
+            state = client.state()
+            yield state["rig"]["simulated"]
+            yield check.check_version(state.get("version"))
             if config.links.can.interface == "socketcan":
                 from needle_rig.devices.bus_watch import watch_bus
 
@@ -162,12 +173,12 @@ def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iter
 
 def _moved(client: DaemonClient, config: RigConfig, turn_deg: float) -> Iterator[Finding]:
     """Turn the base and back, with the display and the stop of every command that moves."""
-    from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, moved, view
+    from needle_rig.cli._motion import commanding, end_as_by_ctrl_c, follow, moved, view
     from needle_rig.service import check
 
     end_as_by_ctrl_c()
     seen = []
-    with client.lease(holder("check")):
+    with commanding(client, "check"):
         for by_deg in (turn_deg, -turn_deg):
             seen.append(_mean(_listen(client, 0.5)))
             jog = functools.partial(client.command, "jog", {"by_deg": by_deg})

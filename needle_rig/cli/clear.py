@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._motion import holder, socket_option
+from needle_rig.cli._motion import commanding, socket_option
 
 
 @click.command()
@@ -16,6 +16,6 @@ def command(socket: Path | None) -> None:
     from needle_rig.service.client import the_daemon
 
     client = the_daemon(socket)
-    with client.lease(holder("clear")):
+    with commanding(client, "clear"):
         client.command("clear")
     click.echo(f"The fault is cleared ({client.path}); see `needle-rig status`.")

@@ -16,7 +16,7 @@ import click
 
 from needle_rig.cli._complete import completing
 from needle_rig.cli._live import moving_bar
-from needle_rig.cli._motion import end_as_by_ctrl_c, follow, holder, speed_option, view
+from needle_rig.cli._motion import commanding, end_as_by_ctrl_c, follow, speed_option, view
 from needle_rig.cli._rig import rig_options
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.records import JsonObject
@@ -120,7 +120,7 @@ def command(
         if len(orders) > 1:
             click.echo(f"trial {number} of {len(orders)}", err=True)
         with _daemon(socket, rig) as client:
-            with client.lease(holder("compensate")):
+            with commanding(client, "compensate"):
                 if number > 1 and not client.private:
                     _run(client, _RELAX, as_json)
                 ended = _run(client, order, as_json)

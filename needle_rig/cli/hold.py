@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from needle_rig.cli._motion import holder, socket_option
+from needle_rig.cli._motion import commanding, socket_option
 
 
 @click.command()
@@ -20,6 +20,6 @@ def command(socket: Path | None) -> None:
     from needle_rig.service.client import the_daemon
 
     client = the_daemon(socket)
-    with client.lease(holder("hold")):
+    with commanding(client, "hold"):
         client.command("hold")
     click.echo("The base is held; let go with: needle-rig release")

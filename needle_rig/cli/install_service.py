@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from needle_rig.service.installation import Installation
     from needle_rig.service.steps import Step
 
+_A_PORT = "/dev/serial/by-id/…"
+"""Shown by a dry run where no adapter is plugged in."""
 _CAN_INTERFACE = "280"
 """ARPHRD_CAN of linux/if_arp.h."""
 
@@ -34,6 +36,8 @@ _CAN_INTERFACE = "280"
     "--member", "members", multiple=True, help="User who may use the rig.  [default: who calls sudo]"
 )
 @click.option("--start/--no-start", default=True, help="Start the service at once.")
+@click.option("--upgrade", metavar="WHEEL|VERSION", help="Let the service run another version.")
+@click.option("--rollback", is_flag=True, help="Let it run the version before the last upgrade.")
 @click.option("--remove", is_flag=True, help="Take the service away; the runs stay.")
 @click.option("--dry-run", is_flag=True, help="Show what would be done, and do nothing.")
 @click.option("--root", type=click.Path(path_type=Path), default=Path("/"), hidden=True)
@@ -48,6 +52,8 @@ def command(
     rig_file: Path | None,
     members: tuple[str, ...],
     start: bool,
+    upgrade: str | None,
+    rollback: bool,
     remove: bool,
     dry_run: bool,
     root: Path,
@@ -57,26 +63,50 @@ def command(
     What is not given as an option is asked for. A rig file that is there already is kept as it is; a second
     call changes nothing. Members of the group needle-rig may use the rig. --remove keeps the runs in
     /var/lib/needle-rig, and the rig file as /etc/needle-rig/rig.yaml.removed.
+
+    --upgrade installs a version beside the present one, backs the rig up, switches, and restarts at rest. It
+    goes back by itself where `check` then finds more that fails than before.
+
+    \b
+    Exit codes: 0 done, 2 bad use, nothing was changed, 3 it failed; an upgrade was taken back.
     """
-    from needle_rig.service.install import install_steps, is_active, refuse_unable, removal_steps
+    from needle_rig.service.install import (
+        another_program,
+        install_steps,
+        is_active,
+        refuse_unable,
+        removal_steps,
+        stays,
+    )
     from needle_rig.service.installation import Installation
 
     place = Installation(root.absolute())
     if place.root == Path("/") and not dry_run:
         refuse_unable(os.geteuid())
+    if upgrade is not None or rollback:
+        from needle_rig.service import upgrade as versions
+
+        if dry_run or remove or (upgrade is not None and rollback):
+            raise BadInput("--upgrade and --rollback stand alone, without --dry-run and --remove")
+        if upgrade is not None:
+            versions.upgrade(place, upgrade, click.echo)
+        else:
+            versions.roll_back(place, click.echo)
+        return
     if remove:
         _carry_out(removal_steps(place), dry_run)
-        click.echo(f"The runs stay in {place.runs}." if not dry_run else "Nothing was done.")
+        click.echo("\n".join(["Nothing was done."] if dry_run else stays(place)))
         return
     if place.rig_file.exists():
-        wanted = _as_it_is(place, place.rig_file, members, start)
+        wanted = _as_it_is(place, place.rig_file, members, start, dry_run)
     elif rig_file is not None:
-        wanted = _as_it_is(place, rig_file, members, start)
+        wanted = _as_it_is(place, rig_file, members, start, dry_run)
     else:
         wanted = _asked(
             place,
             members,
             start,
+            dry_run,
             name=name,
             can=can,
             bitrate_kbit_s=bitrate_kbit_s,
@@ -88,6 +118,7 @@ def command(
     steps = install_steps(place, wanted)
     if all(step.is_done() for step in steps):
         click.echo("The service is set up already; nothing was changed.")
+        _tell_another(another_program(place, wanted.program))
         return
     running = place.root == Path("/") and is_active()
     _carry_out(steps, dry_run)
@@ -96,9 +127,15 @@ def command(
         return
     if running:
         click.echo("It runs with what it had; when no run goes on: sudo systemctl restart needle-rig")
+    _tell_another(another_program(place, wanted.program))
     click.echo("The service is set up. Look at it: needle-rig status; at the rig: needle-rig check")
     for member in wanted.members:
         click.echo(f"{member} may use it after logging in again (group needle-rig).")
+
+
+def _tell_another(told: str | None) -> None:
+    if told is not None:
+        click.echo(f"warning: {told}", err=True)
 
 
 def _carry_out(steps: list[Step], dry_run: bool) -> None:
@@ -111,7 +148,9 @@ def _carry_out(steps: list[Step], dry_run: bool) -> None:
             step.do()
 
 
-def _as_it_is(place: Installation, rig_file: Path, members: tuple[str, ...], start: bool) -> Wanted:
+def _as_it_is(
+    place: Installation, rig_file: Path, members: tuple[str, ...], start: bool, dry_run: bool
+) -> Wanted:
     """The service of a rig file that is there."""
     from needle_rig.config.loader import load_rig_config
     from needle_rig.service.install import Wanted
@@ -123,12 +162,18 @@ def _as_it_is(place: Installation, rig_file: Path, members: tuple[str, ...], sta
         interface,
         can.bitrate_kbit_s,
         _members(place, members),
-        _program(place),
+        _program(place, dry_run),
         start,
     )
 
 
-def _asked(place: Installation, members: tuple[str, ...], start: bool, **given: str | float | None) -> Wanted:
+def _asked(
+    place: Installation,
+    members: tuple[str, ...],
+    start: bool,
+    dry_run: bool,
+    **given: str | float | None,
+) -> Wanted:
     """The service of a rig file made of the options, and of answers where they are missing."""
     from needle_rig.config.files import shipped_file
     from needle_rig.config.loader import load_rig_config
@@ -140,7 +185,10 @@ def _asked(place: Installation, members: tuple[str, ...], start: bool, **given: 
         "name": ("The rig's name", usual.name),
         "can": ("CAN interface, or device of an slcan adapter", _only(_can_interfaces()) or "can0"),
         "bitrate_kbit_s": ("Bit rate of the CAN bus, kbit/s", 1000),
-        "hall_port": ("Serial port of the Hall node", _only(_serial_ports())),
+        "hall_port": (
+            "Serial port of the Hall node",
+            _only(_serial_ports()) or (_A_PORT if dry_run else None),
+        ),
         "length_mm": ("The needle's length, mm", usual.needle.length_mm),
         "diameter_mm": ("The needle's diameter, mm", usual.needle.diameter_mm),
         "shear_modulus_gpa": ("The needle's shear modulus, GPa", usual.needle.shear_modulus_gpa),
@@ -149,7 +197,9 @@ def _asked(place: Installation, members: tuple[str, ...], start: bool, **given: 
     answers = Answers(**found)  # type: ignore[arg-type]  # each as click or its default gave it
     text = rig_file_text(answers, Path("/var/lib/needle-rig"))
     interface = answers.network_interface
-    return Wanted(text, interface, answers.bitrate_kbit_s, _members(place, members), _program(place), start)
+    return Wanted(
+        text, interface, answers.bitrate_kbit_s, _members(place, members), _program(place, dry_run), start
+    )
 
 
 def _answer(key: str, text: str, given: str | float | None, default: str | float | None) -> str | float:
@@ -192,7 +242,17 @@ def _members(place: Installation, named: tuple[str, ...]) -> tuple[str, ...]:
     return members
 
 
-def _program(place: Installation) -> Path:
+def _program(place: Installation, dry_run: bool) -> Path:
+    """What the service runs; a dry run shows the usual one where this one could not be run."""
     from needle_rig.service.install import installed_program
 
-    return installed_program() if place.root == Path("/") else Path("/opt/needle-rig/bin/needle-rig")
+    usual = Path("/opt/needle-rig/bin/needle-rig")
+    if place.root != Path("/"):
+        return usual
+    try:
+        return installed_program()
+    except BadInput as error:
+        if not dry_run:
+            raise
+        click.echo(f"note: {error}", err=True)
+        return usual

@@ -30,12 +30,15 @@ def _text(state: State, path: str) -> str:
     from needle_rig.cli._live import phase_line
     from needle_rig.cli._output import number
     from needle_rig.recording.watch_summary import read_summary
+    from needle_rig.version import differs
 
     rig, ticks, sensors = state["rig"], state["ticks"], state["sensors"]
+    different = differs(state.get("version"))
     simulated = f", simulated {rig['parameters'] or ''}".rstrip() if rig["simulated"] else ""
     phase = "starting" if state["starting"] else phase_line(state).strip()
     lines = [
         f"rig:     {rig['name']}{simulated}, on {path}",
+        f"version: {state.get('version') or 'not told'}",
         f"since:   {state['since_utc']}",
         f"phase:   {phase}",
     ]
@@ -71,7 +74,7 @@ def _text(state: State, path: str) -> str:
         f"cut off: {run['text'] or run['run']} (found {run['found_utc']})" for run in state["unfinished"]
     ]
     lines += [f"watch:   {sentence}" for sentence in read_summary(Path(state["runs"]))]
-    lines += [f"warning: {warning}" for warning in state["warnings"]]
+    lines += [f"warning: {warning}" for warning in (*state["warnings"], *filter(None, [different]))]
     return "\n".join(lines)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from needle_rig.config.places import Places
 from needle_rig.records import JsonObject
+from needle_rig.version import VERSION
 
 KINDS: dict[str, tuple[str, str]] = {
     "needle-rig": ("a rig file", "name it as config, or as rig"),
@@ -31,7 +32,12 @@ def check_format(data: JsonObject, places: Places, *wanted: str) -> None:
     kind, _, version = given.partition("/") if isinstance(given, str) else ("", "", "")
     same = next((w for w in wanted if w.partition("/")[0] == kind), None)
     here = " or ".join(f"{KINDS[w.partition('/')[0]][0]} ({w})" for w in wanted)
-    if same is not None:
+    if same is not None and version.isdecimal() and int(version) > int(same.partition("/")[2]):
+        sentence = (
+            f"{given} was written by a newer needle-rig than this {VERSION}, which reads {same};"
+            " upgrade needle-rig, or restore a backup from before"
+        )
+    elif same is not None:
         sentence = (
             f"version {version!r} of {KINDS[kind][0]} is not known, this needle-rig reads {same};"
             f" take the needle-rig that wrote it, or write format: {same}"

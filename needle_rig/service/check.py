@@ -16,6 +16,7 @@ from needle_rig.recording import run_tables
 from needle_rig.service.documents import Sensors, State
 from needle_rig.service.interface import Interface
 from needle_rig.units import deg
+from needle_rig.version import differs
 
 Verdict = Literal["ok", "warn", "fail"]
 
@@ -181,12 +182,21 @@ def check_ticks(state: State) -> list[Finding]:
     ticks, period_ms = state.get("ticks", {}), 1e3 / state["rig"]["tick_hz"]
     late_ms = ticks.get("late_p99_ms")
     if late_ms is not None:
-        missed = f"{ticks['missed']} of {ticks['count']} missed"
+        missed = f"{ticks['missed']} of {ticks['missed'] + ticks['count']} missed"
         text = f"late by {late_ms:.2f} ms (99 %) of {period_ms:g} ms, {missed}"
         late = late_ms > LATE_SHARE * period_ms
         todo = "end other programs, or lower tick_hz" if late else ""
         found.append(Finding("ticks", "warn" if late else "ok", text, todo))
     return found
+
+
+def check_version(daemon: str | None) -> Finding:
+    """Whether the daemon is of the version that looks at it."""
+    told = differs(daemon)
+    if told is None:
+        return Finding("version", "ok", f"needle-rig {daemon}")
+    text, _, todo = told.partition("; ")
+    return Finding("version", "warn", text, todo)
 
 
 def check_links(config: RigConfig, state: State) -> list[Finding]:

@@ -44,6 +44,8 @@ class DaemonClient:
         self.path = path
         self._process = process
         self._lease: str | None = None
+        self.version: str | None = None
+        """Of the daemon's needle-rig, known since the lease; one that does not say it is older."""
 
     @property
     def private(self) -> bool:
@@ -62,7 +64,8 @@ class DaemonClient:
     @contextmanager
     def lease(self, holder: str) -> Iterator[None]:
         """Be the one who commands, inside a with block; BadInput says who does when it is somebody else."""
-        self._lease = str(self._ask("POST", "/lease", {"holder": holder})["lease"])
+        told = self._ask("POST", "/lease", {"holder": holder})
+        self._lease, self.version = str(told["lease"]), cast("str | None", told.get("version"))
         try:
             yield
         finally:

@@ -30,6 +30,7 @@ from needle_rig.service.rates import Rates
 from needle_rig.service.recorder import Recorder
 from needle_rig.service.repeats import Repeats
 from needle_rig.units import rad
+from needle_rig.version import VERSION
 
 if TYPE_CHECKING:
     import socket
@@ -192,7 +193,7 @@ class Daemon:
                 return {**self._state("state"), "ticks": self.describe_timing()}
             case "take_lease", Holder():
                 lease = self._lease.take(order.holder, claim)
-                return {"lease": lease, "holder": order.holder, "expires_s": LEASE_S}
+                return {"lease": lease, "holder": order.holder, "expires_s": LEASE_S, "version": VERSION}
             case "return_lease", _:
                 self._lease.give_back(claim)
                 return {"returned": True}
@@ -269,6 +270,7 @@ class Daemon:
     def describe(self) -> Whole:
         """All that is to be said now."""
         return {
+            "version": VERSION,
             "rig": self._rig_document,
             "runs": str(self._runs.absolute()),
             "run": None if self._run is None else str(self._run),

@@ -186,6 +186,8 @@ class Ticks(TypedDict, total=False):
 class Whole(Standing):
     """All that the daemon says of itself."""
 
+    version: str
+    """Of the needle-rig that the daemon runs."""
     rig: Rig
     runs: str
     """Folder of the runs."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import re
 import sys
 from dataclasses import dataclass
@@ -12,7 +13,18 @@ from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput
 from needle_rig.extras import install_arguments, install_command
 from needle_rig.service.installation import Installation
-from needle_rig.service.steps import AwaitProcesses, MakeLink, Remove, Rename, Run, Step, WriteFile
+from needle_rig.service.steps import (
+    AwaitProcesses,
+    LeaveToAll,
+    MakeLink,
+    Remove,
+    RemoveFolder,
+    Rename,
+    Run,
+    Step,
+    WriteFile,
+    links_to,
+)
 from needle_rig.service.systemd import UNIT
 
 ACCOUNT = "needle-rig"
@@ -24,6 +36,7 @@ _UDEV_RULES = """\
 SUBSYSTEM=="tty", SUBSYSTEMS=="usb", KERNEL=="ttyACM[0-9]*|ttyUSB[0-9]*", GROUP="dialout", MODE="0660"
 ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"
 """
+_PLUGGED_IN = ["udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial"]
 _NETWORK = """\
 # Brought up whenever the adapter is there; back on the bus 100 ms after a bus-off
 [Match]
@@ -76,16 +89,40 @@ def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
     ]
     if not place.rig_file.exists():
         steps.append(WriteFile(place.rig_file, wanted.rig_file))
-    steps += _changed(WriteFile(place.udev_rules, _UDEV_RULES), live, ["udevadm", "control", "--reload"])
+    # also for the adapters that are plugged in already
+    reload = ["udevadm", "control", "--reload"]
+    steps += _changed(WriteFile(place.udev_rules, _UDEV_RULES), live, reload, _PLUGGED_IN)
     if wanted.network_interface is not None:
         steps += _network_steps(place, wanted.network_interface, wanted.bitrate_kbit_s, live)
-    steps.append(MakeLink(place.link, wanted.program))
+    steps.append(MakeLink(place.link, wanted.program, place.program))
     unit = WriteFile(place.unit, unit_text(wanted.program))
     steps += _changed(unit, live, ["systemctl", "daemon-reload"])
     steps.append(Run(["systemctl", *_at(place), "enable", UNIT], functools.partial(_is_enabled, place, UNIT)))
     if live and wanted.start:
         steps.append(Run(["systemctl", "start", "--no-block", UNIT], is_active))
     return steps
+
+
+def stays(place: Installation) -> list[str]:
+    """What is left when the service was taken away, a sentence each."""
+    told = []
+    if place.runs.exists():
+        told.append(f"The runs stay in {place.runs}; they are root's, and readable for everybody.")
+    if place.rig_file.parent.exists():
+        told.append(f"Rig file, calibration and models stay in {place.rig_file.parent}.")
+    if os.path.lexists(place.link):
+        told.append(f"{place.link} stays: it is not the service's.")
+    return told
+
+
+def another_program(place: Installation, program: Path) -> str | None:
+    """That the command which people type is not the service's program; None where it is."""
+    if not os.path.lexists(place.link) or links_to(place.link, program):
+        return None
+    return (
+        f"{place.link} was not made by this service and stays, while the service runs {program};"
+        f" for one version of both: ln -sfn {program} {place.link}"
+    )
 
 
 def removal_steps(place: Installation) -> list[Step]:
@@ -96,14 +133,17 @@ def removal_steps(place: Installation) -> list[Step]:
         steps.append(Run(["systemctl", "stop", UNIT], lambda: not is_active()))
     enabled = functools.partial(_is_enabled, place, UNIT)
     steps.append(Run(["systemctl", *_at(place), "disable", UNIT], lambda: not enabled()))
+    if links_to(place.link, place.program):  # before the unit, which tells that it is ours
+        steps.append(Remove(place.link))
     reload = live and place.unit.exists()
     steps += [Remove(path) for path in (place.unit, *place.networks(), place.udev_rules)]
     if reload:
         steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
-    if place.link.is_symlink():  # a program that was installed there is not ours
-        steps.append(Remove(place.link))
     if live:
         steps.append(AwaitProcesses(ACCOUNT))
+        # the number of a user who is gone may be given to another
+        steps.append(LeaveToAll(place.runs))
+    steps.append(RemoveFolder(place.cache))
     steps.append(Rename(place.rig_file, place.rig_file.with_suffix(".yaml.removed")))
     prefix = [] if live else [f"--prefix={place.root}"]
     for command, file in (("userdel", "etc/passwd"), ("groupdel", "etc/group")):

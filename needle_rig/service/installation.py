@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.service.endpoint import sockets_for_client
-from needle_rig.service.systemd import UNIT, unit_standing
+from needle_rig.service.systemd import UNIT, UnitStanding, unit_standing
 
 _NETWORK_PREFIX = "60-needle-rig-"
+_UNIT_PATH = re.compile(r"(?m)^Environment=PATH=([^:\s]+)")
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,20 @@ class Installation:
         return self.root / "usr/local/bin/needle-rig"
 
     @property
+    def cache(self) -> Path:
+        """What the daemon can make again: the compiled solver."""
+        return self.root / "var/cache/needle-rig"
+
+    @property
+    def program(self) -> Path | None:
+        """The needle-rig that the unit runs; None without a unit that names one."""
+        try:
+            found = _UNIT_PATH.search(self.unit.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return None if found is None else Path(found[1], "needle-rig")
+
+    @property
     def calibration(self) -> Path:
         """What `needle-rig calibrate` wrote for this rig's nodes."""
         return self.root / "etc/needle-rig/calibration"
@@ -78,12 +94,36 @@ class Installation:
             return self.runs if self.runs.is_dir() else None
         from needle_rig.config.loader import load_rig_config
 
-        # one that is not absolute would depend on the unit's working folder: the unit gives its own place
-        return self.runs / load_rig_config(self.rig_file).recording.directory
+        return self.runs_of(load_rig_config(self.rig_file).recording.directory)
+
+    def runs_of(self, directory: str) -> Path:
+        """The folder of runs that a rig file names; one that is not absolute lies in the unit's folder."""
+        path = Path(directory)
+        return self.root / path.relative_to("/") if path.is_absolute() else self.runs / path
 
 
 HERE = Installation()
 """This computer."""
+
+
+def _why_down(standing: UnitStanding) -> str:
+    """How the service stands, with the reason where it ended by a fault, and what to do."""
+    if not standing.failing:
+        return standing.sentence
+    from needle_rig.config.loader import load_rig_config
+    from needle_rig.service.logbook import Logbook
+
+    try:
+        load_rig_config(HERE.rig_file)
+    except BadInput as error:
+        found, *more = str(error).splitlines()
+        others = f" (and {len(more)} more)" if more else ""
+        return (
+            f"its service failed, as its rig file cannot be used: {found}{others};"
+            " mend it, then: sudo systemctl restart needle-rig"
+        )
+    ended = Logbook(HERE.runs).last_end
+    return f"{standing.sentence}{f'; the daemon said: {ended}' if ended else ''}"
 
 
 def nobody_answers(places: list[Path]) -> NeedleRigError:
@@ -93,7 +133,8 @@ def nobody_answers(places: list[Path]) -> NeedleRigError:
     if not signs:
         return RigFault(f"no daemon answers at {where}; start one: needle-rig daemon")
     standing = unit_standing() if HERE.unit in signs else None
-    next_step = (
-        f"start it: needle-rig daemon --config {HERE.rig_file}" if standing is None else standing.sentence
-    )
+    if standing is None:
+        next_step = f"start it: needle-rig daemon --config {HERE.rig_file}"
+    else:
+        next_step = _why_down(standing)
     return RigFault(f"a rig is set up here ({signs[0]}), but no daemon answers at {where}: {next_step}")

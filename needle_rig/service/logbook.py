@@ -49,6 +49,11 @@ class Logbook:
             {"since_utc": self.since_utc, "boot_id": self._boot_id, "ended_utc": _now(), "how": how[:300]}
         )
 
+    @property
+    def last_end(self) -> str:
+        """How the newest daemon of this folder ended; empty while it runs, or where it said nothing."""
+        return "" if self._folder is None else _document(self._folder / _NAME).get("how", "")
+
     def _write(self, document: dict[str, str]) -> None:
         if self._folder is None:
             return

@@ -131,7 +131,7 @@ class Keeper:
         return {"complete": complete, "text": said, "torn_bytes": torn_bytes}
 
     def orphaned(self) -> None:
-        """The daemon is gone: its run is left as it is, for the next daemon to find and tell."""
+        """The daemon is gone: its run is left for the next daemon to find and tell, and the watch ends."""
         if self._writer is not None:
             with suppress(NeedleRigError):  # there is nobody left to tell
                 self._writer.event(
@@ -139,6 +139,7 @@ class Keeper:
                 )
                 self._writer.sync()
             self._writer.leave()
+        self._watch.end()
 
     def _leave(self) -> None:
         writer, self._writer = self._writer, None

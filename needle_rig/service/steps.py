@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pwd
+import shutil
 import signal
 import subprocess
 import time
@@ -62,10 +63,11 @@ class WriteFile:
 
 @dataclass(frozen=True)
 class MakeLink:
-    """A symbolic link; what else stands at its place stays."""
+    """A symbolic link; one to `instead_of` is changed, and what else stands at its place stays."""
 
     path: Path
     target: Path
+    instead_of: Path | None = None
 
     def describe(self) -> str:
         """See Step."""
@@ -73,13 +75,23 @@ class MakeLink:
 
     def is_done(self) -> bool:
         """See Step."""
-        return os.path.lexists(self.path)
+        return os.path.lexists(self.path) and not (
+            self.instead_of not in (None, self.target) and links_to(self.path, self.instead_of)
+        )
 
     def do(self) -> None:
         """See Step."""
         with _told(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.symlink_to(self.target)
+            made = self.path.with_name(f".{self.path.name}.new")
+            made.unlink(missing_ok=True)
+            made.symlink_to(self.target)
+            made.replace(self.path)
+
+
+def links_to(path: Path, target: Path | None) -> bool:
+    """Whether `path` is a symbolic link to `target`, there or not."""
+    return path.is_symlink() and path.readlink() == target
 
 
 @dataclass(frozen=True)
@@ -100,6 +112,51 @@ class Remove:
         """See Step."""
         with _told(self.path):
             self.path.unlink()
+
+
+@dataclass(frozen=True)
+class RemoveFolder:
+    """A folder that is taken away with all that is in it."""
+
+    path: Path
+
+    def describe(self) -> str:
+        """See Step."""
+        return f"remove {self.path}/"
+
+    def is_done(self) -> bool:
+        """See Step."""
+        return not os.path.lexists(self.path)
+
+    def do(self) -> None:
+        """See Step."""
+        with _told(self.path):
+            shutil.rmtree(self.path)
+
+
+@dataclass(frozen=True)
+class LeaveToAll:
+    """Files whose owner is taken away: root's from now on, and readable for everybody."""
+
+    folder: Path
+
+    def describe(self) -> str:
+        """See Step."""
+        return f"leave {self.folder} to root, readable for everybody"
+
+    def is_done(self) -> bool:
+        """See Step."""
+        return not os.path.lexists(self.folder)
+
+    def do(self) -> None:
+        """See Step."""
+        with _told(self.folder):
+            for path in (self.folder, *self.folder.rglob("*")):
+                if path.is_symlink():
+                    continue
+                os.chown(path, 0, 0)
+                readable = 0o555 if path.is_dir() else 0o444
+                path.chmod((path.stat().st_mode & 0o777) | readable)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,11 @@ class UnitStanding:
     status_text: str
 
     @property
+    def failing(self) -> bool:
+        """Whether it ended by a fault, also when it is started again soon."""
+        return self.state == "failed" or self.substate == "auto-restart"
+
+    @property
     def sentence(self) -> str:
         """The same for a person, with what to do."""
         said = f" ({self.status_text})" if self.status_text else ""

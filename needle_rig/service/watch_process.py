@@ -1,6 +1,7 @@
 """Starts the watch over the runs: a process of its own, below all others in every queue, and bounded.
 
-The recorder starts it, not the daemon, whose ticks do not even see the fork; nothing waits for it.
+The recorder starts it, not the daemon, whose ticks do not even see the fork; nothing waits for it, and it
+ends with the recorder.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import resource
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 LONGEST_S = 300
 """Of one watch, from its start; the solver's first compilation takes a quarter of a minute."""
 MOST_BYTES = 4 * 2**30
 """Of address space: a watch over three runs took 0.64 GB at most, without compiling the solver."""
+_END_S = 2.0
 
 
 class WatchProcess:
@@ -39,6 +42,20 @@ class WatchProcess:
         except (OSError, subprocess.SubprocessError):
             return False
         return True
+
+    def end(self) -> None:
+        """End it now; what it did not look at the next one looks at."""
+        if self._process is None or self._process.poll() is not None:
+            return
+        # idle priority would keep it from ending on a computer that has work to do
+        with suppress(OSError):
+            os.sched_setscheduler(self._process.pid, os.SCHED_OTHER, os.sched_param(0))
+        self._process.terminate()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _command(self, directory: Path) -> list[str]:
         return [sys.executable, "-m", "needle_rig", "watch", "--dir", str(directory)]

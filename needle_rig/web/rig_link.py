@@ -20,6 +20,7 @@ from needle_rig.service.client import failure
 from needle_rig.service.endpoint import sockets_for_client
 from needle_rig.service.openapi import ROUTES
 from needle_rig.service.stream import Listener, Stream
+from needle_rig.version import differs
 
 AGAIN_S = 0.3
 """From one try to reach the daemon to the next, and from one word to the watchers that nobody answers."""
@@ -65,6 +66,13 @@ class RigLink:
             if self._newest is not None:
                 listener.put_state(self._newest)
             yield listener
+
+    @property
+    def other_version(self) -> str | None:
+        """That the daemon is of another version; None where it is of the same, or silent."""
+        if not self.reached or self._newest is None:
+            return None
+        return differs(json.loads(self._newest).get("version"))
 
     async def order(self, name: str, content: Mapping[str, Any]) -> Document:
         """Pass an order on; one that needs a lease takes it. Raises BadInput, RigFault, Aborted.

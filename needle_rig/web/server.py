@@ -271,9 +271,13 @@ class Page:
         return JSONResponse({"runs": await asyncio.to_thread(listed)})
 
     async def watch(self, _: Request) -> Response:
-        """What the newest run says against the model of the rig file; empty where it says nothing."""
+        """What a person should know besides the state; empty where there is nothing.
+
+        `contradiction` is what the newest run says against the model of the rig file, `version` that the
+        daemon is of another version than the page.
+        """
         said = await asyncio.to_thread(read_contradiction, self._settings.runs)
-        return JSONResponse({"contradiction": said})
+        return JSONResponse({"contradiction": said, "version": self.rig.other_version or ""})
 
     async def notes(self, request: Request) -> Response:
         """Keep tags and a note beside a run."""

@@ -8,6 +8,7 @@ import pickle
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import pytest
 from tests.linux.conftest import (
     MOVE,
     PORTS,
+    PROGRAM,
     RIG_FILE,
     RUNS,
     Rig,
@@ -31,7 +33,6 @@ from tests.linux.conftest import (
     shell,
     started_run,
     status,
-    turned,
     until,
 )
 
@@ -66,7 +67,47 @@ def test_it_starts_without_its_bus_and_uses_the_bus_that_comes_late(rig: Rig) ->
     assert main_pid() == pid
 
 
-def test_a_restart_in_mid_run_closes_the_run_and_is_ready_again(rig: Rig) -> None:
+def test_a_rig_is_backed_up_and_comes_back_but_not_over_a_run(rig: Rig) -> None:
+    good, runs = RIG_FILE.read_text(), sorted(RUNS.glob("*.h5"))
+    packed = shell(f"{PROGRAM} backup /root/rig.zip --runs").stdout
+    assert f"{len(runs)} of them runs" in packed
+    process = started_run()
+    begun(process)
+    refused = shell(f"{PROGRAM} restore /root/rig.zip", check=False)
+    assert refused.returncode == 2
+    assert "this run goes on" in refused.stderr
+    assert needle_rig("stop").returncode == 0
+    process.communicate()
+    until(lambda: not list(RUNS.glob("*.journal")), "the run is closed")
+    RIG_FILE.write_text("broken")
+    before = runs[0].stat()
+    runs[0].unlink()
+    told = shell(f"{PROGRAM} restore /root/rig.zip").stdout
+    assert "1 of them runs" in told
+    assert RIG_FILE.read_text() == good
+    after = runs[0].stat()
+    assert (after.st_uid, after.st_gid, after.st_mode, after.st_size) == (
+        before.st_uid,
+        before.st_gid,
+        before.st_mode,
+        before.st_size,
+    )
+    shell("systemctl restart needle-rig", timeout_s=120)
+
+
+def test_a_report_holds_what_somebody_needs_who_was_not_there(rig: Rig) -> None:
+    shell(f"{PROGRAM} report /root/report.zip", timeout_s=180)
+    with zipfile.ZipFile("/root/report.zip") as file:
+        found = {name: file.read(name) for name in file.namelist()}
+    assert {"versions.txt", "unit.txt", "rig/rig.yaml"} <= found.keys()
+    assert json.loads(found["status.json"])["rig"]["name"] == "guest"
+    assert json.loads(found["check.json"])["verdict"] in ("ok", "warn")
+    assert b"ready" in found["journal.txt"]
+    assert [name for name in found if name.startswith("run/")]
+
+
+def test_a_restart_in_mid_run_is_quiet_closes_the_run_and_is_ready_again(rig: Rig) -> None:
+    begun_s = time.time()
     process = started_run()
     begun(process)
     shell("systemctl restart needle-rig", timeout_s=120)
@@ -75,6 +116,10 @@ def test_a_restart_in_mid_run_closes_the_run_and_is_ready_again(rig: Rig) -> Non
     last = json.loads(needle_rig("runs", "--json").stdout)[-1]
     assert (last["status"], last["complete"]) == ("aborted", True)
     until(lambda: status().get("sensors") is not None, "it is ready again")
+    said = shell(f"journalctl -u needle-rig --since @{begun_s:.0f} --no-pager -o cat").stdout
+    assert "Started" in said  # what systemd says of the unit is among it
+    assert "remains running" not in said
+    assert "left-over" not in said
 
 
 @contextlib.contextmanager
@@ -114,9 +159,9 @@ def test_frames_of_others_change_nothing_that_the_same_sending_elsewhere_does_no
     rig: Rig, elsewhere: str
 ) -> None:
     with sending(elsewhere, FOREIGN, 0.05):
-        control = turned(rig)
+        control = outcome()
     with sending("vcan0", FOREIGN, 0.05):
-        told = turned(rig)
+        told = outcome()
     assert (told["code"], told["status"]) == (control["code"], control["status"]), (told, control)
     assert told["code"] == 0
     lags = [result["final"]["tip_lag_deg"] for result in (told, control)]
@@ -159,7 +204,7 @@ def test_a_full_disk_ends_the_run_with_one_sentence_and_the_next_run_is_whole(ri
         assert abs(still_after(0.5)) < 1.0
         shell(f"mount -o remount,size=50M {RUNS}")
         until(rig.cleared, "no fault stands")
-        assert turned(rig)["code"] == 0
+        assert outcome()["code"] == 0
         listed = json.loads(needle_rig("runs", "--json").stdout)
         assert listed[-1]["complete"] is True
         table = needle_rig("export", "last", "--csv", "--out", "/tmp/after")
@@ -184,7 +229,7 @@ def test_a_cia_402_drive_turns_the_needle_and_stops_when_its_host_does(rig: Rig)
         until(lambda: status().get("fault") is None and status().get("sensors") is not None, "it runs", 90)
         until(rig.cleared, "no fault stands")
         order("home", {"by": "here", "angle_deg": 0.0, "speed_deg_s": 10.0})
-        told = turned(rig)
+        told = outcome()
         assert told["code"] == 0, (told, journal())
         assert told["motions"][0]["base_deg"] == pytest.approx(30.0, abs=0.5)
         process = started_run()
@@ -217,7 +262,7 @@ def test_an_slcan_adapter_that_slcand_makes_an_interface_of_is_used_pulled_and_u
         until(lambda: status().get("fault") is None and at_rest(), "it runs", 90)
         until(rig.cleared, "no fault stands")
         rig.refer()
-        told = turned(rig)
+        told = outcome()
         assert told["code"] == 0, (told, journal())
         rig.tell("can unplug")
         until(lambda: "no interface slcan0" in (status().get("fault") or ""), "the adapter is missed")

@@ -79,5 +79,5 @@ def test_a_model_file_that_is_dropped_is_a_model_to_hold_against_data(served: Se
 
 @pytest.mark.whole
 def test_without_a_watch_no_run_contradicts_the_model(served: Served) -> None:
-    assert served.ask("GET", "/api/watch").json() == {"contradiction": ""}
+    assert served.ask("GET", "/api/watch").json() == {"contradiction": "", "version": ""}
     assert served.ask("GET", "/api/watch", headers={}).status_code == 401

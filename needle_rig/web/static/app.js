@@ -49,7 +49,8 @@ function App() {
     ${said.value ? html`<p class="refusal" role="alert">${said.value}
       <button onClick=${() => (said.value = "")} aria-label="Dismiss">×</button></p>` : null}
     <main id="content" tabindex="-1"><${Page} /></main>
-    <footer>Words: <a href="glossary.html">glossary</a>. needle-rig is no medical device.</footer>`;
+    <footer>Words: <a href="glossary.html">glossary</a>. needle-rig is no medical device.
+      ${state?.version ? ` The rig runs needle-rig ${state.version}.` : null}</footer>`;
 }
 
 /** Space belongs to what one writes in, and Escape to an open dialog. @param {EventTarget | null} at */

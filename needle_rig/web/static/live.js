@@ -23,8 +23,8 @@ const why = signal("connecting …");
 const estimate = signal(null);
 /** @type {{value: any}} */
 const ended = signal(null);
-/** What the newest run says against the model of the rig file. */
-const contradiction = signal("");
+/** What the newest run says against the model of the rig file, and that the daemon is of another version. */
+const besides = signal(/** @type {string[]} */ ([]));
 /** Traces: time, base, each Hall angle; time, torque. @type {{value: {angles: any[], torque: any[]}}} */
 const traces = signal({ angles: [[]], torque: [[], []] });
 /** @type {number[][]} */
@@ -54,9 +54,9 @@ export function open() {
   };
 }
 
-/** Ask what the watch over the runs says of the rig's model; again while this page is looked at. */
+/** Ask what the watch over the runs says of the rig's model, and of versions; again while this page is looked at. */
 export async function watch() {
-  if (!document.hidden) contradiction.value = await ask("GET", "watch").then((found) => found.contradiction, () => contradiction.value);
+  if (!document.hidden) besides.value = await ask("GET", "watch").then((found) => [found.version, found.contradiction].filter(Boolean), () => besides.value);
   setTimeout(watch, WATCH_MS);
 }
 
@@ -151,7 +151,7 @@ function Faults({ state }) {
     next.push("The drive's zero is not known. Home it: by Hall sensor, or set an angle here.");
   if (state.latched) next.push("This fault stays until a person has looked: mend its cause, then Clear.");
   if (state.released) next.push("The base is released. Clear, or any motion, takes it again.");
-  const told = [...(state.fault ? [state.fault] : []), ...next, ...state.warnings, ...(contradiction.value ? [contradiction.value] : [])];
+  const told = [...(state.fault ? [state.fault] : []), ...next, ...state.warnings, ...besides.value];
   if (!told.length) return null;
   return html`<section class="card wide fault" role="alert"><h2>${state.fault ? "Fault" : "To do"}</h2>
     <ul>${told.map((text) => html`<li>${text}</li>`)}</ul></section>`;

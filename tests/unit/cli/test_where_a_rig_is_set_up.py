@@ -11,9 +11,10 @@ import pytest
 
 from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
-from needle_rig.service import installation
+from needle_rig.service import client, installation
 from needle_rig.service.installation import Installation
 from needle_rig.service.systemd import UnitStanding
+from needle_rig.version import VERSION
 
 FAILED = UnitStanding("failed", "failed", "exit-code", "")
 
@@ -76,12 +77,73 @@ def test_a_command_that_asks_says_that_a_rig_is_set_up(
     here: Installation, command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put(here.unit)
+    put(here.rig_file, shipped_file("rig.hardware.yaml").read_text())
     monkeypatch.setattr(installation, "unit_standing", lambda: FAILED)
     assert run(command.split()) == 3
     said = capsys.readouterr().err
     assert "a rig is set up here" in said
     assert "its service failed (exit-code)" in said
     assert "journalctl -u needle-rig" in said
+
+
+def test_a_service_whose_rig_file_is_wrong_is_told_with_its_line(
+    here: Installation, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(here.unit)
+    put(here.rig_file, shipped_file("rig.hardware.yaml").read_text() + "new_key: 1\nother_key: 1\n")
+    monkeypatch.setattr(installation, "unit_standing", lambda: FAILED)
+    for command in ("status", "compensate --target 45"):
+        assert run(command.split()) == 3
+        said = capsys.readouterr().err
+        assert f"{here.rig_file}:" in said
+        assert ":1: new_key: unknown key" in said
+        assert "(and 1 more); mend it, then: sudo systemctl restart needle-rig" in said
+    assert run(["check"]) == 1
+    assert "new_key: unknown key" in (said := capsys.readouterr().out)
+    assert "mend it, then: sudo systemctl restart needle-rig" in said
+
+
+def test_a_rig_file_of_a_newer_version_says_so(
+    here: Installation, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(here.unit)
+    text = shipped_file("rig.hardware.yaml").read_text()
+    put(here.rig_file, text.replace("format: needle-rig/1", "format: needle-rig/2"))
+    monkeypatch.setattr(installation, "unit_standing", lambda: FAILED)
+    assert run(["status"]) == 3
+    assert f"was written by a newer needle-rig than this {VERSION}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("standing", [FAILED, UnitStanding("activating", "auto-restart", "exit-code", "")])
+def test_a_service_that_failed_is_told_with_what_its_daemon_said(
+    here: Installation,
+    standing: UnitStanding,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    put(here.unit)
+    put(here.rig_file, shipped_file("rig.hardware.yaml").read_text())
+    put(here.runs / ".daemon.json", '{"since_utc": "", "how": "a defect: ValueError()"}')
+    monkeypatch.setattr(installation, "unit_standing", lambda: standing)
+    assert run(["status"]) == 3
+    assert "the daemon said: a defect: ValueError()" in capsys.readouterr().err
+
+
+def test_check_beside_a_service_that_is_down_starts_nothing_and_says_why(
+    here: Installation, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def started(*_: object, **__: object) -> None:
+        raise AssertionError("a daemon was started")
+
+    put(here.unit)
+    put(here.rig_file, shipped_file("rig.hardware.yaml").read_text())
+    monkeypatch.setattr(installation, "unit_standing", lambda: FAILED)
+    monkeypatch.setattr(client, "private_daemon", started)
+    assert run(["check"]) == 1
+    said = capsys.readouterr().out
+    assert "fail  daemon: a rig is set up here" in said
+    assert "its service failed (exit-code)" in said
+    assert "real time" not in said
 
 
 @pytest.mark.parametrize(
@@ -151,7 +213,7 @@ def test_runs_and_export_know_the_folder_of_the_service(
         assert run(["runs", "--json", *named]) == 0
         # a folder that is not absolute in the rig file lies in the service's
         assert json.loads(capsys.readouterr().out) == []
-    put(here.rig_file, here.rig_file.read_text().replace("directory: runs", f"directory: {here.runs}"))
+    put(here.rig_file, here.rig_file.read_text().replace("directory: runs", "directory: /var/lib/needle-rig"))
     for named in ((), ("--config", str(here.rig_file))):
         assert run(["runs", "--json", *named]) == 0
         assert [found["name"] for found in json.loads(capsys.readouterr().out)] == [run_path.stem]
@@ -164,7 +226,7 @@ def test_diagnose_last_takes_the_newest_run_of_the_service(
     from needle_rig.cli import _workbench
 
     put(here.rig_file, shipped_file("rig.hardware.yaml").read_text())
-    put(here.rig_file, here.rig_file.read_text().replace("directory: runs", f"directory: {here.runs}"))
+    put(here.rig_file, here.rig_file.read_text().replace("directory: runs", "directory: /var/lib/needle-rig"))
     assert run(["diagnose", "last"]) == 2
     assert str(here.runs) in capsys.readouterr().err
     here.runs.mkdir(parents=True)

@@ -15,6 +15,7 @@ from needle_rig.devices.bus_watch import frame_bits
 from needle_rig.service import check
 from needle_rig.service.interface import Interface, parse
 from needle_rig.service.rates import Rates
+from needle_rig.version import VERSION
 
 RIG = load_rig_config(shipped_file("rig.hardware.yaml"))
 UP = Interface("can", up=True, state="ERROR-ACTIVE", bitrate_bit_s=1_000_000, restart_ms=100)
@@ -134,6 +135,14 @@ STATE: Any = {
     "fault": None,
     "latched": False,
 }
+
+
+def test_a_daemon_of_another_version_is_warned_of_with_the_next_step() -> None:
+    assert check.check_version(VERSION).verdict == "ok"
+    found = check.check_version("0.0.9")
+    assert (found.verdict, found.text) == ("warn", f"the daemon runs needle-rig 0.0.9, and this is {VERSION}")
+    assert "systemctl restart needle-rig" in found.todo
+    assert "an older needle-rig" in check.check_version(None).text
 
 
 def test_a_rig_that_is_well_has_nothing_but_ok() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from needle_rig.cli import install_service
 from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
@@ -134,6 +135,68 @@ def test_a_program_where_the_link_would_be_stays(place: Installation) -> None:
     assert put_in_place(place, "--hall", HALL) == 0
     assert put_in_place(place, "--remove") == 0
     assert place.link.read_text() == "installed by somebody else"
+
+
+def test_another_program_at_the_place_of_the_link_stays_and_is_told(
+    place: Installation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_in_place(place, "--hall", HALL)
+    place.link.unlink()
+    place.link.symlink_to("/usr/bin/env")
+    capsys.readouterr()
+    assert put_in_place(place) == 0
+    assert f"{place.link} was not made by this service and stays" in capsys.readouterr().err
+    assert put_in_place(place, "--remove") == 0
+    assert f"{place.link} stays: it is not the service's" in capsys.readouterr().out
+    assert place.link.readlink() == Path("/usr/bin/env")
+
+
+def test_a_second_installation_moves_unit_and_link(
+    place: Installation, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_in_place(place, "--hall", HALL)
+    second = Path("/opt/needle-rig-2/bin/needle-rig")
+    monkeypatch.setattr(install_service, "_program", lambda *_: second)
+    assert put_in_place(place) == 0
+    assert place.program == second
+    assert place.link.readlink() == second
+    assert "warning" not in capsys.readouterr().err
+    before = files(place)
+    assert put_in_place(place) == 0
+    assert files(place) == before
+    assert put_in_place(place, "--remove") == 0
+    assert not place.link.is_symlink()
+
+
+def test_taking_it_away_says_what_stays_and_takes_the_cache(
+    place: Installation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_in_place(place, "--hall", HALL)
+    for path in (place.runs / "a.h5", place.cache / "solver.nbc", place.calibration / "hall.yaml"):
+        path.parent.mkdir(parents=True)
+        path.write_text("")
+    capsys.readouterr()
+    assert put_in_place(place, "--remove") == 0
+    told = capsys.readouterr().out.splitlines()[-2:]
+    assert told[0].startswith(f"The runs stay in {place.runs}")
+    assert told[1] == f"Rig file, calibration and models stay in {place.rig_file.parent}."
+    assert not place.cache.exists()
+    assert (place.calibration / "hall.yaml").exists()
+
+
+def test_a_dry_run_works_where_a_service_could_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = tmp_path / "bin/needle-rig"
+    program.parent.mkdir()
+    program.write_text("")
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    assert run(["install-service", "--dry-run"]) == 0
+    said = capsys.readouterr()
+    assert "note: " in said.err
+    assert "a service does not see /tmp" in said.err
+    assert "PATH=/opt/needle-rig/bin" in said.out
+    assert "Nothing was done." in said.out
 
 
 def test_a_serial_adapter_needs_no_network(place: Installation) -> None:

@@ -7,11 +7,12 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from needle_rig.errors import NeedleRigError
-from needle_rig.service.steps import AwaitProcesses
+from needle_rig.service.steps import AwaitProcesses, LeaveToAll
 
 ENDING, OBEYING, STUBBORN = "games", "news", "uucp"
 """Accounts of Debian's base system, and nobody's in tests: one a test, as all processes of an account are
@@ -49,6 +50,21 @@ def test_what_goes_on_is_told_to_end() -> None:
     with running(OBEYING, "echo ready; exec sleep 60") as process:
         AwaitProcesses(OBEYING, patience_s=0.3).do()
         assert process.wait(10) == -15
+
+
+def test_what_a_user_leaves_is_roots_and_readable_but_not_what_it_links_to(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    run = tmp_path / "runs/.read/run.h5"
+    run.parent.mkdir(parents=True)
+    for path in (other, run):
+        path.write_text("")
+        path.chmod(0o640)
+        os.chown(path, 12345, 12345)
+    (tmp_path / "runs/link").symlink_to(other)
+    LeaveToAll(tmp_path / "runs").do()
+    found = run.stat()
+    assert (found.st_uid, found.st_gid, found.st_mode & 0o777) == (0, 0, 0o644)
+    assert (other.stat().st_uid, other.stat().st_mode & 0o777) == (12345, 0o640)
 
 
 def test_what_does_not_obey_is_named() -> None:

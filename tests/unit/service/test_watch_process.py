@@ -20,6 +20,7 @@ from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_summa
 from needle_rig.service import recorder_process, watch_process
 from needle_rig.service.recorder_process import Keeper
 from needle_rig.service.watch_process import WatchProcess
+from needle_rig.version import VERSION
 from tests.recorded_run import write_run
 
 REQUEST = {"strategy": "reed2008", "target_deg": 45.0, "parameters": "rig_elastic"}
@@ -61,6 +62,21 @@ def test_a_watch_is_below_all_others(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert told.read_text() == f"19 {os.SCHED_IDLE}"
 
 
+def test_a_watch_ends_with_its_recorder_also_beside_busy_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = made_to(monkeypatch, "while True: pass")
+    watch.end()  # nothing was started yet
+    assert watch.start(tmp_path)
+    keeper = Keeper(io.StringIO())
+    keeper._watch = watch
+    begun_s = time.monotonic()
+    keeper.orphaned()
+    assert ended(watch) == -signal.SIGTERM
+    assert time.monotonic() - begun_s < 2.0
+    watch.end()  # a second time
+
+
 def test_a_watch_that_cannot_be_started_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WatchProcess, "_command", lambda *_: ["/nowhere/python"])
     assert not WatchProcess().start(tmp_path)
@@ -86,14 +102,31 @@ def test_the_recorder_starts_it_after_a_run_where_the_rig_file_says_so(
     assert started == ([tmp_path] if watched else [])
 
 
-def test_status_repeats_what_was_said_of_the_runs(tmp_path: Path) -> None:
+def status_state(tmp_path: Path) -> Any:
+    """The least that `status` tells of."""
     state: Any = dict.fromkeys(("sensors", "ticks", "lease", "run", "fault", "last", "before"))
     state |= {"rig": {"name": "rig", "simulated": False}, "since_utc": "", "starting": True}
     state |= {"latched": False, "released": False, "unfinished": [], "warnings": [], "runs": str(tmp_path)}
+    return state | {"version": VERSION}
+
+
+def test_status_repeats_what_was_said_of_the_runs(tmp_path: Path) -> None:
+    state = status_state(tmp_path)
     assert "watch:" not in _text(state, "socket")
     (tmp_path / WATCH_FOLDER).mkdir()
     (tmp_path / WATCH_FOLDER / SUMMARY).write_text('{"sentences": ["friction 12 % up"]}')
     assert "watch:   friction 12 % up" in _text(state, "socket")
+
+
+def test_status_tells_the_version_of_the_daemon_and_that_it_is_another(tmp_path: Path) -> None:
+    state = status_state(tmp_path)
+    assert f"version: {VERSION}" in _text(state, "socket")
+    assert "warning" not in _text(state, "socket")
+    state["version"] = "0.0.9"
+    assert f"warning: the daemon runs needle-rig 0.0.9, and this is {VERSION}" in _text(state, "socket")
+    del state["version"]  # a daemon from before versions were told
+    assert "version: not told" in _text(state, "socket")
+    assert "the daemon runs an older needle-rig" in _text(state, "socket")
 
 
 @pytest.mark.slow
