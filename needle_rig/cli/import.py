@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,15 +81,19 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
 
 
 def _tell(mapping: Mapping) -> None:
-    """Every line of a guess with its reason."""
+    """Every line of a guess with its reason, and what became of all columns."""
+    from needle_rig.importing.became import became
+
     for name, clock in mapping.clocks.items():
         source = clock.source or (f"{clock.rate_hz:g} Hz" if clock.rate_hz else "?")
         click.echo(f"clock {name}: {source} {clock.unit or ''} ({clock.why or 'not known'})")
     for channel in mapping.channels:
         sign = "−" if channel.sign < 0 else ""
         click.echo(f"{channel.role}: {sign}{channel.source}, {channel.unit or 'unit ?'} ({channel.why})")
-    if mapping.not_used:
-        click.echo(f"not used: {', '.join(mapping.not_used)}")
+    for column in mapping.not_used:
+        click.echo(f"not used: {column.source} ({column.why})")
+    ends = Counter(column.how for column in became(mapping))
+    click.echo("columns: " + ", ".join(f"{count} {how}" for how, count in ends.items()))
 
 
 def _to_confirm(found: Understood, out: Path, waiting: list[str]) -> str:

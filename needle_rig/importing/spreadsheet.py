@@ -39,7 +39,7 @@ def read_spreadsheet(path: Path, shown: str) -> tuple[str, tuple[Column, ...], d
             f"{shown}: no sheet holds a table of numbers; put one row a sample below a row of names"
         )
     if len(tables) > 1:
-        columns = [Column(f"{c.table}/{c.name}", c.unit, c.values, c.table) for c in columns]
+        columns = [Column(f"{c.table}/{c.name}", c.unit, c.values, c.table, fault=c.fault) for c in columns]
     return f"spreadsheet, {', '.join(sorted(tables))}", tuple(columns), rates
 
 
@@ -61,6 +61,9 @@ def _table(rows: list[list[object]], sheet: str, shown: str) -> tuple[list[Colum
         bad = next((n for n, c in enumerate(cells) if found[n] is None and not _is_missing(c)), None)
         values = np.array([math.nan if v is None else v for v in found])
         if not np.isfinite(values).any():
+            seen = next((str(c) for c in cells if not _is_missing(c)), "")
+            fault = f"its cells are text, as {seen[:30]!r}" if seen else "holds no number"
+            columns.append(Column(header.names[k], header.units[k], values, sheet, fault=fault))
             continue
         if bad is not None:
             raise BadInput(

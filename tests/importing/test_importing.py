@@ -71,7 +71,9 @@ def with_channel(mapping: Mapping, role: str, **changes: object) -> Mapping:
     [
         ("[deg]", "deg"), ("°", "deg"), ("N·mm", "N·mm"), ("Nmm", "N·mm"), ("mNm", "mN·m"), ("N-m", "N·m"),
         ("uNm", "µN·m"), ("oz-in", "ozf·in"), ("usec", "µs"), ("rev", "turn"),
-        ("MNm", None), ("grad", None), ("NM·M", None), ("counts?", None),
+        ("cNm", "cN·m"), ("in-lbs", "lbf·in"), ("ft-lb", "lbf·ft"), ("º", "deg"),
+        ("rads", "rad"), ("degs", "deg"),
+        ("MNm", None), ("grad", None), ("NM·M", None), ("counts?", None), ("S1", None), ("motor", None),
     ],
 )  # fmt: skip
 def test_a_unit_is_read_as_people_write_it_and_never_by_halves(text: str, meant: str | None) -> None:
@@ -216,7 +218,7 @@ def test_what_is_doubted_is_written_to_a_file_and_taken_once_confirmed(
     assert (tmp_path / "mine.png").exists()
     assert command(["import", str(tmp_path / "mine.yaml"), "--out", str(out)]) == 2
     mapping, _ = read_mapping(tmp_path / "mine.yaml")
-    sure = with_channel(mapping, "hall_1", doubt="")
+    sure = with_channel(mapping, "hall_1", unit="rad", doubt="")
     write_mapping(sure, tmp_path / "mine.yaml", tmp_path)
     assert command(["import", str(tmp_path / "mine.yaml"), "--out", str(out)]) == 0
     assert np.ptp(read_dataset(out).trials[0].hall_rad[:, 0]) == pytest.approx(
@@ -371,19 +373,26 @@ def test_a_recording_without_any_time_asks_for_its_rate(
         dataset_of(mapping, Path())
 
 
-def test_a_guess_taken_with_its_doubts_says_so_and_keeps_them(
+def test_a_guess_taken_with_its_doubts_takes_what_is_written_says_so_and_keeps_them(
     tmp_path: Path, table: np.ndarray, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    wrong = table.copy()
-    wrong[:, 3] *= math.pi / 180
-    log = written(tmp_path / "log.csv", wrong)
+    large = table.copy()
+    large[:, 2] *= 1e4
+    log = written(tmp_path / "log.csv", large)
     out = tmp_path / "mine"
-    assert (
-        command(["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out), "--yes"]) == 0
-    )
-    assert "taken as it is: hall_1" in capsys.readouterr().err
+    line = ["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out)]
+    assert command(line) == 2
+    assert command([*line, "--yes"]) == 0
+    said = capsys.readouterr().err
+    assert "taken as it is: base_torque" in said
+    assert "taken as confirmed: base_torque spans" in said
     mapping, _ = read_mapping(out / "import.yaml")
-    assert "confirmed: in deg it would turn" in next(c.why for c in mapping.channels if c.role == "hall_1")
+    torque = next(c for c in mapping.channels if c.role == "base_torque")
+    assert (torque.unit, torque.sure) == ("N·mm", True)
+    assert "confirmed: in N·mm, as written, it spans" in torque.why
+    assert np.ptp(read_dataset(out).trials[0].torque_nm) == pytest.approx(
+        1e-3 * np.ptp(large[:, 2]), rel=0.02
+    )
 
 
 @pytest.mark.parametrize(
