@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from needle_rig.config.check import validate
 from needle_rig.config.file_kinds import check_format
@@ -17,6 +17,7 @@ from needle_rig.importing.unit_text import NAMED, Unit, unit_of
 
 FORMAT = "needle-rig-import/1"
 BASE, TORQUE, TIP_TORQUE = "base_angle", "base_torque", "tip_torque"
+NO_REASON = "the mapping names no reason"
 
 
 class _Part(BaseModel):
@@ -64,6 +65,12 @@ class NotUsedPart(_Part):
     source: str
     clock: str = ""
     why: Annotated[str, Field(min_length=1)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_alone(cls, written: object) -> object:
+        """A plain name, as mappings had it before reasons were kept."""
+        return {"source": written, "why": NO_REASON} if isinstance(written, str) else written
 
 
 class TrialsPart(_Part):

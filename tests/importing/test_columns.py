@@ -19,6 +19,7 @@ from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
 from needle_rig.importing import Mapping, dataset_of, guess, read_recording, signals
 from needle_rig.importing.became import became
+from needle_rig.importing.mapping import NO_REASON, read_mapping, write_mapping
 from needle_rig.importing.unit_text import NAMED, unit_of
 
 ROOT = Path(__file__).parents[2]
@@ -336,3 +337,16 @@ def test_a_degenerate_recording_ends_in_a_sentence(
     assert end in (0, 2), said
     assert "Traceback" not in said.err
     assert len(said.err) > 20
+
+
+def test_a_mapping_that_names_what_it_leaves_aside_without_a_reason_is_still_read(
+    tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping = guessed(saved(tmp_path / "a.csv", NAMES, cells(table)), rig)
+    path = tmp_path / "old.yaml"
+    write_mapping(mapping, path, Path())
+    path.write_text(path.read_text() + "not_used: [spare, Temperature]\n")
+    read = read_mapping(path)[0]
+    assert [(n.source, n.why) for n in read.not_used] == [("spare", NO_REASON), ("Temperature", NO_REASON)]
+    write_mapping(read, path, tmp_path)
+    assert read_mapping(path)[0].not_used == read.not_used
