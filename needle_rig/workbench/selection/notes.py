@@ -67,10 +67,12 @@ def not_refitted(search: SearchTrace, named: list[str]) -> list[str]:
 
 def partial(named: list[str], share: float, validation: CrossValidation) -> list[str]:
     """That effects leave more than the noise; `share` of the error is removed by them."""
-    return [
-        f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
-        f" {validation.error:.2f} × the noise on commands left out: not the whole truth."
-    ]
+    left = (
+        f" and leaves {validation.error:.2f} × the noise on commands left out"
+        if math.isfinite(validation.error)
+        else ""
+    )
+    return [f"{' with '.join(named)} removes {100 * share:.1f} % of the error{left}: not the whole truth."]
 
 
 def constrained_means(found: Fit) -> list[str]:
