@@ -105,8 +105,8 @@ def _ways_on(found: Answer, question: Diagnose, *, laws: bool) -> Iterator[str]:
         yield f"{way.part_sentence(found.held_out_error_before)}: {adopt}, then {typed('diagnose', on)}"
     if laws:
         yield (
-            "look for a law that the library does not hold, which takes several times as long as this"
-            f" diagnosis: {typed('learn', question, '--out', 'found.py')}"
+            "look for a law that the library does not hold, which takes as long as a diagnosis without"
+            f" --quick or longer: {typed('learn', question, '--out', 'found.py')}"
         )
     if way.record:
         both = typed("diagnose", question, last=("NEW_DATA",))

@@ -48,6 +48,8 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
         elif values.dtype.kind in "mM" and values.ndim == 1:
             seconds = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) * 1e-9
             found.append((path, "s", parent, seconds))
+        elif values.dtype.kind in "OUS":
+            left[path] = "holds words, no numbers"
         elif values.dtype.kind not in "iufb" or values.ndim not in (1, 2):
             left[path] = f"an array of {values.dtype} with {values.ndim} dimensions, and no column of numbers"
         elif values.ndim == 1:

@@ -79,7 +79,7 @@ def _recording(
     for name, clock in mapping.clocks.items():
         file = clock.files[number]
         if file.path not in read:
-            read[file.path] = recordings.read(folder / file.path)
+            read[file.path] = recordings.read(folder / file.path, mapping.database(folder))
         found_file(file, read[file.path].sha256, f"clocks.{name}.files")
     of = {name: read[clock.files[number].path] for name, clock in mapping.clocks.items()}
     base_part = next(c for c in mapping.channels if c.role == BASE)

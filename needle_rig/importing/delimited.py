@@ -32,7 +32,7 @@ HEAD_BYTES = 1 << 18
 SEEN_ROWS = 200
 """Rows of the table from which its delimiter and decimal sign are found."""
 _DELIMITERS = ("\t", ";", ",", "|", " ")
-_SIGNS = (
+SIGNS = (
     (False, ""),
     (True, ""),
     (False, ","),
@@ -122,7 +122,10 @@ def _head(path: Path, shown: str) -> tuple[str, str]:
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return raw[: len(raw) // 2 * 2].decode("utf-16", "replace"), "utf-16"
     if b"\0" in raw:
-        raise BadInput(f"{shown}: is neither text nor a format known here; see needle-rig import --help")
+        raise BadInput(
+            f"{shown}: is neither text nor a format known here; export it as CSV, Parquet, MF4 or TDMS from"
+            " the program that wrote it"
+        )
     try:
         text = codecs.getincrementaldecoder("utf-8-sig")().decode(raw)
     except UnicodeDecodeError:
@@ -136,7 +139,7 @@ def _dialect(lines: Sequence[str], shown: str) -> _Dialect:
     stamped = sum(STAMP.match(line) is not None for line in filled) > len(filled) / 2
     for delimiter in _DELIMITERS:
         told = [_with_stamp(line, delimiter) for line in lines] if stamped else lines
-        for comma, group in _SIGNS:
+        for comma, group in SIGNS:
             if (comma and delimiter == ",") or group == " " == delimiter:
                 continue
             found = _table(told, delimiter, comma, group)
@@ -218,7 +221,7 @@ def _table(
     if group and not any(_is_grouped(row[k], comma, group) for row in seen for k in numeric):
         return None
     unclear = tuple(
-        "" if words[k] else _unclear([row[k] for row in seen], comma, group) for k in range(width)
+        "" if words[k] else ambiguous([row[k] for row in seen], comma, group) for k in range(width)
     )
     # Lines of a header may look like a row of the table; three in a row begin it.
     place = {n: k for k, n in enumerate(filled)}
@@ -236,7 +239,7 @@ def _is_grouped(cell: str, comma: bool, group: str) -> bool:
     )
 
 
-def _unclear(cells: Sequence[str], comma: bool, group: str) -> str:
+def ambiguous(cells: Sequence[str], comma: bool, group: str) -> str:
     """Why numbers of a column may be thousands or decimals, empty where they cannot.
 
     A writer of decimals writes them in every number, or drops zeros; one of thousands has three digits after

@@ -96,8 +96,14 @@ class Mapping(_Part):
     trials: TrialsPart = TrialsPart()
     rate_hz: Annotated[float, Field(gt=0)] | None = None
     """Samples a second of the dataset; channels that are faster are averaged."""
+    dbc: str | None = None
+    """Database of a CAN bus that its logs are decoded by; without it this rig's own."""
     not_used: tuple[NotUsedPart, ...] = ()
     rig: RigPart | None = None
+
+    def database(self, folder: Path) -> Path | None:
+        """The place of `dbc`, which is relative to `folder` as the files are."""
+        return None if self.dbc is None else folder / self.dbc
 
     def doubts(self) -> list[str]:
         """Sentences of the lines that have a doubt: what a person is to confirm."""
@@ -229,7 +235,9 @@ def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:
         )
         for name, clock in mapping.clocks.items()
     }
-    told = mapping.model_copy(update={"clocks": clocks}).model_dump(
+    database = mapping.database(folder)
+    dbc = None if database is None else os.path.relpath(database, path.parent)
+    told = mapping.model_copy(update={"clocks": clocks, "dbc": dbc}).model_dump(
         mode="json", exclude_none=False, exclude_defaults=False
     )
     path.write_text(write_yaml(_short(told)), encoding="utf-8")

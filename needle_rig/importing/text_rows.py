@@ -115,6 +115,12 @@ def number_form(comma: bool, group: str) -> re.Pattern[str]:
     return re.compile(rf"[-+]?({whole}{sign}?\d*|{sign}\d+)([eE][-+]?\d+)?")
 
 
+def value_of(text: str, group: str) -> float:
+    """The number that a text of `number_form` is."""
+    plain = plain_spaces(text).replace(group, "") if group else text
+    return float(plain.replace(",", "."))
+
+
 def plain_spaces(text: str) -> str:
     """Every kind of space as a space, and every apostrophe as one."""
     return re.sub(r"[\u00a0\u2009\u202f]", " ", text).replace("’", "'")
@@ -211,11 +217,14 @@ def _whole_rows(rows: Sequence[bytes], begin: int, shape: Shape) -> Iterator[tup
 def _number(cell: str, line: int, column: int, shape: Shape) -> float:
     text = cell.strip('"').strip()
     if number_form(shape.comma, shape.group).fullmatch(text):
-        if shape.group:
-            text = plain_spaces(text).replace(shape.group, "")
-        return float(text.replace(",", "."))
+        return value_of(text, shape.group)
     if text in NULLS:
         return math.nan
+    if text == shape.names[column]:
+        raise BadInput(
+            f"{shape.shown}:{line}: a second table begins here, with the names again; cut the file there, and"
+            " give both files: they are taken as one recording after the other"
+        )
     raise BadInput(
         f"{shape.shown}:{line}: {shape.names[column]}: {cell[:40]!r} is no number; correct it, or "
         "leave the field empty when the sample is missing"

@@ -129,9 +129,9 @@ def test_an_import_reads_each_file_once(
 ) -> None:
     read: list[Path] = []
 
-    def counted(path: Path) -> Recording:
+    def counted(path: Path, dbc: Path | None) -> Recording:
         read.append(path)
-        return read_recording(path)
+        return read_recording(path, dbc)
 
     monkeypatch.setattr(reader, "read_recording", counted)
     log = written(tmp_path / "log.csv", table)
@@ -448,7 +448,16 @@ def test_a_mapping_with_a_mistake_says_where(tmp_path: Path, rig: RigPart, table
 
 
 def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wrong() -> None:
-    for module in ("pandas", "openpyxl", "rosbags", "python_calamine"):
+    for module in (
+        "pandas",
+        "openpyxl",
+        "rosbags",
+        "python_calamine",
+        "polars",
+        "nptdms",
+        "asammdf",
+        "matio",
+    ):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"{module} writes the files")
     line = [
@@ -464,7 +473,7 @@ def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wron
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=200)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "BAD" not in done.stdout
-    assert "8 files: " in done.stdout
+    assert "12 files: " in done.stdout
 
 
 def test_a_recording_keeps_its_columns_apart_from_its_tables(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from needle_rig.importing import names, signals
 from needle_rig.importing.guess.roles import kind_of
 from needle_rig.importing.guess.series import COMMON, Series, UnitGuess, written_dimension
 from needle_rig.importing.mapping import ChannelPart, ClockPart, FilePart
+from needle_rig.importing.messages import STAMP
 from needle_rig.importing.plausibility import FASTEST_DEG_S
 from needle_rig.importing.recording import Column, Recording
 from needle_rig.importing.unit_text import known_unit, unit_of
@@ -146,6 +147,9 @@ def on_one_clock(
         if min(float(np.nanmedian(s.time_s)) for s in (lead, own[0])) > EPOCH_S:
             result[name] = part.model_copy(update={"why": f"{part.why}; both clocks count from 1970"})
             continue
+        if _of_one_recorder(part, clocks[lead.clock]):
+            result[name] = part.model_copy(update={"why": f"{part.why}; both are the recorder's clock"})
+            continue
         on_lead = [s for s in series if s.clock == lead.clock and s.span > 0]
         pairs = []
         for a in on_lead:
@@ -180,6 +184,12 @@ def on_one_clock(
     for s in series:
         moved.append(Series(s.column, s.clock, s.time_s + shifts[s.clock], s.values))
     return result, moved
+
+
+def _of_one_recorder(one: ClockPart, other: ClockPart) -> bool:
+    """Whether two tables of one file have the times at which one recorder received them."""
+    same = [f.path for f in one.files] == [f.path for f in other.files]
+    return same and all((clock.source or "").endswith(STAMP) for clock in (one, other))
 
 
 def _rate(s: Series) -> Array:

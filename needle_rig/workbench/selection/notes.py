@@ -26,7 +26,8 @@ def contrived(search: SearchTrace, named: list[str], assumed_noise: bool) -> lis
     why = f"with values outside what is plausible ({said})" if odd else "beside noise that nothing else shows"
     before = search.root_validation.error
     after = math.inf if validation is None else validation.error
-    held_out = f" (on commands left out {before:.3g} → {after:.3g} × the noise)" if after < math.inf else ""
+    known = max(before, after) < math.inf
+    held_out = f" (on commands left out {before:.3g} → {after:.3g} × the noise)" if known else ""
     return [
         f"{', '.join(named[:-1])} and {named[-1]} together come nearer the data{held_out}, but {why}: they"
         " describe what is missing, they are not named for it."
