@@ -14,6 +14,7 @@ import numpy as np
 from needle_rig.config.files import find_config_file
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
+from needle_rig.importing.library_log import without_log
 from needle_rig.importing.messages import STAMP
 from needle_rig.importing.recording import MAX_COLUMNS, Column
 from needle_rig.numerics import Array
@@ -100,7 +101,8 @@ def read_bus_log(
         head = file.read(512)
     name, read = next((name, read) for kind, name, read in _KINDS if kind.match(head))
     try:
-        sent = sent_in(read(path))
+        with without_log("can"):
+            sent = sent_in(read(path))
     except Exception as error:  # noqa: BLE001 - damaged logs raise anything, down to struct's and zlib's errors
         raise BadInput(f"{shown}: cannot be read as {name}: {str(error)[:200]}; record again") from None
     return f"{name}, decoded by {called(dbc)}", decoded(sent, shown, dbc), {}

@@ -15,6 +15,7 @@ from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.arrays import Leaf, columns_of
 from needle_rig.importing.bus_log import Sent, by_can, called, decoded, sent_in
+from needle_rig.importing.library_log import without_log
 from needle_rig.importing.messages import STAMP
 from needle_rig.importing.recording import Column
 
@@ -55,11 +56,12 @@ def read_mdf(path: Path, shown: str, dbc: Path | None) -> tuple[str, tuple[Colum
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Without what the library's half-made objects of a damaged file print when they go."""
+    """Without what the library logs of a damaged file, and its half-made objects print when they go."""
     said, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
-        yield
-        gc.collect()
+        with without_log("asammdf"):
+            yield
+            gc.collect()
     finally:
         sys.unraisablehook = said
 

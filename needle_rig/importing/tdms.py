@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
-from needle_rig.importing.arrays import Leaf, columns_of, text_of
+from needle_rig.importing.arrays import FEWEST_ROWS, Leaf, columns_of, text_of
+from needle_rig.importing.library_log import without_log
 from needle_rig.importing.recording import Column
 
 
@@ -19,9 +21,13 @@ def read_tdms(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
     nptdms = needed("nptdms", "a TDMS file", "import")
     leaves: dict[str, Leaf] = {}
     try:
-        with nptdms.TdmsFile.open(path) as file:
+        with without_log("nptdms"), nptdms.TdmsFile.open(path) as file:
+            lost = {
+                path: status.expected_length - status.read_length
+                for path, status in (file.file_status.channel_statuses or {}).items()
+            }
             for group in file.groups():
-                _group(group, leaves)
+                _group(group, lost, leaves, shown)
     except BadInput:
         raise
     except Exception as error:  # noqa: BLE001 - damaged files raise anything, down to struct's errors
@@ -32,20 +38,30 @@ def read_tdms(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
     return "TDMS", columns, rates
 
 
-def _group(group: Any, leaves: dict[str, Leaf]) -> None:
-    """Channels by length and clock: those of one waveform are a table with its times."""
+def _group(group: Any, lost: Mapping[str, int], leaves: dict[str, Leaf], shown: str) -> None:
+    """Channels by length and clock: those of one waveform are a table with its times.
+
+    Of a file that was cut off, with samples `lost` by channel, the rows stay that all channels have.
+    """
     alike: dict[tuple[int, float, float], list[Any]] = defaultdict(list)
     for channel in group.channels():
         told = channel.properties
         step_s = float(told.get("wf_increment", 0.0) or 0.0)
-        alike[len(channel), step_s, _start_s(told)].append(channel)
-    for (rows, step_s, start_s), channels in alike.items():
+        alike[len(channel) + lost.get(channel.path, 0), step_s, _start_s(told)].append(channel)
+    for (meant, step_s, start_s), channels in alike.items():
+        rows = min(map(len, channels))
+        if rows < FEWEST_ROWS <= meant:
+            short = min(channels, key=len)
+            raise BadInput(
+                f"{shown}: is cut off: {short.name} has {rows} of {meant} samples; copy it again, closed by"
+                " its writer"
+            )
         place = _plain(group.name) if len(alike) == 1 else f"{_plain(group.name)} {rows} at {step_s:g} s"
         if step_s > 0.0:
             leaves[f"{place}/time"] = (start_s + step_s * np.arange(rows), "s")
         for channel in channels:
             unit = text_of(channel.properties.get("unit_string", ""))
-            leaves[f"{place}/{_plain(channel.name)}"] = (channel[:], unit)
+            leaves[f"{place}/{_plain(channel.name)}"] = (channel[:rows], unit)
 
 
 def _start_s(told: Any) -> float:

@@ -256,3 +256,24 @@ def test_text_cells_beside_numbers_are_numbers_and_those_of_two_readings_are_not
     assert found["torque [mNm]"].values[3] == 1234.03
     assert found["count"].labels or found["count"].fault
     assert found["who"].labels == ("ann",)
+
+
+def test_a_tdms_file_that_is_cut_off_keeps_the_rows_that_all_channels_have(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    channels = [("base", np.arange(100.0)), ("torque", np.arange(100.0) / 7)]
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
+        for _ in range(2):
+            writer.write_segment(
+                [
+                    nptdms.ChannelObject("log", name, values, {"wf_increment": 0.01})
+                    for name, values in channels
+                ]
+            )
+    whole = (tmp_path / "run.tdms").read_bytes()
+    (tmp_path / "run.tdms").write_bytes(whole[:-400])
+    found = {c.name: c.values for c in read_recording(tmp_path / "run.tdms").columns}
+    assert {len(values) for values in found.values()} == {150}
+    assert found["torque"][149] == 49 / 7
+    (tmp_path / "run.tdms").write_bytes(whole[: len(whole) // 2 - 800])
+    with pytest.raises(BadInput, match="is cut off: torque has 0 of 100 samples"):
+        read_recording(tmp_path / "run.tdms")
