@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from needle_rig.config.check import validate
 from needle_rig.config.file_kinds import check_format
@@ -66,11 +66,10 @@ class NotUsedPart(_Part):
     clock: str = ""
     why: Annotated[str, Field(min_length=1)]
 
-    @model_validator(mode="before")
-    @classmethod
-    def _named_alone(cls, written: object) -> object:
-        """A plain name, as mappings had it before reasons were kept."""
-        return {"source": written, "why": NO_REASON} if isinstance(written, str) else written
+
+def _with_reason(written: object) -> object:
+    """A plain name, as mappings had it before reasons were kept, as an entry."""
+    return {"source": written, "why": NO_REASON} if isinstance(written, str) else written
 
 
 class TrialsPart(_Part):
@@ -98,7 +97,7 @@ class Mapping(_Part):
     """Samples a second of the dataset; channels that are faster are averaged."""
     dbc: str | None = None
     """Database of a CAN bus that its logs are decoded by; without it this rig's own."""
-    not_used: tuple[NotUsedPart, ...] = ()
+    not_used: tuple[Annotated[NotUsedPart, BeforeValidator(_with_reason)], ...] = ()
     rig: RigPart | None = None
 
     def database(self, folder: Path) -> Path | None:
