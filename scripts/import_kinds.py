@@ -783,6 +783,7 @@ def labview_tdms_time_channel(source: Source, folder: Path) -> Truth:
 
 @case
 def asammdf_mf4(source: Source, folder: Path) -> Truth:
+    import can  # noqa: F401 - before asammdf, without which it writes no MF4
     from asammdf import MDF, Signal
 
     rows = columns(source, ("time", "MotorAngle", "Torque", "Hall1", "Hall2", "Hall3", "Hall4"), PLAIN_UNITS)

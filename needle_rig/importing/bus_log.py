@@ -54,6 +54,11 @@ class Sent:
         self.data += frame.data
 
 
+def load_can() -> None:
+    """Load python-can, which has to come before asammdf: each imports the other, and MF4 is read only so."""
+    import can  # noqa: F401
+
+
 def by_can(reader: str) -> Callable[[Path], Iterator[Frame]]:
     """Frames of a file by a reader of python-can."""
 

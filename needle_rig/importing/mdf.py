@@ -14,7 +14,7 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.arrays import Leaf, columns_of
-from needle_rig.importing.bus_log import Sent, by_can, called, decoded, sent_in
+from needle_rig.importing.bus_log import Sent, by_can, called, decoded, load_can, sent_in
 from needle_rig.importing.library_log import without_log
 from needle_rig.importing.messages import STAMP
 from needle_rig.importing.recording import Column
@@ -25,6 +25,7 @@ _FRAMES = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
 
 def read_mdf(path: Path, shown: str, dbc: Path | None) -> tuple[str, tuple[Column, ...], dict[str, float]]:
     """Dialect in words, columns and rates. Raises BadInput."""
+    load_can()
     asammdf = needed("asammdf", "an MDF file", "import")
     leaves: dict[str, Leaf] = {}
     frames: dict[tuple[str, int], Sent] = {}

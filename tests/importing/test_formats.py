@@ -6,6 +6,7 @@ import contextlib
 import datetime
 import pickle
 import random
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -277,3 +278,13 @@ def test_a_tdms_file_that_is_cut_off_keeps_the_rows_that_all_channels_have(tmp_p
     (tmp_path / "run.tdms").write_bytes(whole[: len(whole) // 2 - 800])
     with pytest.raises(BadInput, match="is cut off: torque has 0 of 100 samples"):
         read_recording(tmp_path / "run.tdms")
+
+
+def test_a_bus_in_an_mf4_is_read_by_a_process_that_did_not_write_it(source: Source, tmp_path: Path) -> None:
+    file = made("can_asam_mf4", source, tmp_path).files[0]
+    line = (
+        "from pathlib import Path; from needle_rig.importing import read_recording;"
+        f" print(read_recording(Path({str(file)!r})).dialect)"
+    )
+    done = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=False)
+    assert done.stdout.strip().endswith("decoded by needle_rig.dbc"), done.stderr
