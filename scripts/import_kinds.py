@@ -1,4 +1,4 @@
-"""Forty recordings in twelve formats and their dialects, written by other people's writers, with the truth
+"""Recordings in twenty formats and their dialects, written by other people's writers, with the truth
 of each.
 
 Every case turns one recording (time, base, torque, four angles; SI) into files as laboratories keep them, and
@@ -718,6 +718,220 @@ def ros2_bag_sqlite(source: Source, folder: Path) -> Truth:
 @case
 def ros2_bag_mcap(source: Source, folder: Path) -> Truth:
     return _ros(source, folder, "MCAP")
+
+
+@case
+def ros1_bag(source: Source, folder: Path) -> Truth:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds: Mapping[str, Callable[..., object]] = store.types
+    header, stamp_of = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+    names = ["base", "hall_1", "hall_2", "hall_3", "hall_4"]
+    with Writer(folder / "run.bag") as writer:
+        joints = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for k, time_s in enumerate(source.time_s):
+            at = 1_709_298_191_000_000_000 + round(time_s * 1e9)
+            head = header(seq=k, stamp=stamp_of(sec=at // 10**9, nanosec=at % 10**9), frame_id="rig")
+            angles = np.array([source.base[k], *source.hall[k]])
+            efforts = np.array([source.torque[k], 0.0, 0.0, 0.0, 0.0])
+            message = kinds["sensor_msgs/msg/JointState"](head, names, angles, np.zeros(0), efforts)
+            writer.write(joints, at, store.serialize_ros1(message, "sensor_msgs/msg/JointState"))
+    channels = {"base_angle": ("/joint_states.position.base", 1.0, 1)}
+    channels |= {n: (f"/joint_states.position.{n}", 1.0, 1) for n in names[1:]}
+    channels["base_torque"] = ("/joint_states.effort.base", 1.0, 1)
+    return Truth((folder / "run.bag",), channels, float(np.median(np.diff(source.time_s))))
+
+
+LABVIEW = ("Motor Angle", "Torque", "Hall 1", "Hall 2", "Hall 3", "Hall 4")
+
+
+@case
+def labview_tdms_waveforms(source: Source, folder: Path) -> Truth:
+    from nptdms import ChannelObject, TdmsWriter
+
+    rows = columns(source, ("time", *LABVIEW), PLAIN_UNITS)
+    units = ("deg", "mN.m", "deg", "deg", "deg", "deg")
+    told = {
+        "wf_increment": rows.step_s,
+        "wf_start_time": np.datetime64("2024-03-01T13:03:11.000000"),
+        "wf_start_offset": 0.0,
+    }
+    with TdmsWriter(folder / "run.tdms") as writer:
+        writer.write_segment(
+            [
+                ChannelObject("Measured Data", name, values, {**told, "unit_string": unit})
+                for name, unit, values in zip(LABVIEW, units, rows.values.T[1:], strict=True)
+            ]
+        )
+    return rows.truth(folder / "run.tdms")
+
+
+@case
+def labview_tdms_time_channel(source: Source, folder: Path) -> Truth:
+    from nptdms import ChannelObject, TdmsWriter
+
+    rows = columns(source, ("Time (ms)", *(f"{n} (deg)" if n != "Torque" else "Torque (mNm)" for n in LABVIEW)),
+                   ("ms", *PLAIN_UNITS[1:]))  # fmt: skip
+    with TdmsWriter(folder / "run.tdms") as writer:
+        writer.write_segment(
+            [ChannelObject("Log", n, v, {}) for n, v in zip(rows.names, rows.values.T, strict=True)]
+        )
+    return rows.truth(folder / "run.tdms")
+
+
+@case
+def asammdf_mf4(source: Source, folder: Path) -> Truth:
+    import can  # noqa: F401 - before asammdf, without which it writes no MF4
+    from asammdf import MDF, Signal
+
+    rows = columns(source, ("time", "MotorAngle", "Torque", "Hall1", "Hall2", "Hall3", "Hall4"), PLAIN_UNITS)
+    units = ("deg", "mNm", "deg", "deg", "deg", "deg")
+    with MDF(version="4.10") as file:
+        file.append(
+            [
+                Signal(samples=values, timestamps=rows.values[:, 0], name=name, unit=unit)
+                for name, unit, values in zip(rows.names[1:], units, rows.values.T[1:], strict=True)
+            ]
+        )
+        file.save(folder / "run.mf4")
+    return rows.truth(folder / "run.mf4")
+
+
+@case
+def polars_parquet(source: Source, folder: Path) -> Truth:
+    import polars
+
+    rows = columns(source, PLAIN, PLAIN_UNITS)
+    polars.DataFrame(dict(zip(rows.names, rows.values.T, strict=True))).write_parquet(folder / "run.parquet")
+    return rows.truth(folder / "run.parquet")
+
+
+@case
+def polars_feather_dates(source: Source, folder: Path) -> Truth:
+    import polars
+
+    names = ("stamp", "motor [rad]", "torque [Nm]", *(f"hall_{k} [rad]" for k in (1, 2, 3, 4)))
+    rows = columns(source, names, ("s", "rad", "nm", "rad", "rad", "rad", "rad"), decimals=9)
+    frame = polars.DataFrame(dict(zip(rows.names, rows.values.T, strict=True)))
+    moments = np.datetime64("2024-03-01T13:03:11") + (rows.values[:, 0] * 1e6).astype("timedelta64[us]")
+    frame.with_columns(stamp=polars.Series(moments)).write_ipc(folder / "run.feather")
+    return rows.truth(folder / "run.feather")
+
+
+@case
+def pandas_json_lines(source: Source, folder: Path) -> Truth:
+    rows = columns(source, PLAIN, PLAIN_UNITS)
+    _frame(rows).to_json(folder / "log.jsonl", orient="records", lines=True)
+    return rows.truth(folder / "log.jsonl")
+
+
+@case
+def json_arrays(source: Source, folder: Path) -> Truth:
+    rows = columns(source, PLAIN, PLAIN_UNITS)
+    told = {name: values.tolist() for name, values in zip(rows.names, rows.values.T, strict=True)}
+    (folder / "log.json").write_text(json.dumps({"operator": "lab", "run": told}), encoding="utf-8")
+    return rows.truth(folder / "log.json")
+
+
+def _table_of_matlab(source: Source, folder: Path, version: str) -> Truth:
+    import warnings
+
+    import matio
+    import pandas
+
+    names = ("base_rad", "torque_nmm", "hall_1_rad", "hall_2_rad", "hall_3_rad", "hall_4_rad")
+    rows = columns(source, ("Time", *names), ("s", "rad", "nmm", "rad", "rad", "rad", "rad"))
+    frame = pandas.DataFrame(dict(zip(names, rows.values.T[1:], strict=True)))
+    frame.index = pandas.to_timedelta(rows.values[:, 0], unit="s")
+    frame.index.name = "Time"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that durations are in seconds
+        matio.save_to_mat(str(folder / "run.mat"), {"log": frame}, version=version)
+    return rows.truth(folder / "run.mat")
+
+
+@case
+def matlab_timetable_7(source: Source, folder: Path) -> Truth:
+    return _table_of_matlab(source, folder, "v7")
+
+
+@case
+def matlab_timetable_73(source: Source, folder: Path) -> Truth:
+    return _table_of_matlab(source, folder, "v7.3")
+
+
+@case
+def openpyxl_text_cells(source: Source, folder: Path) -> Truth:
+    import openpyxl
+
+    names = ("Zeit [s]", "Motorwinkel [°]", "Drehmoment [mNm]", *(f"Hall {k} [°]" for k in (1, 2, 3, 4)))
+    rows = columns(source, names, PLAIN_UNITS)
+    book = openpyxl.Workbook()
+    book.active.append(list(rows.names))
+    for row in rows.values:
+        book.active.append([f"{v:.5f}".replace(".", ",") for v in row])
+    book.save(folder / "series.xlsx")
+    return rows.truth(folder / "series.xlsx")
+
+
+def _can_log(source: Source, path: Path) -> Truth:
+    """What the torque and drive nodes of this rig send, by python-can's writers."""
+    import can
+    import cantools
+
+    database: Any = cantools.database.load_file(Path(__file__).parent.parent / "config/needle_rig.dbc")
+    told = {"TORQUE_STATUS": ("torque", source.torque * 1e3), "DRIVE_STATUS": ("angle", source.base / DEG)}
+    with can.Logger(path) as log:
+        for k, time_s in enumerate(source.time_s):
+            for name, (signal, values) in told.items():
+                message = database.get_message_by_name(name)
+                sent = {s.name: 0 for s in message.signals} | {signal: float(values[k])}
+                log(
+                    can.Message(
+                        arbitration_id=message.frame_id,
+                        data=message.encode(sent, strict=False),
+                        timestamp=1_709_298_191 + float(time_s),
+                        is_extended_id=False,
+                        channel=1,
+                    )
+                )
+    channels = {
+        "base_angle": ("DRIVE_STATUS.angle", DEG, 1),
+        "base_torque": ("TORQUE_STATUS.torque", 1e-3, 1),
+    }
+    return Truth((path,), channels, float(np.median(np.diff(source.time_s))))
+
+
+@case
+def can_candump(source: Source, folder: Path) -> Truth:
+    return _can_log(source, folder / "run.log")
+
+
+@case
+def can_vector_asc(source: Source, folder: Path) -> Truth:
+    return _can_log(source, folder / "run.asc")
+
+
+@case
+def can_vector_blf(source: Source, folder: Path) -> Truth:
+    return _can_log(source, folder / "run.blf")
+
+
+@case
+def can_peak_trc(source: Source, folder: Path) -> Truth:
+    return _can_log(source, folder / "run.trc")
+
+
+@case
+def can_python_csv(source: Source, folder: Path) -> Truth:
+    return _can_log(source, folder / "run.csv")
+
+
+@case
+def can_asam_mf4(source: Source, folder: Path) -> Truth:
+    return _can_log(source, folder / "run.mf4")
 
 
 @case

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from import_kinds import FACTORS, Truth
 
+from needle_rig.importing.bus_log import is_bus_log
+
 UNCHANGED = "as it was"
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".log", ".lvm", ".asc")
 
@@ -29,9 +31,18 @@ def mutated(truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     ]
     path = rng.choice(files)
     kinds: list[Callable[[Path, Truth, random.Random], tuple[str, Truth]]] = [_cut, _bits, _emptied, _joined]
-    if path.suffix in TEXT and not path.read_bytes().startswith(b"\xff\xfe"):
+    data = path.read_bytes()
+    if path.suffix in TEXT and not data.startswith(b"\xff\xfe") and not is_bus_log(data[:512]):
         kinds = [*kinds[:2], *[_unit_word, _scaled] * 3, *[_swapped_names] * 2]
-        kinds += [_lost_field, _word, _decimal, _reversed_time, _second_header]
+        kinds += [
+            *[_spelled, _unknown_unit, _wrapped] * 2,
+            _grouped,
+            _lost_field,
+            _word,
+            _decimal,
+            _reversed_time,
+            _second_header,
+        ]
     for _ in range(20):
         kind, then = rng.choice(kinds)(path, truth, rng)
         if kind != UNCHANGED:
@@ -99,7 +110,9 @@ def _unit_word(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth
     renamed = {}
     for role, (name, factor, sign) in truth.channels.items():
         for text in (pattern,):
-            changed = re.sub(text, word, name.encode("utf-8"), count=1 if once else 0).decode()
+            changed = re.sub(text, word, name.encode("utf-8"), count=1 if once else 0).decode(
+                "utf-8", "replace"
+            )
             renamed[role] = (changed if changed.encode() in new else name, factor, sign)
     return "another unit is written", dataclasses.replace(truth, channels=renamed)
 
@@ -141,6 +154,86 @@ def _scaled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     return f"{'torque' if role == 'base_torque' else 'angle'} in another unit", dataclasses.replace(
         truth, channels=channels
     )
+
+
+def _renamed(truth: Truth, pattern: bytes, word: bytes, head: bytes) -> Truth:
+    """The truth once `word` stands for `pattern` in the header `head`."""
+    channels = {}
+    for role, (name, factor, sign) in truth.channels.items():
+        changed = re.sub(pattern, word, name.encode()).decode("utf-8", "replace")
+        channels[role] = (changed if changed.encode() in head else name, factor, sign)
+    return dataclasses.replace(truth, channels=channels)
+
+
+def _in_header(
+    path: Path, truth: Truth, words: list[tuple[bytes, bytes]], rng: random.Random
+) -> Truth | None:
+    """One of the `words` (pattern, other) in the header; None where none stands there."""
+    lines, end = _lines(path)
+    body = _body(lines)
+    head = end.join(lines[:body])
+    there = [(p, w) for p, w in words if re.search(p, head)]
+    if not there:
+        return None
+    pattern, word = rng.choice(there)
+    new = re.sub(pattern, word, head)
+    path.write_bytes(new + end + end.join(lines[body:]))
+    return _renamed(truth, pattern, word, new)
+
+
+def _spelled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """The same unit in another spelling."""
+    words = [(rb"\bdeg\b", "º".encode()), (rb"\bdeg\b", b"degs"), (rb"\brad\b", b"rads")]
+    words += [(rb"\bN(\.|\xc2\xb7)?mm\b", b"N-mm"), (rb"\bmNm\b", b"mN*m"), (rb"\(s\)", b"(sec.)")]
+    then = _in_header(path, truth, words, rng)
+    return (UNCHANGED, truth) if then is None else ("another spelling of a unit", then)
+
+
+def _unknown_unit(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """A unit that nobody knows."""
+    words = [(rb"(?<=[\[(])deg(?=[\])])", b"zonk"), (rb"(?<=[\[(])rad(?=[\])])", b"units")]
+    words += [(rb"(?<=[\[(])(N(\.|\xc2\xb7)?mm|mNm|N-mm)(?=[\])])", b"torqs")]
+    then = _in_header(path, truth, words, rng)
+    return (UNCHANGED, truth) if then is None else ("a unit that nobody knows", then)
+
+
+def _wrapped(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """Angles in degrees from 0 to 360, or from -180 to 180."""
+    return _changed(path, truth, "angles wrap", rng.choice((0.0, -180.0)), rng)
+
+
+def _grouped(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
+    """Thousands apart in every number."""
+    return _changed(path, truth, "thousands apart", None, rng)
+
+
+def _changed(path: Path, truth: Truth, kind: str, low: float | None, rng: random.Random) -> tuple[str, Truth]:
+    """Angles wrapped to the turn from `low` on, or with None a sign between the thousands of all numbers."""
+    lines, end = _lines(path)
+    body = _body(lines)
+    by = _delimiter(lines, body)
+    width = lines[body].count(by) + 1
+    comma = by != b"," and b"," in lines[body]
+    roles = list(truth.channels)
+    angles = [k for k, role in enumerate(roles, 1) if truth.channels[role][1] == FACTORS["deg"]]
+    if width != len(roles) + 1 or (by == b"," and low is None) or (low is not None and not angles):
+        return UNCHANGED, truth
+    begin = 350.0 if low == 0.0 else 170.0
+    for k in range(body, len(lines)):
+        cells = lines[k].split(by)
+        for place in range(width) if len(cells) == width else ():
+            try:
+                value = float(cells[place].replace(b",", b".") if comma else cells[place])
+            except ValueError:
+                continue
+            if low is None:
+                cells[place] = f"{value:,.6f}".translate(str.maketrans(",.", ".,") if comma else {}).encode()
+            elif place in angles:
+                text = f"{(value + begin - low) % 360.0 + low:.6f}".encode()
+                cells[place] = text.replace(b".", b",") if comma else text
+        lines[k] = by.join(cells)
+    path.write_bytes(end.join(lines))
+    return kind, truth
 
 
 def _lost_field(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
@@ -185,7 +278,7 @@ def _swapped_names(path: Path, truth: Truth, rng: random.Random) -> tuple[str, T
     roles = list(truth.channels)
     if at is None or len(roles) < 3 or len(truth.files) > 1:
         return UNCHANGED, truth
-    if (
+    while (
         at > 0
         and lines[at - 1].count(by) == lines[at].count(by)
         and not any(

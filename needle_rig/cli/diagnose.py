@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,9 +77,9 @@ def command(out: Path | None, jobs: int | None, cluster: str | None, as_json: bo
         click.echo(f"take the values of these data over: {taken}")
     if found.verdict == "effect":
         click.echo(f"adopt it: {_next_step(found, question, out)}")
-    elif found.verdict == "unknown" and isinstance(answer.observed, Traces):
-        told = typed("learn", question, "--out", "found.py")
-        click.echo(f"look for a law that the library does not hold: {told}")
+    elif found.verdict == "unknown":
+        for sentence in _ways_on(found, question, laws=isinstance(answer.observed, Traces)):
+            click.echo(sentence)
 
 
 def _next_step(found: Answer, question: Diagnose, out: Path | None) -> str:
@@ -89,6 +89,33 @@ def _next_step(found: Answer, question: Diagnose, out: Path | None) -> str:
     started = dataclasses.replace(question, model=None)  # the diagnosis file holds it
     adopt = typed("adopt", started, *choice, "--out", "MODEL.yaml", first=(file,))
     return adopt if out is not None else f"{typed('diagnose', question, '--out', file)}, then {adopt}"
+
+
+def _ways_on(found: Answer, question: Diagnose, *, laws: bool) -> Iterator[str]:
+    """What goes on from *unknown*, each with its command filled in."""
+    from needle_rig.workbench.selection.way_on import way_on
+
+    way = way_on(found)
+    if question.quick:
+        thorough = dataclasses.replace(question, quick=False)
+        yield f"look for more than one effect: {typed('diagnose', thorough)}"
+    if way.part is not None:
+        on = dataclasses.replace(question, model=Path("MODEL.yaml"))
+        adopt = typed("adopt", question, "--out", "MODEL.yaml", last=(way.part.effect,))
+        yield f"{way.part_sentence(found.held_out_error_before)}: {adopt}, then {typed('diagnose', on)}"
+    if laws:
+        yield (
+            "look for a law that the library does not hold, which takes as long as a diagnosis without"
+            f" --quick or longer: {typed('learn', question, '--out', 'found.py')}"
+        )
+    if way.record:
+        both = typed("diagnose", question, last=("NEW_DATA",))
+        yield f"record {'; '.join(way.record)}, and ask of both: {both}"
+    if way.channel:
+        yield (
+            f"all that is left is in {way.channel}, and the other channels are met: where that sensor is in"
+            " doubt, take its column out of the trial files and ask again"
+        )
 
 
 def _show(found: Answer, values: Sequence[str]) -> None:

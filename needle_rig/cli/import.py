@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,9 +26,17 @@ PICTURE = "import.png"
     type=click.Path(path_type=Path),
     help="What the shaft looks like: a YAML file with the keys of `rig`, a rig file, or a dataset.",
 )
+@click.option(
+    "--dbc",
+    type=click.Path(path_type=Path),
+    help="Database of the CAN bus that logs among FILE are of; without it this rig's own.",
+)
 @click.option("--yes", is_flag=True, help="Take the guess as it is, doubts included.")
-def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | None, yes: bool) -> None:
-    """Import recordings: text with columns, spreadsheets, MATLAB, HDF5, MCAP, ROS 2 bags, NumPy.
+def command(
+    files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | None, dbc: Path | None, yes: bool
+) -> None:
+    """Import recordings: text with columns, spreadsheets, MATLAB, HDF5, NumPy, TDMS, MDF (MF4), Parquet,
+    Feather, JSON, MCAP, ROS 1 and 2 bags, logs of a CAN bus (candump, ASC, BLF, TRC, CSV).
 
     A mapping (YAML) among FILE says what is what; further files then take the place of those it names.
     Without one, --guess proposes it: what it can see it takes, what it doubts it asks, and without a terminal
@@ -49,7 +58,7 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
         raise BadInput(f"{named}: is a mapping already; leave --guess out")
     if not named and not guessing:
         raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
-    found = Understand(files=files, name=out.resolve().name, layout=layout).answer()
+    found = Understand(files=files, name=out.resolve().name, layout=layout, dbc=dbc).answer()
     if guessing:
         _tell(found.mapping)
     waiting = found.doubts()
@@ -80,15 +89,19 @@ def command(files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | N
 
 
 def _tell(mapping: Mapping) -> None:
-    """Every line of a guess with its reason."""
+    """Every line of a guess with its reason, and what became of all columns."""
+    from needle_rig.importing.became import became
+
     for name, clock in mapping.clocks.items():
         source = clock.source or (f"{clock.rate_hz:g} Hz" if clock.rate_hz else "?")
         click.echo(f"clock {name}: {source} {clock.unit or ''} ({clock.why or 'not known'})")
     for channel in mapping.channels:
         sign = "−" if channel.sign < 0 else ""
         click.echo(f"{channel.role}: {sign}{channel.source}, {channel.unit or 'unit ?'} ({channel.why})")
-    if mapping.not_used:
-        click.echo(f"not used: {', '.join(mapping.not_used)}")
+    for column in mapping.not_used:
+        click.echo(f"not used: {column.source} ({column.why})")
+    ends = Counter(column.how for column in became(mapping))
+    click.echo("columns: " + ", ".join(f"{count} {how}" for how, count in ends.items()))
 
 
 def _to_confirm(found: Understood, out: Path, waiting: list[str]) -> str:

@@ -44,11 +44,13 @@ def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Ne
     about two; and a sentence of what cannot be told."""
     known = {s: place for s, place in enumerate(layout.sensor_positions_m) if place > 0}
     found: list[float] = []
+    beside = False
     for trial in trials:
         base, torque = trial.trial.base_angle_rad, trial.torque_nm
         for sensor, place in sorted(known.items(), key=lambda item: item[1]):
             twist = base - trial.hall_rad[:, sensor]
             both = np.isfinite(twist) & np.isfinite(torque)
+            beside = beside or both.sum() >= 20
             if both.sum() >= 20 and np.ptp(twist[both]) > math.radians(LEAST_TWIST_DEG):
                 found.append(float(np.ptp(torque[both]) / np.ptp(twist[both])) * place)
                 break
@@ -61,10 +63,14 @@ def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Ne
         )
     spans = [float(np.ptp(t.torque_nm[t.torque_ok])) for t in trials if t.torque_ok.any()]
     untold_nm2 = UNTOLD_NM2 * (torque_scale(float(np.median(spans)), None) if spans else 1.0)
+    why = (
+        f"no trial with a torque twists the shaft by more than {LEAST_TWIST_DEG:g}° up to a sensor"
+        if beside
+        else "no trial has a torque beside an angle of the shaft"
+    )
     return Needle.of_rigidity(untold_nm2, UNKNOWN_SIGMA), (
-        f"{said} and no trial has a torque beside an angle of the shaft: {untold_nm2 * 1e6:g} N·mm² stands"
-        " for it; angles alone tell friction over rigidity, a torque alone tells them only as far as the"
-        " shaft's spring shows at reversals"
+        f"{said} and {why}: {untold_nm2 * 1e6:g} N·mm² stands for it; angles alone tell friction over"
+        " rigidity, a torque alone tells them only as far as the shaft's spring shows at reversals"
     )
 
 

@@ -36,6 +36,7 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
     A group with a time of its own is a table; what has none is on a clock with all arrays of its length.
     """
     found: list[tuple[str, str, str, np.ndarray]] = []
+    left: dict[str, str] = {}
     constants: dict[str, float] = {}
     for path, (array, unit) in leaves.items():
         values = np.squeeze(np.asarray(array))
@@ -47,13 +48,20 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
         elif values.dtype.kind in "mM" and values.ndim == 1:
             seconds = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) * 1e-9
             found.append((path, "s", parent, seconds))
+        elif values.dtype.kind in "OUS":
+            left[path] = "holds words, no numbers"
         elif values.dtype.kind not in "iufb" or values.ndim not in (1, 2):
-            continue
+            left[path] = f"an array of {values.dtype} with {values.ndim} dimensions, and no column of numbers"
         elif values.ndim == 1:
             found.append((path, unit, parent, values))
         elif min(values.shape) <= MOST_SIDE:
             rows = values if values.shape[0] >= values.shape[1] else values.T
             found += [(f"{path}.{k + 1}", unit, parent, rows[:, k]) for k in range(rows.shape[1])]
+        else:
+            left[path] = f"a table of {' × '.join(map(str, values.shape))}, more than {MOST_SIDE} columns"
+    for path, _, _, values in found:
+        if len(values) < FEWEST_ROWS or values.dtype.kind not in "iufb":
+            left[path] = f"has {len(values)} rows, fewer than {FEWEST_ROWS}, or no numbers"
     found = [entry for entry in found if len(entry[3]) >= FEWEST_ROWS and entry[3].dtype.kind in "iufb"]
     if not found:
         raise BadInput(f"{shown}: holds no array of {FEWEST_ROWS} numbers or more; is it the right file?")
@@ -76,6 +84,8 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
         rate_hz = _rate_hz(constants, parent)
         if rate_hz is not None:
             rates.setdefault(table, rate_hz)
+    for path, fault in left.items():
+        columns.append(Column(path, "", np.empty(0), fault=fault))
     return tuple(columns), rates
 
 

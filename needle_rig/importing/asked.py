@@ -18,7 +18,9 @@ def is_mapping(file: Path) -> bool:
     return file.suffix.lower() in (".yaml", ".yml") and not file.is_dir()
 
 
-def given_mapping(path: Path, others: Sequence[Path], layout: Path | None) -> tuple[Mapping, Path]:
+def given_mapping(
+    path: Path, others: Sequence[Path], layout: Path | None, dbc: Path | None = None
+) -> tuple[Mapping, Path]:
     """The mapping in a file, and the folder that its files are relative to; `others` take their place.
 
     Raises BadInput.
@@ -26,6 +28,8 @@ def given_mapping(path: Path, others: Sequence[Path], layout: Path | None) -> tu
     mapping, _ = read_mapping(path)
     if layout is not None:
         mapping = mapping.model_copy(update={"rig": read_rig(layout)})
+    if dbc is not None:
+        mapping = mapping.model_copy(update={"dbc": os.path.relpath(dbc, path.parent)})
     if others:
         if len({f.path for clock in mapping.clocks.values() for f in clock.files[:1]}) > 1:
             raise BadInput(f"{path}: has files of several kinds; write the others into a copy of it")
@@ -36,11 +40,19 @@ def given_mapping(path: Path, others: Sequence[Path], layout: Path | None) -> tu
 
 
 def guessed_mapping(
-    files: Sequence[Path], name: str, layout: Path | None, recordings: Recordings, root: Path
+    files: Sequence[Path],
+    name: str,
+    layout: Path | None,
+    recordings: Recordings,
+    root: Path,
+    dbc: Path | None = None,
 ) -> Mapping:
     """What the files themselves say of their columns, with reasons and doubts; it names them from `root` on.
+
+    `dbc` decodes logs of a CAN bus.
 
     Raises BadInput.
     """
     rig = None if layout is None else read_rig(layout)
-    return guess([recordings.read(file) for file in files], name, rig, root)
+    mapping = guess([recordings.read(file, dbc) for file in files], name, rig, root)
+    return mapping if dbc is None else mapping.model_copy(update={"dbc": os.path.relpath(dbc, root)})

@@ -13,7 +13,9 @@ from needle_rig.dataset.description import layout_of, needle_of
 from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
+from needle_rig.importing import signals
 from needle_rig.importing.commands import commanded
+from needle_rig.importing.guess.series import LEAST_FILLED, TURN_RAD
 from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart, Mapping, found_file
 from needle_rig.importing.plausibility import impossible
 from needle_rig.importing.reader import Recordings
@@ -21,6 +23,7 @@ from needle_rig.importing.recording import Recording
 from needle_rig.importing.rows import Channel, at_rows, clock_times, column_of, row_times
 from needle_rig.importing.si import to_si
 from needle_rig.importing.trial_cuts import REST_S, cuts_of, turns_before
+from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
 
 
@@ -51,8 +54,11 @@ def dataset_of(
         raise BadInput("\n".join([*notes, "no trial is left that can be used"]))
     trials = commanded(trials)
     problems = impossible(trials, sensors, layout, needle_of(rig.needle))
-    if problems:
-        raise BadInput("\n".join(problems))
+    sure = {part.role for part in mapping.channels if part.sure}
+    refused = [p.said for p in problems if not (p.of_size and p.role in sure)]
+    if refused:
+        raise BadInput("\n".join(refused))
+    notes += [f"taken as confirmed: {p.said}" for p in problems]
     notes += [note for trial in trials for note in trial.notes]
     return Dataset(
         mapping.name, layout, sensors, needle_of(rig.needle), in_series(tuple(trials)), tuple(notes)
@@ -73,7 +79,7 @@ def _recording(
     for name, clock in mapping.clocks.items():
         file = clock.files[number]
         if file.path not in read:
-            read[file.path] = recordings.read(folder / file.path)
+            read[file.path] = recordings.read(folder / file.path, mapping.database(folder))
         found_file(file, read[file.path].sha256, f"clocks.{name}.files")
     of = {name: read[clock.files[number].path] for name, clock in mapping.clocks.items()}
     base_part = next(c for c in mapping.channels if c.role == BASE)
@@ -97,8 +103,19 @@ def _recording(
                 f"{show_path(of[part.clock].path)}: {part.source} holds words; name a column of numbers"
             )
         time_s = times_of(part) - zero_s
+        values = column.values
+        unit = unit_of(part.unit or "")
+        if unit is not None and unit.dimension == "angle":
+            # before anything is averaged: the mean of 359° and 1° is 180°
+            plain = signals.without_wraps(values, TURN_RAD / (unit.si * part.scale))
+            if plain is not values:
+                notes.append(f"{source}: {part.role} ({part.source}) wraps by a whole turn; unwrapped")
+            values = plain
         good = np.isfinite(time_s)
-        time_s, values = time_s[good], column.values[good]
+        filled = good & np.isfinite(values)
+        if filled.sum() < LEAST_FILLED * good.sum():
+            good = filled  # topics side by side, each with rows of its own
+        time_s, values = time_s[good], values[good]
         back = np.flatnonzero(np.diff(time_s) < 0)
         if back.size:
             raise BadInput(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import codecs
+import dataclasses
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.importing.header import Header, read_header
+from needle_rig.importing.header import Header, read_header, unique
 from needle_rig.importing.recording import MAX_COLUMNS, Column
-from needle_rig.importing.text_rows import COMMA, NULLS, POINT, Shape, cells_of, read_rows
+from needle_rig.importing.text_rows import (
+    NULLS,
+    POINT,
+    STAMP,
+    Shape,
+    cells_of,
+    number_form,
+    plain_spaces,
+    read_rows,
+)
 from needle_rig.importing.words import words_column
 
 HEAD_BYTES = 1 << 18
@@ -21,6 +32,18 @@ HEAD_BYTES = 1 << 18
 SEEN_ROWS = 200
 """Rows of the table from which its delimiter and decimal sign are found."""
 _DELIMITERS = ("\t", ";", ",", "|", " ")
+SIGNS = (
+    (False, ""),
+    (True, ""),
+    (False, ","),
+    (True, "."),
+    (False, " "),
+    (True, " "),
+    (False, "'"),
+    (True, "'"),
+)
+"""Decimal comma or not, and the sign between thousands; the first that reads most is taken."""
+_GROUPS = {"": "", ".": "a point", ",": "a comma", "'": "an apostrophe", " ": "a space"}
 _NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "spaces"}
 
 
@@ -34,16 +57,32 @@ class _Dialect:
     header: Header
     words: tuple[bool, ...]
     """Columns that hold words or dates."""
+    group: str
+    """Sign between thousands, empty without one."""
+    stamped: bool
+    """Every line begins with the time at which a serial monitor received it, and an arrow."""
+    unclear: tuple[str, ...]
+    """By column: why its numbers can be read in two ways; empty where they cannot."""
 
     def shape(self, encoding: str, shown: str) -> Shape:
         """How the rows are read of a file of that encoding, called `shown` in errors."""
         names = tuple(self.header.names)
         return Shape(
-            self.delimiter, self.comma, self.first_line, self.width, self.words, names, encoding, shown
+            self.delimiter,
+            self.comma,
+            self.first_line,
+            self.width,
+            self.words,
+            names,
+            encoding,
+            shown,
+            self.group,
+            self.stamped,
         )
 
     def told(self, encoding: str) -> str:
         decimal = ", decimal comma" if self.comma else ""
+        decimal += f", thousands by {_GROUPS[self.group]}" if self.group else ""
         where = f", table from line {self.first_line + 1}" if self.first_line != 1 else ""
         code = "" if encoding == "utf-8" else f", {encoding}"
         return f"text with {_NAMES[self.delimiter]}{decimal}{where}{code}"
@@ -66,7 +105,13 @@ def read_delimited(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dic
             columns.append(words_column(name, unit, words[k], shape.codec))
         else:
             columns.append(Column(name, unit, next(numeric)))
-    columns = [c for c in columns if c.labels or np.isfinite(c.values).any()]
+    columns = [
+        dataclasses.replace(
+            c,
+            fault=c.fault or dialect.unclear[k] or ("" if np.isfinite(c.values).any() else "holds no number"),
+        )
+        for k, c in enumerate(columns)
+    ]
     rates = {} if dialect.header.rate_hz is None else {"": dialect.header.rate_hz}
     return dialect.told(encoding), tuple(columns), rates
 
@@ -77,7 +122,10 @@ def _head(path: Path, shown: str) -> tuple[str, str]:
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return raw[: len(raw) // 2 * 2].decode("utf-16", "replace"), "utf-16"
     if b"\0" in raw:
-        raise BadInput(f"{shown}: is neither text nor a format known here; see needle-rig import --help")
+        raise BadInput(
+            f"{shown}: is neither text nor a format known here; export it as CSV, Parquet, MF4 or TDMS from"
+            " the program that wrote it"
+        )
     try:
         text = codecs.getincrementaldecoder("utf-8-sig")().decode(raw)
     except UnicodeDecodeError:
@@ -87,16 +135,28 @@ def _head(path: Path, shown: str) -> tuple[str, str]:
 
 def _dialect(lines: Sequence[str], shown: str) -> _Dialect:
     best: tuple[tuple[int, int, int], _Dialect] | None = None
+    filled = [line for line in lines if line.strip()]
+    stamped = sum(STAMP.match(line) is not None for line in filled) > len(filled) / 2
     for delimiter in _DELIMITERS:
-        for comma in (False, True) if delimiter != "," else (False,):
-            found = _table(lines, delimiter, comma)
+        told = [_with_stamp(line, delimiter) for line in lines] if stamped else lines
+        for comma, group in SIGNS:
+            if (comma and delimiter == ",") or group == " " == delimiter:
+                continue
+            found = _table(told, delimiter, comma, group)
             if found is None:
                 continue
-            first, rows, width, words = found
+            first, rows, width, words, unclear = found
             rank = (rows, -sum(words), width)
             if best is None or rank > best[0]:
-                above = [cells_of(line, delimiter) for line in lines[:first]]
-                best = rank, _Dialect(delimiter, comma, first, width, read_header(above, width), words)
+                above = [cells_of(line, delimiter) for line in told[:first]]
+                header = read_header(above, width)
+                if stamped:
+                    names = unique(["recorded at", *header.names[1:]])
+                    header = dataclasses.replace(header, names=names)
+                best = (
+                    rank,
+                    _Dialect(delimiter, comma, first, width, header, words, group, stamped, unclear),
+                )
     if best is None:
         raise BadInput(
             f"{shown}: no table of numbers begins in its first {len(lines)} lines; "
@@ -106,6 +166,13 @@ def _dialect(lines: Sequence[str], shown: str) -> _Dialect:
         raise BadInput(f"{shown}: {best[1].width} columns, more than {MAX_COLUMNS}; keep those of the rig")
     _refuse_halves(lines, best[1], shown)
     return best[1]
+
+
+def _with_stamp(line: str, delimiter: str) -> str:
+    """A line with the time of its arrival as a field of its own; the header may have come without one."""
+    found = STAMP.match(line)
+    begin = found[1] if found else "arrival"
+    return f"{begin}{delimiter}{line[found.end() if found else 0 :]}" if line.strip() else line
 
 
 def _refuse_halves(lines: Sequence[str], dialect: _Dialect, shown: str) -> None:
@@ -123,21 +190,21 @@ def _refuse_halves(lines: Sequence[str], dialect: _Dialect, shown: str) -> None:
 
 
 def _table(
-    lines: Sequence[str], delimiter: str, comma: bool
-) -> tuple[int, int, int, tuple[bool, ...]] | None:
-    """First line, rows, width, and which columns hold words, of the table in `lines` if there is one."""
+    lines: Sequence[str], delimiter: str, comma: bool, group: str
+) -> tuple[int, int, int, tuple[bool, ...], tuple[str, ...]] | None:
+    """First line, rows, width, words and doubts by column, of the table in `lines` if there is one."""
     filled = [n for n, line in enumerate(lines) if line.strip(" \t\r")]
     if not filled:
         return None
     tail = [cells_of(lines[n], delimiter) for n in filled[-SEEN_ROWS - 1 : -1] or filled]
     width = Counter(map(len, tail)).most_common(1)[0][0]
     tail = [row for row in tail if len(row) == width]
-    number = COMMA if comma else POINT
+    number = number_form(comma, group)
     words = tuple(
         all(not number.fullmatch(row[k]) and row[k] not in NULLS for row in tail) for k in range(width)
     )
     numeric = [k for k in range(width) if not words[k]]
-    if not numeric or (comma and not any("," in row[k] for row in tail for k in numeric)):
+    if not numeric:
         return None
     rows = [(n, cells_of(lines[n], delimiter)) for n in filled]
     good = [
@@ -147,7 +214,50 @@ def _table(
         and all(number.fullmatch(row[k]) or row[k] in NULLS for k in numeric)
         and any(number.fullmatch(row[k]) for k in numeric)
     ]
+    numbers = set(good)
+    seen = [row for n, row in rows if n in numbers]
+    if comma and not any("," in row[k] for row in seen for k in numeric):
+        return None
+    if group and not any(_is_grouped(row[k], comma, group) for row in seen for k in numeric):
+        return None
+    unclear = tuple(
+        "" if words[k] else ambiguous([row[k] for row in seen], comma, group) for k in range(width)
+    )
     # Lines of a header may look like a row of the table; three in a row begin it.
     place = {n: k for k, n in enumerate(filled)}
     begins = [n for k, n in enumerate(good) if k + 2 < len(good) and place[good[k + 2]] == place[n] + 2]
-    return (begins[0], len(good), width, words) if begins else None
+    return (begins[0], len(good), width, words, unclear) if begins else None
+
+
+def _is_grouped(cell: str, comma: bool, group: str) -> bool:
+    """Whether a cell can be nothing but a number with thousands apart."""
+    plain = plain_spaces(cell)
+    return (
+        plain.count(group) > 1
+        or (group in plain and ("," if comma else ".") in plain)
+        or (group in " '" and group in plain)
+    )
+
+
+def ambiguous(cells: Sequence[str], comma: bool, group: str) -> str:
+    """Why numbers of a column may be thousands or decimals, empty where they cannot.
+
+    A writer of decimals writes them in every number, or drops zeros; one of thousands has three digits after
+    every sign, and none in numbers below a thousand.
+    """
+    sign = group if group and group in ".," else "," if comma else "."
+    if group and (group not in ".," or any(_is_grouped(cell, comma, group) for cell in cells)):
+        return ""
+    with_sign = [cell for cell in cells if sign in cell]
+    three = with_sign and all(_THREE[sign].fullmatch(cell) for cell in with_sign)
+    if not three or (
+        not group and not any(cell and cell not in NULLS and sign not in cell for cell in cells)
+    ):
+        return ""
+    return (
+        f"{with_sign[0]!r} may be {with_sign[0].replace(sign, '')} or have three decimals; save it without a "
+        "sign between thousands"
+    )
+
+
+_THREE = {sign: re.compile(rf"[-+]?[1-9]\d{{0,2}}\{sign}\d{{3}}") for sign in ".,"}

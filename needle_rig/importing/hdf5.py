@@ -10,18 +10,22 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import RATE_NAME, STEP_NAME, Leaf, columns_of, text_of
+from needle_rig.importing.matlab import with_tables
 from needle_rig.importing.recording import LIMIT_BYTES, Column
 
+_OBJECTS = ("table", "timetable", "string", "datetime", "duration", "categorical", "timeseries")
+"""Classes of MATLAB of which a variable is a reference to numbers elsewhere."""
 UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "UNITS", "UNIT", "unit_string")
 
 
 def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
     """Dialect in words, columns and rates. Raises BadInput."""
     leaves: dict[str, Leaf] = {}
-    matlab = False
+    matlab, objects = False, False
     try:
         with h5py.File(path, "r") as file:
             matlab = any("MATLAB_class" in item.attrs for item in file.values())
+            objects = matlab and "#subsystem#" in file
             for key, value in file.attrs.items():
                 _constant(leaves, "", key, value)
             size = [0]
@@ -47,8 +51,9 @@ def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
         raise BadInput(
             f"{shown}: cannot be read as HDF5: {str(error)[:200]}; close it and copy it again"
         ) from None
+    left = with_tables(leaves, path, shown) if objects else ()
     columns, rates = columns_of(leaves, shown)
-    return ("MATLAB v7.3" if matlab else "HDF5"), columns, rates
+    return ("MATLAB v7.3" if matlab else "HDF5"), (*columns, *left), rates
 
 
 def _constant(leaves: dict[str, Leaf], place: str, key: str, value: Any) -> None:
@@ -64,7 +69,11 @@ def _constant(leaves: dict[str, Leaf], place: str, key: str, value: Any) -> None
 def _leaf(leaves: dict[str, Leaf], name: str, item: Any) -> None:
     kind = text_of(item.attrs.get("MATLAB_class", b""))
     last = name.rpartition("/")[2]
-    if kind in ("char", "cell", "function_handle") or last.lower() in ("unit", "units") or item.size == 0:
+    if (
+        kind in ("char", "cell", "function_handle", *_OBJECTS)
+        or last.lower() in ("unit", "units")
+        or item.size == 0
+    ):
         return
     if item.dtype.kind not in "iufbV" or item.ndim > 2:
         return

@@ -6,17 +6,18 @@ import os
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from needle_rig.config.check import validate
 from needle_rig.config.file_kinds import check_format
 from needle_rig.config.places import Places, read_yaml, write_yaml
 from needle_rig.dataset.description import RigPart, layout_of
 from needle_rig.errors import BadInput
-from needle_rig.importing.unit_text import UNITS, Unit, unit_of
+from needle_rig.importing.unit_text import NAMED, Unit, unit_of
 
 FORMAT = "needle-rig-import/1"
 BASE, TORQUE, TIP_TORQUE = "base_angle", "base_torque", "tip_torque"
+NO_REASON = "the mapping names no reason"
 
 
 class _Part(BaseModel):
@@ -52,8 +53,23 @@ class ChannelPart(_Part):
     sign: Literal[1, -1] = 1
     scale: Annotated[float, Field(gt=0)] = 1.0
     zero: float | Literal["start"] = 0.0
+    sure: bool = False
+    """A person confirmed it: a size that no needle has is told, and not refused."""
     why: str = ""
     doubt: str = ""
+
+
+class NotUsedPart(_Part):
+    """A column that is left aside, with the reason; `clock` is that of its table."""
+
+    source: str
+    clock: str = ""
+    why: Annotated[str, Field(min_length=1)]
+
+
+def _with_reason(written: object) -> object:
+    """A plain name, as mappings had it before reasons were kept, as an entry."""
+    return {"source": written, "why": NO_REASON} if isinstance(written, str) else written
 
 
 class TrialsPart(_Part):
@@ -79,8 +95,14 @@ class Mapping(_Part):
     trials: TrialsPart = TrialsPart()
     rate_hz: Annotated[float, Field(gt=0)] | None = None
     """Samples a second of the dataset; channels that are faster are averaged."""
-    not_used: tuple[str, ...] = ()
+    dbc: str | None = None
+    """Database of a CAN bus that its logs are decoded by; without it this rig's own."""
+    not_used: tuple[Annotated[NotUsedPart, BeforeValidator(_with_reason)], ...] = ()
     rig: RigPart | None = None
+
+    def database(self, folder: Path) -> Path | None:
+        """The place of `dbc`, which is relative to `folder` as the files are."""
+        return None if self.dbc is None else folder / self.dbc
 
     def doubts(self) -> list[str]:
         """Sentences of the lines that have a doubt: what a person is to confirm."""
@@ -120,7 +142,10 @@ class Mapping(_Part):
         return self.model_copy(
             update={
                 "clocks": {n: c.model_copy(update=taken(c.why, c.doubt)) for n, c in self.clocks.items()},
-                "channels": tuple(c.model_copy(update=taken(c.why, c.doubt)) for c in self.channels),
+                "channels": tuple(
+                    c.model_copy(update={**taken(c.why, c.doubt), "sure": c.sure or bool(c.doubt)})
+                    for c in self.channels
+                ),
                 "trials": self.trials.model_copy(update=taken(self.trials.why, self.trials.doubt)),
             }
         )
@@ -184,9 +209,9 @@ def _check(mapping: Mapping, places: Places) -> None:
 def _unit(text: str, dimensions: tuple[str, ...], places: Places, path: tuple[str | int, ...]) -> Unit:
     unit = unit_of(text)
     if unit is None or unit.dimension not in dimensions:
-        known = ", ".join(u.text for u in UNITS.values() if u.dimension in dimensions)
+        known = ", ".join(text for dimension in dimensions for text in NAMED[dimension])
         raise places.error(
-            path, f"{text!r} is no unit of {' or '.join(dimensions)} known here; it has {known}"
+            path, f"{text!r} is no unit of {' or '.join(dimensions)} known here; write one as {known}"
         )
     return unit
 
@@ -209,7 +234,9 @@ def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:
         )
         for name, clock in mapping.clocks.items()
     }
-    told = mapping.model_copy(update={"clocks": clocks}).model_dump(
+    database = mapping.database(folder)
+    dbc = None if database is None else os.path.relpath(database, path.parent)
+    told = mapping.model_copy(update={"clocks": clocks, "dbc": dbc}).model_dump(
         mode="json", exclude_none=False, exclude_defaults=False
     )
     path.write_text(write_yaml(_short(told)), encoding="utf-8")
@@ -221,7 +248,7 @@ def _short(told: dict[str, object]) -> dict[str, object]:
 
     def clean(value: object) -> object:
         if isinstance(value, dict):
-            return {k: clean(v) for k, v in value.items() if k in keep or v not in (None, "", [], {})}
+            return {k: clean(v) for k, v in value.items() if k in keep or v not in (None, "", [], {}, False)}
         if isinstance(value, list):
             return [clean(v) for v in value]
         return value

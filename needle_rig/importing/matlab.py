@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,9 @@ def read_matlab(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[s
     import scipy.io
 
     try:
-        content = scipy.io.loadmat(str(path), simplify_cells=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # objects have no names there
+            content = scipy.io.loadmat(str(path), simplify_cells=True)
     except Exception as error:  # noqa: BLE001 - damaged files raise anything, down to zlib's and struct's errors
         raise BadInput(
             f"{shown}: cannot be read as a MATLAB file: {str(error)[:200]}; save it again"
@@ -29,13 +32,31 @@ def read_matlab(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[s
     opaque = [k for k, v in content.items() if type(v).__name__ == "MatlabOpaque"]
     leaves: dict[str, Leaf] = {}
     flatten({k: v for k, v in content.items() if not k.startswith("__") and k not in opaque}, "", leaves)
-    if not leaves and opaque:
-        raise BadInput(
-            f"{shown}: {opaque[0]} is an object of MATLAB that other programs cannot read; "
-            "save it as arrays, with table2struct(…, 'ToScalar', true)"
-        )
+    left = with_tables(leaves, path, shown) if opaque else ()
     columns, rates = columns_of(leaves, shown)
-    return "MATLAB v5", columns, rates
+    return "MATLAB v5", (*columns, *left), rates
+
+
+def with_tables(leaves: dict[str, Leaf], path: Path, shown: str) -> tuple[Column, ...]:
+    """Adds the tables of a file that holds objects to its arrays; what is no table is a column with a fault.
+
+    Raises BadInput where there is nothing but objects that are no tables.
+    """
+    from needle_rig.importing.matlab_objects import tables_in
+
+    try:
+        tables = tables_in(path, shown)
+    except BadInput as error:
+        if not leaves:
+            raise
+        return (Column("objects of MATLAB", "", np.empty(0), fault=str(error).removeprefix(f"{shown}: ")),)
+    if not tables and not leaves:
+        raise BadInput(
+            f"{shown}: holds objects of MATLAB that are no tables; save a timeseries as arrays, with"
+            " s.Time = ts.Time; s.Data = ts.Data"
+        )
+    leaves |= tables
+    return ()
 
 
 def flatten(node: Any, path: str, leaves: dict[str, Leaf], unit: str = "", depth: int = 0) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from needle_rig.dataset.records import DatasetTrial, Needle
 from needle_rig.importing import signals
+from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE
 from needle_rig.importing.signals import CLEAR_LAG, CLEAR_WORK
 from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
@@ -33,10 +35,20 @@ def expected_torque_nm(twist_rad: float, position_m: float, rigidity_nm2: float)
     return twist_rad * rigidity_nm2 / position_m
 
 
+@dataclass(frozen=True)
+class Problem:
+    """What no needle does, and the channel whose line to look at."""
+
+    role: str
+    said: str
+    of_size: bool = False
+    """Too large or too small, which a person can know better; a wrong sign or order is never right."""
+
+
 def impossible(
     trials: Sequence[DatasetTrial], sensors: Sequence[str], layout: Layout, needle: Needle
-) -> list[str]:
-    """A sentence for everything that no needle does, over all trials; empty when there is nothing."""
+) -> list[Problem]:
+    """Everything that no needle does, over all trials; empty when there is nothing."""
     base = [t.trial.base_angle_rad - t.trial.base_angle_rad[0] for t in trials]
     found = list(_base(trials, base))
     torque = [_from_start(t.torque_nm, b) for t, b in zip(trials, base, strict=True)]
@@ -47,8 +59,12 @@ def impossible(
             found += _tip_torque(trials)
         elif work < -CLEAR_WORK:
             found.append(
-                f"base_torque falls while the base winds up: the needle would give {-work:.0%} of the work "
-                "back; turn its sign, or are base_angle and base_torque swapped?"
+                Problem(
+                    TORQUE,
+                    f"base_torque falls while the base winds up: the needle would give {-work:.0%} of "
+                    f"the work "
+                    "back; turn its sign, or are base_angle and base_torque swapped?",
+                )
             )
     for k, name in enumerate(sensors):
         angle = [_from_start(t.hall_rad[:, k], b) for t, b in zip(trials, base, strict=True)]
@@ -58,25 +74,35 @@ def impossible(
     return found
 
 
-def _base(trials: Sequence[DatasetTrial], base: Sequence[Array]) -> Iterator[str]:
+def _base(trials: Sequence[DatasetTrial], base: Sequence[Array]) -> Iterator[Problem]:
     rate = math.degrees(max(signals.peak_rate(t.trial.time_s, b) for t, b in zip(trials, base, strict=True)))
     reach = math.degrees(max(float(np.abs(b).max()) for b in base))
     if reach == 0.0:
-        yield "base_angle never changes; nothing drives the needle: is it the right column?"
+        yield Problem(BASE, "base_angle never changes; nothing drives the needle: is it the right column?")
     elif reach > LARGEST_IN_TRIAL_DEG or rate > FASTEST_DEG_S:
-        yield (
-            f"base_angle reaches {reach:.4g}° at {rate:.4g}°/s, limits are {LARGEST_IN_TRIAL_DEG:g}° and "
-            f"{FASTEST_DEG_S:g}°/s: is it in degrees where the mapping says radians (57.3 times too large), "
-            "or is its clock in milliseconds?"
+        yield Problem(
+            BASE,
+            (
+                f"base_angle reaches {reach:.4g}° at {rate:.4g}°/s, limits are {LARGEST_IN_TRIAL_DEG:g}° and "
+                f"{FASTEST_DEG_S:g}°/s: is it in degrees where the mapping says radians (57.3 times too "
+                f"large), "
+                "or is its clock in milliseconds?"
+            ),
+            of_size=True,
         )
     elif rate < SLOWEST_IN_TRIAL_DEG_S:
-        yield (
-            f"base_angle turns at {rate:.2g}°/s at most, limit {SLOWEST_IN_TRIAL_DEG_S:g}°/s: is it in "
-            "radians where the mapping says degrees, or its clock in seconds where it counts milliseconds?"
+        yield Problem(
+            BASE,
+            (
+                f"base_angle turns at {rate:.2g}°/s at most, limit {SLOWEST_IN_TRIAL_DEG_S:g}°/s: is it in "
+                "radians where the mapping says degrees, or its clock in seconds where it counts "
+                f"milliseconds?"
+            ),
+            of_size=True,
         )
 
 
-def _tip_torque(trials: Sequence[DatasetTrial]) -> Iterator[str]:
+def _tip_torque(trials: Sequence[DatasetTrial]) -> Iterator[Problem]:
     """The base carries what pushes the tip: at equal angle and direction the base torque falls by as much.
 
     Told where the torque on the tip changes the base torque by more than all else that is left.
@@ -100,10 +126,14 @@ def _tip_torque(trials: Sequence[DatasetTrial]) -> Iterator[str]:
     carried = float(load @ y) / power if power > 0.0 else 0.0
     left = float(((y - carried * load) ** 2).sum())
     if carried > LEAST_CARRIED and carried**2 * power > left:
-        yield (
-            f"base_torque rises by {carried:.2g} of the torque on the tip, which it carries: the sum of"
-            " both would turn the shaft; turn the sign of tip_torque, which is positive where it turns the"
-            " needle counter-clockwise"
+        yield Problem(
+            TIP_TORQUE,
+            (
+                f"base_torque rises by {carried:.2g} of the torque on the tip, which it carries: the sum of"
+                " both would turn the shaft; turn the sign of tip_torque, which is positive where it "
+                f"turns the"
+                " needle counter-clockwise"
+            ),
         )
 
 
@@ -119,28 +149,40 @@ def _weighed(shares: Sequence[float], base: Sequence[Array]) -> float:
     return float(np.average(shares, weights=ways)) if sum(ways) > 0 else 0.0
 
 
-def _sensor(name: str, base: Sequence[Array], angle: Sequence[Array]) -> Iterator[str]:
+def _sensor(name: str, base: Sequence[Array], angle: Sequence[Array]) -> Iterator[Problem]:
     travel = max(float(np.ptp(b)) for b in base)
     span = max(float(np.ptp(a[np.isfinite(a)])) if np.isfinite(a).any() else 0.0 for a in angle)
     follow = _weighed([signals.follow_sign(b, a) for b, a in zip(base, angle, strict=True)], base)
     lag = _weighed([signals.lag_share(b, _filled(a)) for b, a in zip(base, angle, strict=True)], base)
     share = span / travel if travel else 0.0
     if share > MOST_FOLLOWED:
-        yield (
-            f"{name} turns {share:.3g} times as far as the base: is it in degrees where the mapping says "
-            "radians (57.3 times), or is another column the base?"
+        yield Problem(
+            name,
+            (
+                f"{name} turns {share:.3g} times as far as the base: is it in degrees where the mapping says "
+                "radians (57.3 times), or is another column the base?"
+            ),
+            of_size=True,
         )
     elif share < LEAST_FOLLOWED and share > 0:
-        yield (
-            f"{name} turns {share:.2g} of what the base does: is it in radians where the mapping says "
-            "degrees, or no angle of the needle?"
+        yield Problem(
+            name,
+            (
+                f"{name} turns {share:.2g} of what the base does: is it in radians where the mapping says "
+                "degrees, or no angle of the needle?"
+            ),
+            of_size=True,
         )
     elif follow < -0.5:
-        yield f"{name} turns against the base; turn its sign"
+        yield Problem(name, f"{name} turns against the base; turn its sign")
     elif lag < -CLEAR_LAG:
-        yield (
-            f"{name} moves before the base, which lags it by {-lag:.2g} of a loop: are the columns swapped, "
-            "or the clocks off (offset_s)?"
+        yield Problem(
+            name,
+            (
+                f"{name} moves before the base, which lags it by {-lag:.2g} of a loop: are the columns "
+                f"swapped, "
+                "or the clocks off (offset_s)?"
+            ),
         )
 
 
@@ -155,7 +197,7 @@ def _torque_size(
     trials: Sequence[DatasetTrial],
     layout: Layout,
     needle: Needle,
-) -> Iterator[str]:
+) -> Iterator[Problem]:
     seen = max((float(np.ptp(x[np.isfinite(x)])) for x in torque if np.isfinite(x).any()), default=0.0)
     if seen == 0.0 or not layout.tissue_sections_m or not needle.rigidity_is_known:
         return
@@ -165,9 +207,13 @@ def _torque_size(
     if first > 0:
         most = expected_torque_nm(travel, first, rigidity)
         if seen > TORQUE_WITHIN * most:
-            yield (
-                f"base_torque spans {seen * 1e3:.3g} N·mm, where a needle held at its first tissue gives "
-                f"{most * 1e3:.2g} N·mm: is it in N·mm where the mapping says N·m, or the rigidity wrong?"
+            yield Problem(
+                TORQUE,
+                (
+                    f"base_torque spans {seen * 1e3:.3g} N·mm, where a needle held at its first tissue gives "
+                    f"{most * 1e3:.2g} N·mm: is it in N·mm where the mapping says N·m, or the rigidity wrong?"
+                ),
+                of_size=True,
             )
             return
     if not layout.sensor_positions_m or min(layout.sensor_positions_m) <= 0:
@@ -179,7 +225,12 @@ def _torque_size(
         return
     least = expected_torque_nm(twist, layout.sensor_positions_m[nearest], rigidity)
     if seen < least / TORQUE_WITHIN:
-        yield (
-            f"base_torque spans {seen * 1e3:.3g} N·mm, where the twist asks for {least * 1e3:.2g} N·mm: is "
-            "it in N·m where the mapping says N·mm, or the rigidity wrong?"
+        yield Problem(
+            TORQUE,
+            (
+                f"base_torque spans {seen * 1e3:.3g} N·mm, where the twist asks for {least * 1e3:.2g} "
+                f"N·mm: is "
+                "it in N·m where the mapping says N·mm, or the rigidity wrong?"
+            ),
+            of_size=True,
         )

@@ -27,6 +27,8 @@ class Column:
     """(rows,), NaN where there is no number; of a column of words, their places in `labels`."""
     table: str = ""
     labels: tuple[str, ...] = ()
+    fault: str = ""
+    """Why nothing of it can be used, in words; such a column is kept to be named."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,11 @@ class Recording:
         return next((c for c in self.columns if c.name == name), None)
 
     def tables(self) -> dict[str, list[Column]]:
-        """Columns by table, in the order of the file."""
+        """Columns that can be used by table, in the order of the file."""
         found: dict[str, list[Column]] = {}
         for column in self.columns:
+            if column.fault:
+                continue
             found.setdefault(column.table, []).append(column)
         return found
 

@@ -37,6 +37,8 @@ def column_of(recording: Recording, name: str, place: str) -> Column:
         near = difflib.get_close_matches(name, names, 1, 0.6)
         hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names[:12])}"
         raise BadInput(f"{place}: {show_path(recording.path)} has no column {name}; {hint}")
+    if column.fault:
+        raise BadInput(f"{place}: {show_path(recording.path)}: {name} cannot be used: {column.fault}")
     return column
 
 

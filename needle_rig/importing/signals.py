@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from needle_rig.dataset.base_path import denoised_base
+from needle_rig.dataset.channels import FULL_TURN_RAD, unwrapped
 from needle_rig.numerics import Array
 
 LOOKED_AT = 20_000
@@ -20,9 +21,44 @@ CLEAR_LAG = 0.004
 practice needles come 0.13 and more after their base (test_thresholds)."""
 CLEAR_WORK = 0.15
 """Share of the work: noise alone gives some 1.8/√samples, the practice needles 0.23 and more."""
+LEAST_WRAP = 0.8
+"""Share of a turn that a wrapped angle jumps by at least: 72° between samples are left to its motion."""
+MOST_BETWEEN = 0.2
+"""Share of a turn between samples once it is unwrapped; beyond, nobody can say which way it went."""
+TURNS = (
+    360.0,
+    2.0 * math.pi,
+    1.0,
+    *(float(1 << bits) for bits in range(8, 25)),
+    1000.0,
+    2000.0,
+    4000.0,
+    36000.0,
+)
+"""Where angles of encoders and trackers wrap: degrees, radians, turns, counts."""
 ROUND_STEP_DEG = 5.0
 ROUND_WITHIN_DEG = 0.2
 """Commands are multiples of 5° and drives reach them; 8 % of levels at random are that near to one."""
+
+
+def without_wraps(values: Array, turn: float | None) -> Array:
+    """An angle (samples,) without its jumps by a `turn`, in its unit; None finds the turn, if it wraps.
+
+    Nothing is changed where the values reach farther than a turn: they count on.
+    """
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known)) if len(known) else 0.0
+    steps = np.abs(np.diff(known))
+    if span == 0.0 or steps.max() < LEAST_WRAP * span:
+        return values
+    for length in TURNS if turn is None else (turn,):
+        if LEAST_WRAP * length < span <= length * (1 + 1e-9):
+            plain, first = unwrapped(values * (FULL_TURN_RAD / length))
+            plain = plain * (length / FULL_TURN_RAD)
+            left = np.abs(np.diff(plain[np.isfinite(plain)]))
+            if first is not None and left.max() < MOST_BETWEEN * length:
+                return np.asarray(plain, dtype=np.float64)
+    return values
 
 
 def work_share(base: Array, torque: Array) -> float:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
+from needle_rig.importing.delimited import SIGNS, ambiguous
 from needle_rig.importing.header import read_header
 from needle_rig.importing.recording import Column
+from needle_rig.importing.text_rows import number_form, value_of
+from needle_rig.importing.words import words_column
 
+FEWEST_TEXTS = 3
+"""Numbers stored as text by which a column is known: three rows begin a table."""
 _EPOCH = datetime.datetime(1970, 1, 1)
 
 
@@ -39,20 +46,21 @@ def read_spreadsheet(path: Path, shown: str) -> tuple[str, tuple[Column, ...], d
             f"{shown}: no sheet holds a table of numbers; put one row a sample below a row of names"
         )
     if len(tables) > 1:
-        columns = [Column(f"{c.table}/{c.name}", c.unit, c.values, c.table) for c in columns]
+        columns = [Column(f"{c.table}/{c.name}", c.unit, c.values, c.table, fault=c.fault) for c in columns]
     return f"spreadsheet, {', '.join(sorted(tables))}", tuple(columns), rates
 
 
 def _table(rows: list[list[object]], sheet: str, shown: str) -> tuple[list[Column], float | None]:
     """The columns of a sheet: those with numbers below the first three rows that have as many as any."""
+    rows = _with_numbers(rows)
     numbers = [sum(_number(cell) is not None for cell in row) for row in rows]
     usual = int(np.median([n for n in numbers if n])) if any(numbers) else 0
     begins = [k for k in range(len(rows) - 2) if usual and min(numbers[k : k + 3]) >= usual]
     if not begins:
         return [], None
     first = begins[0]
-    # A formula that was never calculated, and a number stored as text, have no value here.
-    width = max(k for k, cell in enumerate(rows[first]) if _number(cell) is not None) + 1
+    # a formula that was never calculated has no value here
+    width = max(k for k, cell in enumerate(rows[first]) if not _is_missing(cell)) + 1
     header = read_header([[str(c) for c in row[:width]] for row in rows[:first]], width)
     columns = []
     for k in range(width):
@@ -61,6 +69,12 @@ def _table(rows: list[list[object]], sheet: str, shown: str) -> tuple[list[Colum
         bad = next((n for n, c in enumerate(cells) if found[n] is None and not _is_missing(c)), None)
         values = np.array([math.nan if v is None else v for v in found])
         if not np.isfinite(values).any():
+            if all(_is_missing(cell) for cell in cells):
+                column = Column(header.names[k], header.units[k], values, fault="holds no number")
+            else:
+                words = np.array([b"" if _is_missing(c) else str(c).encode() for c in cells])
+                column = words_column(header.names[k], header.units[k], [words], "utf-8")
+            columns.append(dataclasses.replace(column, table=sheet))
             continue
         if bad is not None:
             raise BadInput(
@@ -70,6 +84,32 @@ def _table(rows: list[list[object]], sheet: str, shown: str) -> tuple[list[Colum
         unit = "s" if isinstance(rows[first][k], datetime.date | datetime.time) else header.units[k]
         columns.append(Column(header.names[k], unit, values, sheet))
     return columns, header.rate_hz
+
+
+def _with_numbers(rows: list[list[object]]) -> list[list[object]]:
+    """The rows, with numbers that are stored as text as numbers, where a column's texts are of one form."""
+    width = max(map(len, rows), default=0)
+    changed = [list(row) for row in rows]
+    for k in range(width):
+        cells = ((n, row[k]) for n, row in enumerate(rows) if k < len(row))
+        texts = {n: cell.strip() for n, cell in cells if isinstance(cell, str)}
+        comma, group, found = _form(texts)
+        if len(found) < FEWEST_TEXTS or ambiguous(list(found.values()), comma, group):
+            continue
+        for n, text in found.items():
+            changed[n][k] = value_of(text, group)
+    return changed
+
+
+def _form(texts: Mapping[int, str]) -> tuple[bool, str, dict[int, str]]:
+    """Decimal sign and sign between thousands in which most texts are numbers, and those that are."""
+    best: tuple[bool, str, dict[int, str]] = False, "", {}
+    for comma, group in SIGNS:
+        form = number_form(comma, group)
+        found = {n: text for n, text in texts.items() if form.fullmatch(text)}
+        if len(found) > len(best[2]):
+            best = comma, group, found
+    return best
 
 
 def _is_missing(cell: object) -> bool:

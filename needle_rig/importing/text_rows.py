@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,7 +27,9 @@ MOST_DOUBTED = 1 << 16
 """Numbers of a chunk that may be in doubt; of those with 20 digits and more it is one in some hundred."""
 
 POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
+STAMP = re.compile(r"^(\d\d:\d\d:\d\d(?:\.\d+)?) ?-> ?")
+"""Of a line that a serial monitor received."""
+_STAMP_BYTES = re.compile(STAMP.pattern.encode(), re.MULTILINE)
 NULLS = (
     *("", "NaN", "nan", "NAN", "-NaN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--"),
     *("1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF", "inf", "-inf", "Inf", "-Inf", "INF", "-INF"),
@@ -55,6 +58,10 @@ class Shape:
     encoding: str
     shown: str
     """Stands for the file in errors."""
+    group: str = ""
+    """Sign between thousands: a point, a comma, an apostrophe, or a space for any kind of space."""
+    stamped: bool = False
+    """Lines begin with a time and an arrow, which are a field of their own."""
 
     @property
     def codec(self) -> str:
@@ -78,6 +85,8 @@ def read_rows(path: Path, shape: Shape) -> tuple[list[Array], dict[int, list[Wor
         while raw := file.read(CHUNK_BYTES):
             raw += file.readline()
             begin, line = line, line + raw.count(b"\n")
+            if shape.stamped:
+                raw = _STAMP_BYTES.sub(rb"\1" + shape.delimiter.encode(), raw)
             numbers, texts = _at_once(raw, shape) or _cell_by_cell(raw, begin, shape)
             empty = np.logical_and.reduce(np.isnan(numbers), axis=0)
             for column in texts.values():
@@ -93,6 +102,28 @@ def read_rows(path: Path, shape: Shape) -> tuple[list[Array], dict[int, list[Wor
     values = values[:, :filled]
     values[np.isinf(values)] = math.nan
     return list(values), words
+
+
+@cache
+def number_form(comma: bool, group: str) -> re.Pattern[str]:
+    """What a number looks like: its decimal sign, and the sign between its thousands or none."""
+    sign = "," if comma else r"\."
+    whole = r"\d+"
+    if group:
+        between = {" ": r"[ \u00a0\u2009\u202f]", "'": "['’]"}.get(group, re.escape(group))
+        whole = rf"(?:\d{{1,3}}(?:{between}\d{{3}})+|\d+)"
+    return re.compile(rf"[-+]?({whole}{sign}?\d*|{sign}\d+)([eE][-+]?\d+)?")
+
+
+def value_of(text: str, group: str) -> float:
+    """The number that a text of `number_form` is."""
+    plain = plain_spaces(text).replace(group, "") if group else text
+    return float(plain.replace(",", "."))
+
+
+def plain_spaces(text: str) -> str:
+    """Every kind of space as a space, and every apostrophe as one."""
+    return re.sub(r"[\u00a0\u2009\u202f]", " ", text).replace("’", "'")
 
 
 def _lines(file: BinaryIO) -> int:
@@ -185,10 +216,15 @@ def _whole_rows(rows: Sequence[bytes], begin: int, shape: Shape) -> Iterator[tup
 
 def _number(cell: str, line: int, column: int, shape: Shape) -> float:
     text = cell.strip('"').strip()
-    if (COMMA if shape.comma else POINT).fullmatch(text):
-        return float(text.replace(",", "."))
+    if number_form(shape.comma, shape.group).fullmatch(text):
+        return value_of(text, shape.group)
     if text in NULLS:
         return math.nan
+    if text == shape.names[column]:
+        raise BadInput(
+            f"{shape.shown}:{line}: a second table begins here, with the names again; cut the file there, and"
+            " give both files: they are taken as one recording after the other"
+        )
     raise BadInput(
         f"{shape.shown}:{line}: {shape.names[column]}: {cell[:40]!r} is no number; correct it, or "
         "leave the field empty when the sample is missing"

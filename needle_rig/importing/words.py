@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 import re
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -12,32 +14,42 @@ import numpy.typing as npt
 from needle_rig.importing.recording import MAX_COLUMNS, Column
 from needle_rig.numerics import Array
 
-_TIME = r"[ T](?P<clock>\d{1,2}:\d{2}:\d{2})(?P<part>[.,]\d{1,6})?\d*Z?"
-_DATES = tuple(
-    re.compile(day + _TIME)
-    for day in (
-        r"(?P<y>\d{4})-(?P<m>\d{1,2})-(?P<d>\d{1,2})",
-        r"(?P<d>\d{1,2})\.(?P<m>\d{1,2})\.(?P<y>\d{4})",
-        r"(?P<m>\d{1,2})/(?P<d>\d{1,2})/(?P<y>\d{4})",
-        r"(?P<y>\d{4})/(?P<m>\d{1,2})/(?P<d>\d{1,2})",
-        r"(?P<d>\d{1,2})/(?P<m>\d{1,2})/(?P<y>\d{4})",
-    )
+_DAYS = (
+    "%Y-%m-%d",
+    "%d.%m.%Y",
+    "%m/%d/%Y",
+    "%Y/%m/%d",
+    "%d/%m/%Y",
+    "%m-%d-%Y",
+    "%d-%m-%Y",
+    "%d-%b-%Y",
+    "%d %b %Y",
 )
-"""In the order in which they are tried: one holds for all rows or for none."""
-_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+_CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%I:%M:%S %p", "%I:%M:%S.%f %p")
+FORMS = (*(" ".join(pair) for pair in product(_DAYS, _CLOCKS)), *_CLOCKS)
+"""For the standard library's strptime, in the order of trial: one holds for all rows or for none.
+
+A parser that guesses row by row would read 12/02 as December and 13/02 as February in one file.
+"""
+_FRACTION = re.compile(r"(?<=:\d\d:\d\d)[.,:](\d{1,6})\d*")
+_ZONE = re.compile(r" ?(Z|UTC|[+-]\d\d:?\d\d)$")
+_MIDNIGHT = datetime.datetime(1900, 1, 1)
+_EPOCH = datetime.datetime(1970, 1, 1)
+DAY_S = 86400.0
 
 
 def words_column(name: str, unit: str, parts: Sequence[npt.NDArray[np.bytes_]], codec: str) -> Column:
     """The column of the words in `parts`, which are encoded in `codec`; an empty one is missing."""
     first = next((w for part in parts for w in part if w), b"").decode(codec, "replace")
-    for date in _DATES:
-        if date.fullmatch(first):
-            seconds = [_dates(_texts(part, codec), date) for part in parts]
+    for form in FORMS:
+        if _moment(first, form) is not None:
+            seconds = [_moments(_texts(part, codec), form) for part in parts]
             if all(part is not None for part in seconds):
-                return Column(name, "s", np.concatenate([part for part in seconds if part is not None]))
-    if _CLOCK.fullmatch(first):
-        clock = [[_clock_s(text) for text in _texts(part, codec)] for part in parts]
-        return Column(name, "s", np.concatenate([np.array(part, dtype=np.float64) for part in clock]))
+                values = np.concatenate([part for part in seconds if part is not None])
+                known = np.isfinite(values)
+                if form in _CLOCKS:  # the day ends at midnight, the recording does not
+                    values[known] = np.unwrap(values[known], period=DAY_S)
+                return Column(name, "s", values)
     labels: dict[str, float] = {}
     places: list[Array] = []
     for part in parts:
@@ -46,7 +58,10 @@ def words_column(name: str, unit: str, parts: Sequence[npt.NDArray[np.bytes_]], 
             if text:
                 labels.setdefault(text, float(len(labels)))
         if len(labels) > MAX_COLUMNS:
-            return Column(name, unit, np.full(sum(map(len, parts)), math.nan))
+            fault = (
+                f"holds more than {MAX_COLUMNS} different words, neither numbers nor times, as {first[:30]!r}"
+            )
+            return Column(name, unit, np.full(sum(map(len, parts)), math.nan), fault=fault)
         places.append(np.array([labels.get(text, math.nan) for text in texts]))
     return Column(name, unit, np.concatenate(places), labels=tuple(labels))
 
@@ -55,31 +70,22 @@ def _texts(part: npt.NDArray[np.bytes_], codec: str) -> list[str]:
     return [word.decode(codec, "replace") for word in part.tolist()]
 
 
-def _dates(texts: Sequence[str], date: re.Pattern[str]) -> Array | None:
-    """Seconds since 1970 of texts that are all dates of one form, NaN for empty ones; None otherwise."""
-    written = []
+def _moments(texts: Sequence[str], form: str) -> Array | None:
+    """Seconds of texts that are all of one form, NaN for empty ones; None otherwise."""
+    seconds = []
     for text in texts:
-        found = date.fullmatch(text)
-        if found is None and text:
+        moment = _moment(text, form) if text else math.nan
+        if moment is None:
             return None
-        written.append(_iso(found) if found else "NaT")
+        seconds.append(moment)
+    return np.array(seconds, dtype=np.float64)
+
+
+def _moment(text: str, form: str) -> float | None:
+    """Seconds since 1970, or since midnight; None for a text of another form."""
+    plain = _FRACTION.sub(r".\1", _ZONE.sub("", " ".join(text.replace("T", " ").split())))
     try:
-        moments = np.array(written, dtype="datetime64[us]")
-    except ValueError:  # a thirteenth month
+        moment = datetime.datetime.strptime(plain, form)
+    except ValueError:
         return None
-    seconds = moments.astype(np.int64) / 1e6
-    return np.where(np.isnat(moments), math.nan, seconds)
-
-
-def _iso(found: re.Match[str]) -> str:
-    clock = found["clock"].rjust(8, "0")
-    part = (found["part"] or "").replace(",", ".")
-    return f"{found['y']}-{found['m'].rjust(2, '0')}-{found['d'].rjust(2, '0')}T{clock}{part}"
-
-
-def _clock_s(text: str) -> float:
-    """Seconds since midnight; NaN for what is no time."""
-    found = _CLOCK.fullmatch(text)
-    if found is None:
-        return math.nan
-    return float(found[1]) * 3600 + float(found[2]) * 60 + float(found[3].replace(",", "."))
+    return (moment - (_MIDNIGHT if form in _CLOCKS else _EPOCH)).total_seconds()

@@ -71,6 +71,8 @@ class Understand(Request):
     """That the files are in."""
     layout: PathLike | None = None
     """File with the shaft, which takes the place of a mapping's own."""
+    dbc: PathLike | None = None
+    """Database of the CAN bus, of logs of which is read; without it this rig's own, or a mapping's."""
 
     def answer(self, doing: Doing = SILENT) -> Understood:
         """Raises BadInput."""
@@ -85,11 +87,12 @@ class Understand(Request):
             raise BadInput(f"{os.path.relpath(named[1], root)}: a second mapping; give one")
         if not files:
             raise BadInput("there is no recording; give one, or a mapping")
+        dbc = None if self.dbc is None else Path(self.dbc)
         recordings = Recordings()
         if named:
             doing.say("reading the mapping")
-            mapping, folder = given_mapping(named[0], others, layout)
+            mapping, folder = given_mapping(named[0], others, layout, dbc)
             return Understood(mapping, folder, True, recordings)
         doing.say("reading the recordings")
-        mapping = guessed_mapping(others, self.name, layout, recordings, root)
+        mapping = guessed_mapping(others, self.name, layout, recordings, root, dbc)
         return Understood(mapping, root, False, recordings)

@@ -25,6 +25,7 @@ from needle_rig.web.places import DATASET
 DOTS = 1500
 """Of a drawn channel."""
 _YAML = (".yaml", ".yml")
+_DBC = ".dbc"
 
 Document = dict[str, Any]
 Say = Callable[[str], None]
@@ -40,11 +41,13 @@ def guess(say: Say, *, folder: str, files: list[str], layout: str | None, name: 
     texts = [file for file in files if Path(file).suffix.lower() in _YAML]
     mappings = [file for file in texts if read_yaml(root / file)[0].get("format") == FORMAT]
     shafts = [str(root / file) for file in texts if file not in mappings]
-    read = mappings or [file for file in files if file not in texts]
+    databases = [file for file in files if Path(file).suffix.lower() == _DBC]
+    read = mappings or [file for file in files if file not in (*texts, *databases)]
     if not read:
         raise BadInput(f"{name}: holds no dataset, run or recording; drop the recordings too")
     shaft = layout if layout is not None else next(iter(shafts), None)
-    question = Understand(files=read, name=name, folder=folder, layout=shaft)
+    dbc = next((str(root / file) for file in databases), None)
+    question = Understand(files=read, name=name, folder=folder, layout=shaft, dbc=dbc)
     return _document(question.answer(Doing(say=say)), files)
 
 
@@ -70,10 +73,10 @@ def imported(say: Say, *, folder: str, files: list[str], mapping: Document, out:
 
 
 def _inside(mapping: Mapping, files: list[str]) -> None:
-    for clock in mapping.clocks.values():
-        for file in clock.files:
-            if file.path not in files:
-                raise BadInput(f"{file.path[:80]}: is none of the dropped files; drop it too")
+    named = [file.path for clock in mapping.clocks.values() for file in clock.files]
+    for path in (*named, *(() if mapping.dbc is None else (mapping.dbc,))):
+        if path not in files:
+            raise BadInput(f"{path[:80]}: is none of the dropped files; drop it too")
 
 
 def _document(found: Understood, files: list[str]) -> Document:

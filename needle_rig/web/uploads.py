@@ -56,6 +56,17 @@ SUFFIXES = frozenset(
         ".lvm",
         ".log",
         ".asc",
+        ".blf",
+        ".trc",
+        ".dbc",
+        ".tdms",
+        ".mf4",
+        ".mdf",
+        ".parquet",
+        ".feather",
+        ".arrow",
+        ".jsonl",
+        ".ndjson",
         ".zip",
     ]
 )

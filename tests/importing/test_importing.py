@@ -71,7 +71,9 @@ def with_channel(mapping: Mapping, role: str, **changes: object) -> Mapping:
     [
         ("[deg]", "deg"), ("°", "deg"), ("N·mm", "N·mm"), ("Nmm", "N·mm"), ("mNm", "mN·m"), ("N-m", "N·m"),
         ("uNm", "µN·m"), ("oz-in", "ozf·in"), ("usec", "µs"), ("rev", "turn"),
-        ("MNm", None), ("grad", None), ("NM·M", None), ("counts?", None),
+        ("cNm", "cN·m"), ("in-lbs", "lbf·in"), ("ft-lb", "lbf·ft"), ("º", "deg"),
+        ("rads", "rad"), ("degs", "deg"),
+        ("MNm", None), ("grad", None), ("NM·M", None), ("counts?", None), ("S1", None), ("motor", None),
     ],
 )  # fmt: skip
 def test_a_unit_is_read_as_people_write_it_and_never_by_halves(text: str, meant: str | None) -> None:
@@ -127,9 +129,9 @@ def test_an_import_reads_each_file_once(
 ) -> None:
     read: list[Path] = []
 
-    def counted(path: Path) -> Recording:
+    def counted(path: Path, dbc: Path | None) -> Recording:
         read.append(path)
-        return read_recording(path)
+        return read_recording(path, dbc)
 
     monkeypatch.setattr(reader, "read_recording", counted)
     log = written(tmp_path / "log.csv", table)
@@ -216,7 +218,7 @@ def test_what_is_doubted_is_written_to_a_file_and_taken_once_confirmed(
     assert (tmp_path / "mine.png").exists()
     assert command(["import", str(tmp_path / "mine.yaml"), "--out", str(out)]) == 2
     mapping, _ = read_mapping(tmp_path / "mine.yaml")
-    sure = with_channel(mapping, "hall_1", doubt="")
+    sure = with_channel(mapping, "hall_1", unit="rad", doubt="")
     write_mapping(sure, tmp_path / "mine.yaml", tmp_path)
     assert command(["import", str(tmp_path / "mine.yaml"), "--out", str(out)]) == 0
     assert np.ptp(read_dataset(out).trials[0].hall_rad[:, 0]) == pytest.approx(
@@ -371,19 +373,26 @@ def test_a_recording_without_any_time_asks_for_its_rate(
         dataset_of(mapping, Path())
 
 
-def test_a_guess_taken_with_its_doubts_says_so_and_keeps_them(
+def test_a_guess_taken_with_its_doubts_takes_what_is_written_says_so_and_keeps_them(
     tmp_path: Path, table: np.ndarray, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    wrong = table.copy()
-    wrong[:, 3] *= math.pi / 180
-    log = written(tmp_path / "log.csv", wrong)
+    large = table.copy()
+    large[:, 2] *= 1e4
+    log = written(tmp_path / "log.csv", large)
     out = tmp_path / "mine"
-    assert (
-        command(["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out), "--yes"]) == 0
-    )
-    assert "taken as it is: hall_1" in capsys.readouterr().err
+    line = ["import", str(log), "--guess", "--layout", str(PRACTICE), "--out", str(out)]
+    assert command(line) == 2
+    assert command([*line, "--yes"]) == 0
+    said = capsys.readouterr().err
+    assert "taken as it is: base_torque" in said
+    assert "taken as confirmed: base_torque spans" in said
     mapping, _ = read_mapping(out / "import.yaml")
-    assert "confirmed: in deg it would turn" in next(c.why for c in mapping.channels if c.role == "hall_1")
+    torque = next(c for c in mapping.channels if c.role == "base_torque")
+    assert (torque.unit, torque.sure) == ("N·mm", True)
+    assert "confirmed: in N·mm, as written, it spans" in torque.why
+    assert np.ptp(read_dataset(out).trials[0].torque_nm) == pytest.approx(
+        1e-3 * np.ptp(large[:, 2]), rel=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -439,7 +448,16 @@ def test_a_mapping_with_a_mistake_says_where(tmp_path: Path, rig: RigPart, table
 
 
 def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wrong() -> None:
-    for module in ("pandas", "openpyxl", "rosbags", "python_calamine"):
+    for module in (
+        "pandas",
+        "openpyxl",
+        "rosbags",
+        "python_calamine",
+        "polars",
+        "nptdms",
+        "asammdf",
+        "matio",
+    ):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"{module} writes the files")
     line = [
@@ -455,7 +473,7 @@ def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wron
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=200)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "BAD" not in done.stdout
-    assert "8 files: " in done.stdout
+    assert "12 files: " in done.stdout
 
 
 def test_a_recording_keeps_its_columns_apart_from_its_tables(tmp_path: Path) -> None:

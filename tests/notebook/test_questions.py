@@ -80,7 +80,7 @@ def test_a_recording_is_imported_once_its_doubts_are_accepted(tmp_path: Path) ->
     pytest.importorskip("polars")
     trial = nr.read_dataset(PRACTICE)[0].to_pandas().drop(columns=["trial", "motion"])
     log = tmp_path / "log.csv"
-    trial.assign(hall_1_deg=trial["hall_1_deg"] * 0.01745).to_csv(log, index=False)
+    trial.assign(hall_1_deg=trial["hall_4_deg"], hall_4_deg=trial["hall_1_deg"]).to_csv(log, index=False)
     with pytest.raises(nr.BadInput, match=r"hall_1.*take the guess as it is with accept_doubts=True$"):
         nr.import_recording(log, out=tmp_path / "mine", layout=PRACTICE)
     found = nr.import_recording(log, out=tmp_path / "mine", layout=PRACTICE, accept_doubts=True)

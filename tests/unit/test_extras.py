@@ -111,7 +111,10 @@ def test_installed_from_a_clone_that_is_still_there(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("origin", [None, {"url": "file:///x/needle_rig.whl", "archive_info": {}}])
 def test_from_a_wheel_an_extra_is_its_packages(origin: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     metadata(monkeypatch, origin)
-    assert extras.install_arguments("import") == "'mcap>=1.1' 'python-calamine>=0.4' 'rosbags>=0.11'"
+    assert extras.install_arguments("import") == (
+        "'asammdf>=8.0' 'mat-io>=1.0' 'mcap>=1.1' 'nptdms>=1.7' 'polars>=1.0' 'python-calamine>=0.4'"
+        " 'rosbags>=0.11'"
+    )
     for extra in EXTRAS:
         words = shlex.split(extras.install_arguments(extra))
         assert words
@@ -145,7 +148,10 @@ def without(packages: tuple[str, ...], folder: Path, *arguments: str) -> subproc
     )
 
 
-BASE = ("matplotlib", "mcap", "polars", "python_calamine", "rosbags", "pandas", "ziglang", "cffi")
+BASE = (
+    *("asammdf", "matio", "mcap", "nptdms", "polars", "python_calamine", "rosbags"),
+    *("matplotlib", "pandas", "ziglang", "cffi"),
+)
 
 
 @pytest.mark.whole

@@ -20,6 +20,7 @@ from needle_rig.importing.guess.roles import (
     torque_among,
 )
 from needle_rig.importing.guess.series import (
+    FEWEST,
     Series,
     from_start,
     is_copy,
@@ -34,37 +35,54 @@ from needle_rig.importing.signals import CLEAR_WORK
 from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
 
+Reasons = dict[tuple[str, str], str]
+"""By clock and name of a column."""
 WEAK = 0.4
 """Correlation of an angle with the base below which its sign is asked; noise has some 1/√samples."""
 
 
 def channels_of(
-    series: Sequence[Series], rig: RigPart | None, recordings: Sequence[Recording]
-) -> tuple[list[ChannelPart], list[str]]:
-    """The channels of all series, and the names of columns that do not change.
+    series: Sequence[Series], rig: RigPart | None, recordings: Sequence[Recording], left: Reasons
+) -> tuple[list[ChannelPart], Reasons]:
+    """The channels of all series, and for each series why it is none, should it be none.
+
+    `left` are the reasons of columns that are no series, for an error.
 
     Raises BadInput when there is nothing that could be the base's angle.
     """
-    changing = [s for s in series if s.span > 0.0 and np.isfinite(s.values).sum() >= 10]
-    constant = [s.column.name for s in series if s not in changing]
-    angles: list[Series] = []
-    torques: list[Series] = []
-    unnamed: list[Series] = []
-    for s in changing:
-        kind = kind_of(s)
-        (
-            angles if kind == "angle" else torques if kind == "torque" else unnamed if kind == "" else []
-        ).append(s)
+    of_kind: dict[str, list[Series]] = {"angle": [], "torque": [], "": [], "other": []}
+    why: Reasons = {}
+    for s in series:
+        kind, reason = kind_of(s.column)
+        count = int(np.isfinite(s.values).sum())
+        if count < FEWEST:
+            kind, reason = "other", f"{count} numbers at known times, fewer than {FEWEST}"
+        elif s.span == 0.0:
+            kind, reason = "other", "never changes"
+        of_kind[kind].append(s)
+        why[key_of(s)] = reason
+    angles, torques, unnamed = of_kind["angle"], of_kind["torque"], of_kind[""]
     if not angles and not unnamed:
+        told = "; ".join(f"{name}: {reason}" for (_, name), reason in {**why, **left}.items())
         raise BadInput(
             f"{', '.join(show_path(r.path) for r in recordings)}: no column can be the base's angle "
-            f"(columns: {', '.join(s.column.name for s in series)[:300]}); write a mapping by hand"
+            f"({told[:600]}); record the angle of what turns the base beside them"
         )
     base, base_why, base_doubt = base_among(angles or unnamed, unnamed if angles else [])
     rest = [s for s in (angles or unnamed) if s is not base]
     if not angles:
         rest, torques = split_unnamed(base, rest, torques)
-    sensors = [s for s in rest if follows(base, s) and not is_copy(base, s)]
+    sensors = []
+    expected = {names.plain(sensor.name) for sensor in (rig.hall_sensors if rig else ())}
+    for s in rest:
+        if is_copy(base, s):
+            why[key_of(s)] = f"{base.column.name} once more"
+        elif follows(base, s) or names.plain(s.column.name) in expected:
+            # one that the layout names is asked, not dropped
+            sensors.append(s)
+        else:
+            together = signals.follow_sign(base.values, values_at(base, s))
+            why[key_of(s)] = f"does not move with {base.column.name} (correlation {together:.2f})"
     unit = base_unit(base, sensors)
     channels = [
         ChannelPart(
@@ -79,16 +97,26 @@ def channels_of(
     ]
     roles = sensor_roles(sensors, base, rig)
     base_si = None if unit.unit is None else from_start(base) * unit.unit.si
-    for s, (role, why, doubt) in zip(sensors, roles, strict=True):
+    for s, (role, said, doubt) in zip(sensors, roles, strict=True):
         if role is not None:
-            channels.append(_sensor(s, role, base, base_si, why, doubt))
-    torque = torque_among(base, torques or ([] if angles else unnamed), bool(torques))
-    if torque is not None and torque not in sensors:
+            channels.append(_sensor(s, role, base, base_si, said, doubt))
+        else:
+            why[key_of(s)] = "the layout has no sensor for it"
+    others = [] if angles else [s for s in unnamed if s is not base]
+    torque = torque_among(base, torques or others, bool(torques))
+    if torque is not None and not any(torque is s for s in sensors):
+        for s in torques:
+            why[key_of(s)] = f"a torque, and {torque.column.name} is taken for that of the base"
         channels.append(_torque_channel(torque, torques, base, base_si, sensors, channels, rig))
         at_tip = [s for s in torques if s is not torque and names.says(s.column.name, names.TIP)]
         if len(at_tip) == 1:
             channels.append(_tip_torque_channel(at_tip[0]))
-    return channels, constant
+    return channels, why
+
+
+def key_of(s: Series) -> tuple[str, str]:
+    """Clock and name, which tell a column from all others."""
+    return s.clock, s.column.name
 
 
 def _sensor(s: Series, role: str, base: Series, base_si: Array | None, why: str, doubt: str) -> ChannelPart:
@@ -136,7 +164,10 @@ def _torque_channel(
 ) -> ChannelPart:
     work = signals.work_share(from_start(base), torque_from_start(base, s))
     doubts = []
-    if abs(work) < CLEAR_WORK:
+    shared = int((np.isfinite(base.values) & np.isfinite(values_at(base, s))).sum())
+    if shared < FEWEST:
+        doubts.append(f"{shared} samples have it beside {base.column.name}; say its sign")
+    elif abs(work) < CLEAR_WORK:
         doubts.append(
             f"torque and angle agree in sign for {50 + 50 * work:.0f} % of the work; check the sign"
         )

@@ -11,9 +11,10 @@ from needle_rig.importing import names, signals
 from needle_rig.importing.guess.roles import kind_of
 from needle_rig.importing.guess.series import COMMON, Series, UnitGuess, written_dimension
 from needle_rig.importing.mapping import ChannelPart, ClockPart, FilePart
+from needle_rig.importing.messages import STAMP
 from needle_rig.importing.plausibility import FASTEST_DEG_S
 from needle_rig.importing.recording import Column, Recording
-from needle_rig.importing.unit_text import UNITS, unit_of
+from needle_rig.importing.unit_text import known_unit, unit_of
 from needle_rig.numerics import Array
 
 FASTEST_HZ = 200_000.0
@@ -80,40 +81,41 @@ def _time_unit(column: Column, stated_hz: float | None, named: bool) -> UnitGues
         if SLOWEST_HZ <= rate <= FASTEST_HZ and (stated_hz is None or 0.5 < stated_hz / rate < 2.0):
             return UnitGuess(written, f"unit {column.unit!r}; {rate:.4g} samples a second")
         other = stated_hz or 0.0
-        fit = [u for u in ("s", "ms", "µs", "ns") if _sane_rate(1.0 / (step * UNITS[u].si), other)]
-        meant = UNITS[fit[0]] if fit else None
+        fit = [u for u in ("s", "ms", "µs", "ns") if _sane_rate(1.0 / (step * known_unit(u).si), other)]
         what = (
             f"the header says {stated_hz:g} Hz"
             if stated_hz and not 0.5 < stated_hz / rate < 2.0
             else "no logger does that"
         )
         return UnitGuess(
-            meant,
+            written,
             f"{column.name}: steps of {step:g}",
             f"its unit is written as {column.unit}, which makes {rate:.4g} samples a second; {what}"
-            + (f"; taken as {meant.text}" if meant else ""),
+            + (f"; {fit[0]} would do" if fit else ""),
         )
+    if column.unit and written is None:
+        return UnitGuess(None, "", f"its unit {column.unit[:30]!r} is not known; write it as `unit`, as ms")
     if stated_hz is not None:
-        fit = [u for u in ("s", "ms", "µs", "ns") if abs(math.log(stated_hz * step * UNITS[u].si)) < 0.1]
+        fit = [u for u in ("s", "ms", "µs", "ns") if abs(math.log(stated_hz * step * known_unit(u).si)) < 0.1]
         if fit:
             return UnitGuess(
-                UNITS[fit[0]], f"steps of {step:g} at {stated_hz:g} samples a second, as the file says"
+                known_unit(fit[0]), f"steps of {step:g} at {stated_hz:g} samples a second, as the file says"
             )
     if np.median(values) > EPOCH_S:
         power = round(math.log10(float(np.median(values)) / 1.7e9) / 3)
         if power in (0, 1, 2, 3):
-            unit = UNITS[("s", "ms", "µs", "ns")[power]]
+            unit = known_unit(("s", "ms", "µs", "ns")[power])
             return UnitGuess(unit, f"counts {unit.text} since 1970")
-    candidates = [u for u in ("s", "ms", "µs", "ns") if 5.0 <= 1.0 / (step * UNITS[u].si) <= 20_000.0]
+    candidates = [u for u in ("s", "ms", "µs", "ns") if 5.0 <= 1.0 / (step * known_unit(u).si) <= 20_000.0]
     whole = bool(np.all(values[:1000] == np.round(values[:1000])))
     if len(candidates) == 1 and named and not (whole and abs(step - 1.0) < 1e-9):
         return UnitGuess(
-            UNITS[candidates[0]],
-            f"steps of {step:g}: {1 / (step * UNITS[candidates[0]].si):.4g} samples a second",
+            known_unit(candidates[0]),
+            f"steps of {step:g}: {1 / (step * known_unit(candidates[0]).si):.4g} samples a second",
         )
     if whole and abs(step - 1.0) < 1e-9:
         return UnitGuess(None, "", f"{column.name} counts rows or milliseconds; write rate_hz, or its unit")
-    taken = UNITS[candidates[0]] if candidates else None
+    taken = known_unit(candidates[0]) if candidates else None
     return UnitGuess(
         taken,
         f"{column.name} counts up in steps of {step:g}",
@@ -132,7 +134,7 @@ def on_one_clock(
 
     Only the offset of the first recording is found; of several, each further one is doubted.
     """
-    angles = [s for s in series if s.span > 0 and kind_of(s) in ("angle", "")]
+    angles = [s for s in series if s.span > 0 and kind_of(s.column)[0] in ("angle", "")]
     if len(clocks) < 2 or not angles:
         return clocks, list(series)
     lead = max(angles, key=lambda s: (names.is_base(s.column.name), len(s.column.values)))
@@ -144,6 +146,9 @@ def on_one_clock(
             continue
         if min(float(np.nanmedian(s.time_s)) for s in (lead, own[0])) > EPOCH_S:
             result[name] = part.model_copy(update={"why": f"{part.why}; both clocks count from 1970"})
+            continue
+        if _of_one_recorder(part, clocks[lead.clock]):
+            result[name] = part.model_copy(update={"why": f"{part.why}; both are the recorder's clock"})
             continue
         on_lead = [s for s in series if s.clock == lead.clock and s.span > 0]
         pairs = []
@@ -181,6 +186,12 @@ def on_one_clock(
     return result, moved
 
 
+def _of_one_recorder(one: ClockPart, other: ClockPart) -> bool:
+    """Whether two tables of one file have the times at which one recorder received them."""
+    same = [f.path for f in one.files] == [f.path for f in other.files]
+    return same and all((clock.source or "").endswith(STAMP) for clock in (one, other))
+
+
 def _rate(s: Series) -> Array:
     known = np.isfinite(s.values)
     filled = np.interp(s.time_s, s.time_s[known], s.values[known])
@@ -202,7 +213,7 @@ def doubt_speed(
     s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
     if base.unit is None or part.doubt or (part.unit is None and part.rate_hz is None):
         return clocks
-    rate = signals.peak_rate(s.time_s, s.values) * math.degrees(UNITS[unit_of(base.unit).text].si)  # type: ignore[union-attr]
+    rate = signals.peak_rate(s.time_s, s.values) * math.degrees(known_unit(base.unit).si)
     if SLOWEST_DEG_S <= rate <= FASTEST_DEG_S:
         return clocks
     doubt = f"the base would turn at {rate:.3g}°/s; is the unit of time right?"

@@ -16,29 +16,40 @@ from needle_rig.importing.guess.series import (
     values_at,
     written_dimension,
 )
+from needle_rig.importing.recording import Column
 from needle_rig.importing.signals import CLEAR_LAG
+from needle_rig.importing.unit_text import is_counted
 
 
-def kind_of(s: Series) -> str:
-    """Kind of a column: angle, torque, other, or empty where neither name nor unit says it."""
-    dimension, name = written_dimension(s.column), s.column.name
+def kind_of(column: Column) -> tuple[str, str]:
+    """Kind of a column: angle, torque, other, or empty where neither name nor unit says it; and the reason.
+
+    A torque or an angle by name whose unit is not known stays one: its unit is asked.
+    """
+    dimension, name, unit = written_dimension(column), column.name, column.unit
     if names.says(name, names.COMMAND):
-        return "other"
+        return "other", "called what was commanded, and what was measured is asked for"
     if dimension in ("angle", "torque"):
-        return dimension
-    if s.column.unit.lower() in ("counts", "count", "cts", "v", "mv", "volt", "volts"):
-        if names.says(name, names.TORQUE):
-            return "torque"
-        return "angle" if names.says(name, names.ANGLE) or names.says(name, names.BASE) else "other"
-    if dimension in ("other", "time") or s.column.unit:
-        return "other"
-    if names.says(name, names.TORQUE):
-        return "torque"
+        return dimension, f"unit {unit!r}"
+    torque = names.says(name, names.TORQUE)
+    angle = any(names.says(name, p) for p in (names.ANGLE, names.BASE, names.SENSOR))
+    if dimension and not is_counted(unit):
+        return "other", f"its unit {unit} is neither one of an angle nor of a torque"
+    if torque:
+        return "torque", "name"
     if names.says(name, names.OTHER):
-        return "other"
-    if any(names.says(name, p) for p in (names.ANGLE, names.BASE, names.SENSOR)):
-        return "angle"
-    return ""
+        return "other", "called what is neither an angle nor a torque"
+    if angle:
+        return "angle", "name"
+    if dimension:
+        return "other", f"it counts {unit}, and its name does not say of what"
+    if unit:
+        return "other", f"its unit {unit!r} is not known, and its name says neither angle nor torque"
+    return "", "neither its name nor its unit says what it is"
+
+
+TOGETHER = 0.85
+"""Correlation above which a column without name and unit moves as an angle does; a torque relaxes."""
 
 
 def base_among(angles: Sequence[Series], unnamed: Sequence[Series]) -> tuple[Series, str, str]:
@@ -85,6 +96,14 @@ def base_among(angles: Sequence[Series], unnamed: Sequence[Series]) -> tuple[Ser
             "the only angle",
             "its name is that of a sensor on the needle; is it the base's encoder?",
         )
+    before = [s for s in unnamed if follows(first, s) and lag_of(first, s) < CLEAR_LAG]
+    if before:
+        other = max(before, key=lambda s: _leads(s, angles))
+        together = abs(signals.follow_sign(first.values, values_at(first, other)))
+        if together > TOGETHER and all(lag_of(other, s) > CLEAR_LAG for s in angles):
+            return other, "all angles come after it", "neither its name nor its unit says that it is an angle"
+        told = ", ".join(s.column.name for s in before)
+        return first, "the first of what is an angle", f"{told} moves with it and could be the base as well"
     if len(angles) == 1 and written_dimension(first.column) == "angle":
         return first, "the only angle", ""
     if clear:
@@ -116,7 +135,7 @@ def split_unnamed(
     angles: list[Series] = []
     for s in rest:
         follows = abs(signals.follow_sign(base.values, values_at(base, s)))
-        (angles if follows > 0.85 else torques).append(s)
+        (angles if follows > TOGETHER else torques).append(s)
     return angles, torques
 
 

@@ -9,11 +9,16 @@ import numpy as np
 
 from needle_rig.importing import names, signals
 from needle_rig.importing.recording import Column
-from needle_rig.importing.unit_text import Unit, unit_of
+from needle_rig.importing.unit_text import Unit, is_counted, unit_of
 from needle_rig.numerics import Array
 
 LARGEST_NUMBER = 1e30
 """Largest number in any unit: above it a bit is wrong, and its square overflows."""
+FEWEST = 10
+"""Known samples of a column from which anything is concluded."""
+LEAST_FILLED = 0.9
+"""Share of the rows below which a column keeps its own times; single samples that are lost leave more."""
+TURN_RAD = 2.0 * math.pi
 COMMON = 0.01
 """Difference of two records of one quantity, over its span; a practice needle's loop leaves 0.09."""
 
@@ -34,6 +39,35 @@ class Series:
         return float(np.ptp(known)) if len(known) else 0.0
 
 
+def series_of(column: Column, clock: str, time_s: Array) -> Series:
+    """A column at its `time_s` (rows,), which may be NaN; angles that wrap are unwrapped, then thinned.
+
+    One that stands in few of the rows, as topics of their own rates side by side, has its own times.
+    """
+    there = np.isfinite(time_s)
+    filled = there & np.isfinite(column.values)
+    share = filled.sum() / max(1, there.sum())
+    place = np.flatnonzero(filled if share < LEAST_FILLED and filled.sum() >= FEWEST else there)
+    values = column.values[place]
+    values = np.where(np.abs(values) < LARGEST_NUMBER, values, math.nan)
+    if may_wrap(column):
+        unit = unit_of(column.unit)
+        turn = TURN_RAD / unit.si if unit is not None and unit.dimension == "angle" else None
+        values = signals.without_wraps(values, turn)
+    every = slice(None, None, max(1, len(place) // signals.LOOKED_AT))
+    return Series(column, clock, time_s[place][every], values[every])
+
+
+def may_wrap(column: Column) -> bool:
+    """Whether a column can be an angle: by its unit, or else by what its name excludes."""
+    dimension = written_dimension(column)
+    if dimension in ("angle", ""):
+        return dimension == "angle" or not (
+            names.says(column.name, names.TORQUE) or names.says(column.name, names.OTHER)
+        )
+    return is_counted(column.unit)
+
+
 @dataclass(frozen=True)
 class UnitGuess:
     """A unit found for a column; None where it cannot be told."""
@@ -45,9 +79,11 @@ class UnitGuess:
 
 def values_at(s: Series, other: Series) -> Array:
     """`other` at the times of `s`, NaN outside of its own."""
-    if s.clock == other.clock and len(s.values) == len(other.values):
+    if s.clock == other.clock and np.array_equal(s.time_s, other.time_s):
         return other.values
     known = np.isfinite(other.values)
+    if not known.any():
+        return np.full(len(s.values), math.nan)
     return np.interp(s.time_s, other.time_s[known], other.values[known], left=math.nan, right=math.nan)
 
 
@@ -56,7 +92,10 @@ def lag_of(leader: Series, follower: Series) -> float:
     if leader.clock != follower.clock:
         return 0.0
     every = max(1, len(leader.values) // 4000)
-    return signals.lag_share(_smooth(leader.values)[::every], _smooth(follower.values)[::every])
+    after = values_at(leader, follower)
+    if not np.isfinite(after).any():
+        return 0.0
+    return signals.lag_share(_smooth(leader.values)[::every], _smooth(after)[::every])
 
 
 def _smooth(values: Array) -> Array:

@@ -11,9 +11,11 @@ from needle_rig.importing import names
 from needle_rig.importing.guess.series import Series
 from needle_rig.importing.mapping import ChannelPart, TrialsPart
 
+AT_RESTS = "cut where the base rests as it stood at the start, without torque or twist"
 
-def trials_of(series: Sequence[Series]) -> tuple[TrialsPart, list[Series], list[str]]:
-    """A column that numbers trials, or rests; with the other series and the names of the unused ones."""
+
+def trials_of(series: Sequence[Series]) -> tuple[TrialsPart, list[Series]]:
+    """A column that numbers trials, or rests; with the other series."""
     for s in series:
         known = s.column.values[np.isfinite(s.column.values)]
         changes = np.flatnonzero(np.diff(known))
@@ -21,11 +23,8 @@ def trials_of(series: Sequence[Series]) -> tuple[TrialsPart, list[Series], list[
             part = TrialsPart(
                 at="column", clock=s.clock, source=s.column.name, why=f"name; {len(changes) + 1} stretches"
             )
-            return part, [x for x in series if x is not s], []
-    part = TrialsPart(
-        at="rests", why="cut where the base rests as it stood at the start, without torque or twist"
-    )
-    return part, list(series), []
+            return part, [x for x in series if x is not s]
+    return TrialsPart(at="rests", why=AT_RESTS), list(series)
 
 
 def rate_of_dataset(series: Sequence[Series], channels: Sequence[ChannelPart]) -> float | None:

@@ -20,7 +20,7 @@ from needle_rig.importing.guess.series import (
 )
 from needle_rig.importing.mapping import ChannelPart
 from needle_rig.importing.plausibility import FASTEST_DEG_S, LEAST_FOLLOWED, MOST_FOLLOWED, expected_torque_nm
-from needle_rig.importing.unit_text import UNITS, Unit, unit_of
+from needle_rig.importing.unit_text import Unit, known_unit, unit_of
 from needle_rig.numerics import Array
 
 TORQUE_UNITS = ("N·m", "N·cm", "N·mm", "µN·m")
@@ -43,6 +43,8 @@ LEAST_RADIANS = 0.6
 def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
     """Unit of the base's angle: as written, or from its range, its speed and its round targets."""
     written = unit_of(base.column.unit)
+    if written is None and base.column.unit:
+        return UnitGuess(None, "", unknown_unit(base.column.unit, "deg"))
     if written is not None and written.dimension == "other":
         return UnitGuess(
             None, "", f"its unit is {base.column.unit}; write unit: turn and scale: 1/counts a turn"
@@ -53,7 +55,7 @@ def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
     peak = float(np.nanmax(np.abs(from_start(base))))
     fitting, round_share = [], {}
     for text in ("deg", "rad", "turn"):
-        degrees = math.degrees(UNITS[text].si)
+        degrees = math.degrees(known_unit(text).si)
         round_share[text] = signals.roundness(at * degrees)
         if SMALLEST_DEG <= peak * degrees <= LARGEST_DEG and rate * degrees <= FASTEST_DEG_S:
             fitting.append(text)
@@ -67,17 +69,16 @@ def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
         if not (1.0 <= peak * degrees <= 2 * LARGEST_DEG) or rate * degrees > FASTEST_DEG_S:
             likely = next(iter(rounds or fitting), None)
             return UnitGuess(
-                UNITS[likely] if likely else None,
+                written,
                 f"unit {base.column.unit!r}",
-                f"in {written.text} it would reach {peak * degrees:.4g}° at {rate * degrees:.3g}°/s"
-                + (f"; taken as {likely}" if likely else ""),
+                f"in {written.text}, as written, it reaches {peak * degrees:.4g}° at {rate * degrees:.3g}°/s"
+                + (f"; {likely} would do" if likely else ""),
             )
         if better and signals.roundness(at * degrees) < 0.5:
             return UnitGuess(
-                UNITS[better[0]],
+                written,
                 f"unit {base.column.unit!r}",
-                f"it rests at multiples of 5° when read as {better[0]} and not as {written.text}; "
-                f"taken as {better[0]}",
+                f"it rests at multiples of 5° when read as {better[0]} and not as {written.text}, as written",
             )
         return UnitGuess(written, f"unit {base.column.unit!r}, up to {peak * degrees:.3g}°")
     ratios = [
@@ -87,23 +88,42 @@ def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
     ]
     for unit, ratio in ratios:
         assert unit is not None
-        fit = [u for u in fitting if 0.1 < ratio * unit.si / UNITS[u].si < MOST_FOLLOWED]
+        fit = [u for u in fitting if 0.1 < ratio * unit.si / known_unit(u).si < MOST_FOLLOWED]
         if len(fit) == 1:
-            return UnitGuess(UNITS[fit[0]], f"the angles in {unit.text} follow it when it is in {fit[0]}")
+            return UnitGuess(
+                known_unit(fit[0]), f"the angles in {unit.text} follow it when it is in {fit[0]}"
+            )
     if len(rounds) == 1 and (len(at) > 1 or len(fitting) == 1):
-        degrees = math.degrees(UNITS[rounds[0]].si)
+        degrees = math.degrees(known_unit(rounds[0]).si)
         return UnitGuess(
-            UNITS[rounds[0]],
+            known_unit(rounds[0]),
             f"it rests or turns at multiples of 5° when read as {rounds[0]}: {_told(at * degrees)}",
         )
     if len(fitting) == 1:
-        reach = peak * math.degrees(UNITS[fitting[0]].si)
+        reach = peak * math.degrees(known_unit(fitting[0]).si)
         return UnitGuess(
-            UNITS[fitting[0]], f"its range: {reach:.3g}° as {fitting[0]}, no other unit would do"
+            known_unit(fitting[0]), f"its range: {reach:.3g}° as {fitting[0]}, no other unit would do"
         )
     if rounds:
-        return UnitGuess(UNITS[rounds[0]], "", f"the unit is not written; {' or '.join(fitting)} would do")
-    return UnitGuess(None, "", f"the unit is not written; {' or '.join(fitting) or 'none known'} would do")
+        return UnitGuess(
+            known_unit(rounds[0]), "", f"the unit is not written; {' or '.join(fitting)} would do"
+        )
+    if not fitting:
+        return UnitGuess(
+            None,
+            "",
+            f"the unit is not written, and up to {peak:.4g} it is none of deg, rad and turn; "
+            "where it counts, write unit: turn and scale: 1/counts a turn",
+        )
+    return UnitGuess(None, "", f"the unit is not written; {' or '.join(fitting)} would do")
+
+
+def unknown_unit(text: str, example: str) -> str:
+    """What is asked of a unit that is written and not known."""
+    return (
+        f"its unit {text[:30]!r} is not known; write it as `unit`, as {example}, with `scale` where one of "
+        "it is not one of that"
+    )
 
 
 def _told(degrees: Array) -> str:
@@ -115,11 +135,13 @@ def sensor_unit(s: Series, base_si: Array | None) -> UnitGuess:
     written = unit_of(s.column.unit)
     if base_si is None:
         angle = written if written is not None and written.dimension == "angle" else None
+        if angle is None and s.column.unit:
+            return UnitGuess(None, "", unknown_unit(s.column.unit, "deg"))
         return UnitGuess(
             angle, f"unit {s.column.unit!r}" if angle else "", "" if angle else "its unit is not known"
         )
     travel = float(np.nanmax(base_si) - np.nanmin(base_si))
-    share = {u: s.span * UNITS[u].si / travel for u in ("deg", "rad", "turn")}
+    share = {u: s.span * known_unit(u).si / travel for u in ("deg", "rad", "turn")}
     fit = [u for u, part in share.items() if LEAST_FOLLOWED <= part <= MOST_FOLLOWED]
     if written is not None and written.dimension == "angle":
         part = s.span * written.si / travel
@@ -127,19 +149,21 @@ def sensor_unit(s: Series, base_si: Array | None) -> UnitGuess:
             return UnitGuess(written, f"unit {s.column.unit!r}, {part:.0%} of the base's motion")
         likely = fit[0] if fit else None
         return UnitGuess(
-            UNITS[likely] if likely else None,
+            written,
             f"unit {s.column.unit!r}",
-            f"in {written.text} it would turn {part:.3g} times as far as the base"
-            + (f"; taken as {likely}" if likely else ""),
+            f"in {written.text}, as written, it turns {part:.3g} times as far as the base"
+            + (f"; {likely} would do" if likely else ""),
         )
-    if written is not None or s.column.unit:
+    if written is None and s.column.unit:
+        return UnitGuess(None, "", unknown_unit(s.column.unit, "deg"))
+    if written is not None:
         return UnitGuess(None, "", f"its unit is {s.column.unit}; write `unit` and `scale`")
     strong = [u for u in fit if share[u] > 0.1]
     if len(strong) == 1:
-        return UnitGuess(UNITS[strong[0]], f"{share[strong[0]]:.0%} of the base's motion as {strong[0]}")
+        return UnitGuess(known_unit(strong[0]), f"{share[strong[0]]:.0%} of the base's motion as {strong[0]}")
     taken = next(iter(strong or fit), None)
     return UnitGuess(
-        UNITS[taken] if taken else None, "", "the unit is not written, and its motion does not tell it"
+        known_unit(taken) if taken else None, "", "the unit is not written, and its motion does not tell it"
     )
 
 
@@ -153,6 +177,8 @@ def torque_unit(
 ) -> UnitGuess:
     """Unit of the torque: as written, or from what the twist up to the nearest sensor asks for."""
     written = unit_of(s.column.unit)
+    if written is None and s.column.unit:
+        return UnitGuess(None, "", unknown_unit(s.column.unit, "N·mm"))
     if written is not None and written.dimension == "other":
         return UnitGuess(
             None, "", f"its unit is {s.column.unit}; write `unit` and `scale` of its calibration"
@@ -169,16 +195,15 @@ def torque_unit(
         ratio = s.span * written.si / torque_nm
         if 1 / UNIT_WITHIN < ratio < UNIT_WITHIN:
             return UnitGuess(written, f"{why}, {ratio:.2g} times what {how} asks for")
-        fit = [u for u in TORQUE_UNITS if 1 / 3 < s.span * UNITS[u].si / torque_nm < 3]
-        meant = UNITS[fit[0]] if fit else None
-        doubt = f"in {written.text} it spans {ratio:.3g} times what {how} asks for"
-        return UnitGuess(meant, why, doubt + (f"; taken as {meant.text}" if meant else ""))
+        fit = [u for u in TORQUE_UNITS if 1 / 3 < s.span * known_unit(u).si / torque_nm < 3]
+        doubt = f"in {written.text}, as written, it spans {ratio:.3g} times what {how} asks for"
+        return UnitGuess(written, why, doubt + (f"; {fit[0]} would do" if fit else ""))
     if expected is not None:
         torque_nm, how = expected
         # Neighbouring units are a factor ten apart, so no two of them fit.
-        fit = [u for u in TORQUE_UNITS if 1 / 3 < s.span * UNITS[u].si / torque_nm < 3]
+        fit = [u for u in TORQUE_UNITS if 1 / 3 < s.span * known_unit(u).si / torque_nm < 3]
         if fit:
-            return UnitGuess(UNITS[fit[0]], f"{how} asks for {torque_nm * 1e3:.2g} N·mm")
+            return UnitGuess(known_unit(fit[0]), f"{how} asks for {torque_nm * 1e3:.2g} N·mm")
     return UnitGuess(None, "", "its unit is not written, and the recording cannot tell it; write `unit`")
 
 
@@ -194,13 +219,12 @@ def _stiffness_unit(s: Series, written: Unit, base: Series, base_si: Array, rig:
         most = rigidity / (rig.tissue_sections_mm[0][0] * 1e-3)
     if slope == 0.0 or least / UNIT_WITHIN <= slope * written.si <= most * UNIT_WITHIN:
         return None
-    fit = [u for u in TORQUE_UNITS if least / 2 < slope * UNITS[u].si < most * 2]
-    meant = UNITS[fit[0]] if fit else None
+    fit = [u for u in TORQUE_UNITS if least / 2 < slope * known_unit(u).si < most * 2]
     return UnitGuess(
-        meant,
+        written,
         f"unit {s.column.unit!r}",
-        f"in {written.text} it first rises by {slope * written.si * 1e3:.2g} N·mm/rad where the shaft has "
-        f"{least * 1e3:.2g} to {most * 1e3:.2g}" + (f"; taken as {meant.text}" if meant else ""),
+        f"in {written.text}, as written, it first rises by {slope * written.si * 1e3:.2g} N·mm/rad where "
+        f"the shaft has {least * 1e3:.2g} to {most * 1e3:.2g}" + (f"; {fit[0]} would do" if fit else ""),
     )
 
 

@@ -42,7 +42,7 @@ export function asConfirmed() {
     clocks: Object.fromEntries(Object.entries(mapping.clocks).map(([name, c]) => [name, taken(c, `clock ${name}`)])),
     channels: used.map((/** @type {any} */ c) => taken(c, `channel ${c.clock} ${c.source}`)),
     trials: taken(mapping.trials, "trials"),
-    not_used: [...mapping.not_used, ...mapping.channels.filter((/** @type {any} */ c) => c.role === NOT_USED).map((/** @type {any} */ c) => c.source)],
+    not_used: [...mapping.not_used, ...mapping.channels.filter((/** @type {any} */ c) => c.role === NOT_USED).map((/** @type {any} */ c) => ({ source: c.source, clock: c.clock, why: "left aside by hand" }))],
   };
 }
 
@@ -93,7 +93,7 @@ export function WhatIsWhat({ busy, sources, again, take }) {
         ${" "}<label class="row">the shaft begins <select value=${mapping.trials.start} onChange=${(/** @type {any} */ e) => edit((m) => ({ ...m, trials: { ...m.trials, start: value(e) } }))}>
           ${["relaxed", "wound"].map((start) => html`<option value=${start} selected=${start === mapping.trials.start}>${start}</option>`)}</select></label>
         ${" "}<span class="quiet">${mapping.trials.why}</span><${Doubt} part=${mapping.trials} of="trials" /></li>
-      ${mapping.not_used.length ? html`<li class="quiet">not used: ${mapping.not_used.join(", ")}</li>` : null}</ul>
+      ${mapping.not_used.map((/** @type {any} */ n) => html`<li class="quiet">not used: ${n.source} (${n.why})</li>`)}</ul>
     <h3>The shaft</h3>
     <div class="orders"><label>looks like that of <select value=${layoutOf.value} onChange=${(/** @type {any} */ e) => { layoutOf.value = value(e); if (value(e) === WRITTEN && !layoutText.value) layoutText.value = LAYOUT; }}>
         <option value="" selected=${!layoutOf.value}>${mapping.rig ? "what was dropped" : "choose"}</option><option value=${WRITTEN} selected=${layoutOf.value === WRITTEN}>${WRITTEN}</option>

@@ -26,7 +26,7 @@ from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import EXACT, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
-from needle_rig.workbench.estimation.unseen import unseen_sentences
+from needle_rig.workbench.estimation.unseen import unseen_names, unseen_sentences
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.earlier_path import with_known_paths
@@ -160,7 +160,7 @@ def fit_baseline(
         first = refitted(problem, first)
     fine_m = current.element_length_m
     problem, final = with_discretisation_error(problem, first, dataset.trials, fine_m)
-    notes += unseen_sentences(problem, final)
+    notes += unseen_sentences(unseen_names(problem, final))
     return Baseline(dataset, problem, final, cross_validate(problem, final), tuple(notes), fine_m)
 
 

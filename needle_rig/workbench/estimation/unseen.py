@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
@@ -10,15 +12,19 @@ from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 
 
-def unseen_sentences(problem: Problem, found: Fit) -> list[str]:
-    """A sentence on the shared parameters that all readings together see less than `UNSEEN`.
+def unseen_names(problem: Problem, found: Fit) -> list[str]:
+    """The shared parameters that all readings together see less than `UNSEEN`, as files call them.
 
     Parameters are told in e-folds or typical sizes: the readings would know one to 30 of them at best.
     """
     names = (FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in found.parameters))
     linear = LinearisedFit.of(problem, found)
     seen = np.sum([information.diagonal() for information in linear.information], axis=0)
-    unseen = [name for name, value in zip(names, seen, strict=False) if value < UNSEEN]
+    return [name for name, value in zip(names, seen, strict=False) if value < UNSEEN]
+
+
+def unseen_sentences(unseen: Sequence[str]) -> list[str]:
+    """A sentence on the parameters that no reading sees; none where each is seen."""
     if not unseen:
         return []
     return [

@@ -113,6 +113,8 @@ def _range(problem: Problem, law: Law) -> tuple[float, float]:
         ends = (0.0, layout.needle_length_m) if law.place == "rigidity" else (sections[0][0], sections[-1][1])
         return float(ends[0]), float(ends[1])
     values = seen(problem, law)
+    if not values.size:  # of a channel that was not recorded
+        return 0.0, 0.0
     return float(values.min()), float(values.max())
 
 

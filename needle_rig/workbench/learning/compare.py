@@ -23,6 +23,7 @@ from needle_rig.workbench.estimation.file_units import known_of, values_by_name,
 from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import shared_names
+from needle_rig.workbench.estimation.unseen import unseen_names
 from needle_rig.workbench.learning.misfit import Misfit, finite, misfit
 from needle_rig.workbench.learning.steps import numbered
 from needle_rig.workbench.selection.answer import Say, left_out_error
@@ -86,13 +87,18 @@ class TraceComparison:
     def headline(self) -> tuple[str, str]:
         """The dataset's name, and what is said of it."""
         model = self.baseline.problem.base.name
-        refit = (
-            f"error on commands left out {left_out_error(self.held_out_error)} × the noise,"
-            f" reduced χ² {self.refit.reduced_chi2:.2f}"
+        left_out = (
+            f"error on commands left out {left_out_error(self.held_out_error)} × the noise"
+            if np.isfinite(self.held_out_error)
+            else "no error on commands left out, as the fit could not be repeated without one"
         )
+        refit = f"{left_out}, reduced χ² {self.refit.reduced_chi2:.2f}"
         if self.held is None:
             fitted = "its two constants are fitted" if model == NULL else "its values are fitted"
-            if fixed := self.baseline.problem.fixed:
+            fixed = [v.name for v in self.values.each if v.refit_uncertainty is None or not v.seen]
+            if len(fixed) == len(self.values.each):
+                fitted = "none of its values is fitted"
+            elif fixed:
                 fitted += f" but for {', '.join(fixed)}"
             return self.baseline.dataset.name, f"against the model {model} ({fitted}): {refit}"
         but = f" but for {', '.join(self.free)}, fitted" if self.free else ""
@@ -265,7 +271,9 @@ def compared(
         at = vector_of(found.parameters, saved.model)
         known = known_of(found.parameters, saved, Gaussian(at, np.zeros((at.size, at.size))))
         column = _held(baseline, saved, free, known, names)
-    values = compared_values(found.parameters, refit, known, problem.fixed, found.pull_rigidity)
+    pull = found.pull_rigidity if baseline.dataset.needle.rigidity_is_known else None
+    unseen = unseen_names(problem, found)
+    values = compared_values(found.parameters, refit, known, problem.fixed, pull, unseen)
     learnt = saved is not None and problem.name in {entry.dataset for entry in saved.history}
     return TraceComparison(baseline, column, misfit(problem, found, names), values, free, learnt)
 

@@ -52,6 +52,7 @@ from needle_rig.workbench.selection.answer import Say
 from needle_rig.workbench.selection.values import CONTRADICTS
 
 SCATTER = "friction_scatter"
+RATIO = "friction_over_rigidity"
 DAMPING = "viscous_slip"
 CONFIDENCE = 0.95
 NARROWED = 0.5
@@ -112,7 +113,8 @@ class Identification:
     information: Information = field(repr=False)
     posterior: Gaussian = field(repr=False)
     estimates: tuple[Estimate, ...]
-    """Friction, torsional rigidity, damping, further parameters of the model, scatter of friction."""
+    """Friction, torsional rigidity, damping, further parameters of the model, the ratio of the first two
+    where angles alone give it, scatter of friction."""
     misfit: float
     """Root mean square of what the model leaves, in units of the noise: 1 is the floor."""
 
@@ -224,7 +226,9 @@ def _identified(
         raise Contradiction(_contradiction(baseline, saved, prior, alone, p))
     posterior = information.posterior(prior)
     narrowed = alone.deviations < NARROWED * stated.deviations
-    estimates = _estimates(baseline, posterior, narrowed)
+    angles_alone = not any(t.torque_ok.any() for t in baseline.dataset.trials)
+    ratio_known = angles_alone and _log_ratio(alone)[1] < NARROWED * _log_ratio(stated)[1]
+    estimates = _estimates(baseline, posterior, narrowed, ratio_known)
     size = baseline.problem.size
     return Identification(
         baseline, information, posterior, estimates, float(np.sqrt(baseline.current.chi2 / max(size, 1)))
@@ -261,7 +265,7 @@ def _contradiction(baseline: Baseline, saved: SavedModel, prior: Gaussian, alone
 
 
 def _estimates(
-    baseline: Baseline, posterior: Gaussian, narrowed: npt.NDArray[np.bool_]
+    baseline: Baseline, posterior: Gaussian, narrowed: npt.NDArray[np.bool_], ratio_known: bool
 ) -> tuple[Estimate, ...]:
     current, layout = baseline.current, baseline.dataset.layout
     parameters = current.parameters
@@ -288,8 +292,24 @@ def _estimates(
             low, high = sorted((float(ends[0][i]), float(ends[1][i])))
             found.append(Estimate(name, unit, float(values[i]), float(sizes[i]), (low, high)))
         else:
-            found.append(Estimate(name, unit, None, None, None, _experiment(name, baseline)))
+            found.append(Estimate(name, unit, None, None, None, _experiment(name, baseline, ratio_known)))
+    if ratio_known and layout.tissue_sections_m:
+        # by their logarithms: the product of two numbers, of which the recording tells neither
+        log, size = _log_ratio(posterior)
+        low, value, high = np.exp(log + size * reach[0] * np.array([-1.0, 0.0, 1.0])) * (
+            values[0] / values[1] / np.exp(at[0] - at[1])
+        )
+        found.append(
+            Estimate(RATIO, "rad/mm per 100 mm", float(value), float(size * value), (float(low), float(high)))
+        )
     return (*found, _scatter(baseline, dof))
+
+
+def _log_ratio(of: Gaussian) -> tuple[float, float]:
+    """Logarithm of friction over torsional rigidity, and its standard deviation."""
+    covariance = of.covariance
+    variance = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
+    return float(of.mean[0] - of.mean[1]), float(np.sqrt(max(variance, 0.0)))
 
 
 def _scatter(baseline: Baseline, dof: float) -> Estimate:
@@ -311,19 +331,29 @@ def _scatter(baseline: Baseline, dof: float) -> Estimate:
     return Estimate(SCATTER, "%", 100 * value, 100 * value / float(np.sqrt(2 * dof)), (100 * low, 100 * high))
 
 
-def _experiment(name: str, baseline: Baseline) -> str:
+def _experiment(name: str, baseline: Baseline, ratio_known: bool) -> str:
     """What would give a parameter that the recording does not narrow."""
     torque = any(t.torque_ok.any() for t in baseline.dataset.trials)
     angle = any(t.hall_ok.any() for t in baseline.dataset.trials)
     if name in (FRICTION, TORSIONAL_RIGIDITY) and not torque:
-        return "angles alone give its ratio to the other of the two: record the base torque beside them"
+        if ratio_known:
+            return f"angles alone give {RATIO}: record the base torque beside them"
+        return "turn the base until the needle slips below a sensor, and record the base torque beside it"
     if name == TORSIONAL_RIGIDITY and not angle:
         return (
             "record an angle beyond the first tissue beside the torque, or clamp the tip and turn the base by"
             " 90° (rig: tip: clamped)"
         )
     if name == TORSIONAL_RIGIDITY:
-        return "it is stated more precisely than this recording tells: clamp the tip and turn the base by 90°"
+        if baseline.dataset.needle.rigidity_is_known:
+            return (
+                "it is stated more precisely than this recording tells: clamp the tip and turn the base by"
+                " 90°"
+            )
+        return (
+            "the shaft twists too little beside the noise: wind it farther, or clamp the tip and turn the"
+            " base by 90° (rig: tip: clamped)"
+        )
     if name == FRICTION:
         return "turn the base until the torque no longer rises, one way and back"
     if name.startswith(DAMPING):

@@ -99,7 +99,9 @@ def _channels(
             squares += float((left[c, use] ** 2 * weight).sum())
             expected += float(((np.diag(matrix) + (spread[c, use] ** 2).sum(axis=1)) * weight).sum())
             count += float(weight.sum())
-        rmse, noise = (factor * np.sqrt(s / max(count, 1.0)) for s in (squares, expected))
+        if not count:
+            continue  # not recorded, or no reading of it can be compared
+        rmse, noise = (factor * np.sqrt(s / count) for s in (squares, expected))
         phases: dict[str, dict[str, dict[str, float]]] = {}
         for p in places:
             if p.channel == name:

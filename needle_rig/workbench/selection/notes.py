@@ -26,7 +26,8 @@ def contrived(search: SearchTrace, named: list[str], assumed_noise: bool) -> lis
     why = f"with values outside what is plausible ({said})" if odd else "beside noise that nothing else shows"
     before = search.root_validation.error
     after = math.inf if validation is None else validation.error
-    held_out = f" (on commands left out {before:.3g} → {after:.3g} × the noise)" if after < math.inf else ""
+    known = max(before, after) < math.inf
+    held_out = f" (on commands left out {before:.3g} → {after:.3g} × the noise)" if known else ""
     return [
         f"{', '.join(named[:-1])} and {named[-1]} together come nearer the data{held_out}, but {why}: they"
         " describe what is missing, they are not named for it."
@@ -67,10 +68,12 @@ def not_refitted(search: SearchTrace, named: list[str]) -> list[str]:
 
 def partial(named: list[str], share: float, validation: CrossValidation) -> list[str]:
     """That effects leave more than the noise; `share` of the error is removed by them."""
-    return [
-        f"{' with '.join(named)} removes {100 * share:.1f} % of the error and leaves"
-        f" {validation.error:.2f} × the noise on commands left out: not the whole truth."
-    ]
+    left = (
+        f" and leaves {validation.error:.2f} × the noise on commands left out"
+        if math.isfinite(validation.error)
+        else ""
+    )
+    return [f"{' with '.join(named)} removes {100 * share:.1f} % of the error{left}: not the whole truth."]
 
 
 def constrained_means(found: Fit) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri, stdtr
 
+from needle_rig.dataset.records import UNKNOWN_SIGMA
 from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit
@@ -146,7 +147,10 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
     columns, names = _whitened_functions(problem, readings, sensors)
     lengths = np.sqrt((columns**2).sum(0))
     projected = np.column_stack([project(columns), project.rigidity()])
-    names.append((NEEDLE, f"is {'stiffer' if found.pull_rigidity > 0 else 'softer'} in torsion than stated"))
+    stated = "stated" if problem.rigidity_prior < UNKNOWN_SIGMA else "assumed"
+    names.append(
+        (NEEDLE, f"is {'stiffer' if found.pull_rigidity > 0 else 'softer'} in torsion than {stated}")
+    )
     lengths = np.r_[lengths, 1.0]
     seen_lengths = np.sqrt((projected**2).sum(0))
     usable = testable(seen_lengths, lengths)

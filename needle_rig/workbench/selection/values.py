@@ -44,12 +44,19 @@ class ComparedValue:
     """The refit less the model, in standard deviations of the difference."""
     pull_sigma: float | None = None
     """The refit less what the dataset states, in standard deviations of the latter."""
+    seen: bool = True
+    """Whether a reading depends on it: else the fit left it where it began."""
 
     def sentence(self) -> str:
         """In words."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.refit_uncertainty is None:
             return f"fixed: {self.name} = {self.refit:.6g}{unit}"
+        if not self.seen:
+            return (
+                f"not fitted: {self.name} = {self.refit:.6g}{unit}, where the fit began: no reading depends"
+                " on it"
+            )
         fitted = f"{with_uncertainty(self.refit, self.refit_uncertainty)}{unit}"
         pull = "" if self.pull_sigma is None else f" ({self.pull_sigma:+.1f}σ from what is stated)"
         if self.model is None or self.sigmas is None:
@@ -126,11 +133,13 @@ def compared_values(
     refit: Gaussian,
     model: Gaussian | None,
     fixed: Collection[str],
-    pull_rigidity: float,
+    pull_rigidity: float | None,
+    unseen: Collection[str] = (),
 ) -> ComparedValues:
     """Values of the shared parameters (p,) of a refit beside those of the model, by name in the order of x.
 
     A model's value without an uncertainty is taken as it stands: the distance then is in those of the refit.
+    `pull_rigidity` is None where no rigidity is stated; no reading depends on those `unseen`.
     """
     names, units = shared_names(parameters), shared_units(parameters)
     at, deviations = _told(parameters, refit)
@@ -155,6 +164,7 @@ def compared_values(
                 None if known is None else float(known[1][i]) or None,
                 float(distances[i]) if known is not None and free else None,
                 pull_rigidity if i == 1 and model is None else None,
+                name not in unseen,
             )
         )
     moving = [i for i, name in enumerate(names) if name not in fixed and size[i] > 0.0]

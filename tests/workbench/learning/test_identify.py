@@ -17,7 +17,8 @@ from needle_rig.physics.rod import Layout
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.adopt import undo
-from needle_rig.workbench.learning.identify import Contradiction, Identification, identify, update
+from needle_rig.workbench.learning.compare import compare
+from needle_rig.workbench.learning.identify import RATIO, Contradiction, Identification, identify, update
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import effect
@@ -125,6 +126,50 @@ def test_angles_alone_give_neither_friction_nor_rigidity_of_a_needle_of_unknown_
     assert estimates[FRICTION].value is None
     assert estimates[RIGIDITY].value is None
     assert "record the base torque" in estimates[RIGIDITY].sentence()
+
+
+def test_angles_alone_give_the_ratio_that_is_spoken_of() -> None:
+    data = without(recording(4), torque=True)
+    stated = load_parameters("rig_rigid").replaced({FRICTION: 0.1}).values()
+    for sigma in (0.02, 1.5):
+        needle = dataclasses.replace(data.needle, rigidity_sigma=sigma)
+        estimates = {e.name: e for e in found(dataclasses.replace(data, needle=needle)).estimates}
+        assert RATIO in estimates[RIGIDITY].sentence()
+        low, high = estimates[RATIO].interval or (np.nan, np.nan)
+        assert low <= stated[FRICTION] / stated[RIGIDITY] <= high
+    assert RATIO not in of(series()[1])
+
+
+def tip_that_stands() -> Dataset:
+    """Angles at the last sensor alone, which the base turns too little to move."""
+    data = without(recording(4, Protocol("little", (compensation(2.0),))), torque=True)
+    tip = np.arange(len(data.sensor_names)) == len(data.sensor_names) - 1
+    trials = tuple(dataclasses.replace(t, hall_rad=np.where(tip, t.hall_rad, np.nan)) for t in data.trials)
+    return dataclasses.replace(data, trials=trials)
+
+
+def test_a_ratio_that_no_angle_tells_is_not_spoken_of() -> None:
+    said = "\n".join(found(tip_that_stands()).sentences())
+    assert RATIO not in said
+    assert "until the needle slips below a sensor" in said
+
+
+def test_what_no_reading_depends_on_is_not_called_fitted_and_what_is_not_there_has_no_row() -> None:
+    compared = compare(tip_that_stands(), find_effects())
+    said = "\n".join((*compared.headline(), *compared.sentences()))
+    assert f"not fitted: {FRICTION}" in said
+    assert f"not fitted: {RIGIDITY}" in said
+    assert "(none of its values is fitted)" in said
+    assert [row[0] for row in compared.rows()[1]] == list(compared.channels) == ["hall_4"]
+
+
+def test_a_rigidity_that_is_unknown_is_not_said_to_be_stated() -> None:
+    data = without(recording(4), angles=False)
+    weak = [dataclasses.replace(t, hall_rad=t.hall_rad * np.nan) for t in data.trials]
+    for trials in (data.trials, tuple(weak)):
+        needle = dataclasses.replace(data.needle, rigidity_sigma=1.5)
+        identification = found(dataclasses.replace(data, needle=needle, trials=trials))
+        assert "stated" not in "\n".join(identification.sentences())
 
 
 def test_one_trial_tells_no_scatter() -> None:
