@@ -17,9 +17,9 @@ from needle_rig.physics.solution import Path, Sampled
 from needle_rig.physics.solver import in_reach, solve_series
 from needle_rig.workbench.observations.binning import BinnedTrial
 
-Key = tuple[tuple[Effect, ...], float, float, float, float, int]
-"""(effects that move the needle, torsional rigidity, friction, element length, factor on friction, identity
-of the trial)"""
+Key = tuple[tuple[Effect, ...], float, float, float, bytes, float, int]
+"""(effects in the needle, torsional rigidity, friction, element length, its held end's path where that is not
+the base's, factor on friction, identity of the trial)"""
 
 CACHE_ENTRIES = 1500
 
@@ -34,6 +34,9 @@ class Simulator:
     def __init__(self) -> None:
         self._kept: OrderedDict[Key, tuple[Trial, Sampled]] = OrderedDict()
         self._paths: OrderedDict[int, tuple[Trial, Path]] = OrderedDict()
+        self._held_paths: OrderedDict[tuple[tuple[Effect, ...], int], tuple[Trial, Path, bytes]] = (
+            OrderedDict()
+        )
 
     def __reduce__(self) -> tuple[type[Simulator], tuple[()]]:
         return Simulator, ()
@@ -99,7 +102,7 @@ class Simulator:
         if reached:
             _, *would = solve_series(
                 rod,
-                [self._held(model, drive) for drive in drives],
+                [self._held(model, drive)[0] for drive in drives],
                 friction_factors,
                 most_solves_per_sample=most_solves,
                 near=[(its_rod, others[k][1]) for k, its_rod in reached.items()],
@@ -112,14 +115,17 @@ class Simulator:
         self, model: NeedleModel, trials: Sequence[Trial], factors: Array, most_solves: float
     ) -> list[Sampled]:
         """What the needle does in trials of one model; those not kept are solved in one call a rod."""
-        moving = _moving(model)
-        keys = [(*moving, float(f), id(t)) for f, t in zip(factors, trials, strict=True)]
+        moving, held = _moving(model), [self._held(model, t) for t in trials]
+        keys = [
+            (*moving, of_path, float(f), id(t))
+            for (_, of_path), f, t in zip(held, factors, trials, strict=True)
+        ]
         new = list({key: k for k, key in enumerate(keys) if key not in self._kept}.values())
         of_rod: dict[int, tuple[Rod, list[int]]] = {}
         for k, rod in zip(new, model.rods([trials[k] for k in new]), strict=True):
             of_rod.setdefault(id(rod), (rod, []))[1].append(k)
         for rod, which in of_rod.values():
-            paths = [self._held(model, trials[k]) for k in which]
+            paths = [held[k][0] for k in which]
             (solved,) = solve_series(rod, paths, factors[which], most_solves_per_sample=most_solves)
             for k, sampled in zip(which, solved, strict=True):
                 self._kept[keys[k]] = trials[k], sampled
@@ -128,13 +134,26 @@ class Simulator:
             raise SolverError(f"{model.name}: the needle snaps through too many balances to follow")
         return found
 
-    def _held(self, model: NeedleModel, trial: Trial) -> Path:
-        """Path of the needle's held end."""
-        path = self._path(trial)
-        if not model.acting("drive"):
-            return path
-        base_rad, _ = model.held_path(trial)
-        return Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
+    def _held(self, model: NeedleModel, trial: Trial) -> tuple[Path, bytes]:
+        """Path of the needle's held end, and its bytes where it is not the base's.
+
+        Models that drive a trial alike share its solution, whatever else they say of other trials.
+        """
+        effects = model.acting("drive")
+        if not effects:
+            return self._path(trial), b""
+        kept = self._held_paths.get((effects, id(trial)))
+        if kept is None:
+            path, (base_rad, _) = self._path(trial), model.held_path(trial)
+            of_path = b""
+            if not np.array_equal(base_rad, path.base_rad):
+                path = Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
+                of_path = base_rad.tobytes()
+            kept = trial, path, of_path
+            self._held_paths[effects, id(trial)] = kept
+            if len(self._held_paths) > CACHE_ENTRIES:
+                self._held_paths.popitem(last=False)
+        return kept[1:]
 
     def _path(self, trial: Trial) -> Path:
         """A trial's path, checked once."""
@@ -166,10 +185,10 @@ def _one_rod(model: NeedleModel, trials: Sequence[Trial]) -> tuple[Rod, bool]:
 
 
 def _moving(model: NeedleModel) -> tuple[tuple[Effect, ...], float, float, float]:
-    """What moves the needle of a model."""
+    """What moves the needle of a model, but for the path of its held end."""
     moving = tuple(e for e in model.effects if _moves(e) and not e.is_off())
     return moving, model.torsional_rigidity_nm2, model.friction_n, model.element_length_m
 
 
 def _moves(effect: Effect) -> bool:
-    return any(effect.has(hook) for hook in ("shape", "torque", "drive"))
+    return any(effect.has(hook) for hook in ("shape", "torque"))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 
@@ -36,13 +40,19 @@ def _freedom(parent: Fit, child: Fit) -> int:
 def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
     """Šidák-adjusted p value of the likelihood-ratio test of a child against its parent.
 
-    Strengths at the boundary of their range halve p (Chernoff 1954).
+    Strengths at the boundary of their range halve p (Chernoff 1954). The best of m places has m chances.
     """
-    new = [a for a in child.parameters if a.effect not in parent.effects and not a.info.shapes]
+    added = [a for a in child.parameters if a.effect not in parent.effects]
     p = float(chdtrc(_freedom(parent, child), gain_of(parent, child)))
-    if all(a.one_sided for a in new):
+    if all(a.one_sided for a in added if not a.info.shapes):
         p *= 0.5
-    return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))
+    chances = library * math.exp(log_places(added))
+    return float(-np.expm1(chances * np.log1p(-min(p, 1 - 1e-16))))
+
+
+def log_places(parameters: Sequence[FreeParameter]) -> float:
+    """Logarithm of the number of combinations of places that were looked through."""
+    return float(sum(math.log(a.chances) for a in parameters))
 
 
 def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:
