@@ -199,6 +199,19 @@ class Problem:
         models = [self.model(parameters, vector)] * len(self.trials)
         return self.readings(models, every, np.exp(vector.trial_friction), most_solves)
 
+    def sketched(
+        self,
+        parameters: Sequence[FreeParameter],
+        vector: ParameterVector,
+        more: Sequence[FreeParameter],
+        others: Sequence[ParameterVector],
+    ) -> list[Array]:
+        """Bin means (C, K, V) of every trial at V vectors `others` with `more` parameters, roughly; see
+        `Simulator.sketched`."""
+        models = [self.model(more, other) for other in others]
+        factors = np.exp(vector.trial_friction)
+        return self.simulator.sketched(self.model(parameters, vector), models, self.trials, factors)
+
     def near(
         self,
         parameters: Sequence[FreeParameter],

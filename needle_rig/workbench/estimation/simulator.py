@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needle_rig.errors import SolverError
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
-from needle_rig.physics.effect import Effect, Trial
+from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solution import Path, Sampled
@@ -22,6 +22,8 @@ Key = tuple[tuple[Effect, ...], float, float, float, bytes, float, int]
 the base's, factor on friction, identity of the trial)"""
 
 CACHE_ENTRIES = 1500
+TURNING = 0.05
+"""Share of a path's largest step from which the base counts as turning: slopes over less are rounding."""
 
 
 class Simulator:
@@ -111,6 +113,41 @@ class Simulator:
                 found[k] = _means(others[k][0], trials, sampled)
         return found
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def sketched(
+        self,
+        near: NeedleModel,
+        models: Sequence[NeedleModel],
+        trials: Sequence[BinnedTrial],
+        friction_factors: Array,
+        most_solves: float = math.inf,
+    ) -> list[Array]:
+        """Bin means (C, K, models) in each trial, roughly where a model differs from `near` in the evenness
+        of its drive alone; NaN where a model cannot be solved.
+
+        What depends on no rate goes through the same states on a path that turns back where another does, a
+        little earlier or later (`_Carry`). Raises SolverError, BadInput for `near`.
+        """
+        found = []
+        for binned, factor in zip(trials, friction_factors, strict=True):
+            one = np.array([factor])
+            (known,) = self._solved(near, [binned.trial], one, most_solves)
+            carry = _Carry(self._held(near, binned.trial)[0], known)
+            shown = []
+            for model in models:
+                sampled = None
+                if _moving(model) == _moving(near):
+                    sampled = carry.to(model.held_path(binned.trial)[0])
+                try:
+                    if sampled is None:
+                        (sampled,) = self._solved(model, [binned.trial], one, most_solves)
+                    seen = model.observed(binned.trial, sampled)
+                except (SolverError, BadInput):
+                    seen = Reading(binned.trial, known.torque_nm * np.nan, known.sensor_rad * np.nan)
+                shown.append(np.vstack([seen.torque_nm[None, :], seen.hall_rad.T]))
+            found.append(binned.averaged_all(np.stack(shown, axis=-1)))
+        return found
+
     def _solved(
         self, model: NeedleModel, trials: Sequence[Trial], factors: Array, most_solves: float
     ) -> list[Sampled]:
@@ -176,6 +213,51 @@ def _means(model: NeedleModel, trials: Sequence[BinnedTrial], solved: Sequence[S
             torque_nm, hall_rad = seen.torque_nm, seen.hall_rad
         found.append(binned.averaged(np.vstack([torque_nm[None, :], hall_rad.T])))
     return found
+
+
+class _Carry:
+    """What is read on a path, carried over to paths that turn back where it does.
+
+    On a way without turning back, what is read is that of the turning point before and a function of the way
+    since: y = y_r + g(θ − θ_r). A change of the path moves it by δy_r + g′ (δ − δ_r).
+    """
+
+    def __init__(self, path: Path, sampled: Sampled) -> None:
+        self._path, self._sampled = path, sampled
+        self._step_rad = np.diff(path.base_rad, prepend=0.0)  # a needle begins relaxed at 0
+        size = np.abs(self._step_rad)
+        turning = np.flatnonzero(size > TURNING * size.max(initial=0.0))
+        self._ways: list[tuple[slice, int]] = []
+        """Samples of each way, and the last at which the base still turned."""
+        if turning.size:
+            back = np.flatnonzero(np.diff(np.sign(self._step_rad[turning])))
+            edges = [0, *turning[back + 1].tolist(), size.size]
+            ends = [*turning[back].tolist(), int(turning[-1])]
+            self._ways = [(slice(a, b), end) for a, b, end in zip(edges[:-1], edges[1:], ends, strict=True)]
+            # at rest the needle stays where the last turn left it
+            places = np.searchsorted(turning, np.arange(size.size), side="right") - 1
+            last = turning[np.maximum(places, 0)]
+            read = np.column_stack([sampled.torque_nm, sampled.sensor_rad])
+            self._slopes = np.diff(read, axis=0, prepend=0.0)[last] / self._step_rad[last, None]
+
+    def to(self, base_rad: Array) -> Sampled | None:
+        """What is read on the path `base_rad` (samples,); None where it turns otherwise: where a step differs
+        by more than itself."""
+        moved_rad = base_rad - self._path.base_rad
+        if not moved_rad.any():
+            return self._sampled
+        differs = np.abs(np.diff(moved_rad, prepend=0.0)) > np.abs(self._step_rad)
+        if not self._ways or differs.any():
+            return None
+        changed, moved_there_rad, change_there = np.empty_like(self._slopes), 0.0, np.zeros(1)
+        for way, end in self._ways:
+            changed[way] = change_there + self._slopes[way] * (moved_rad[way, None] - moved_there_rad)
+            moved_there_rad, change_there = float(moved_rad[end]), changed[end]
+        return Sampled(
+            self._sampled.torque_nm + changed[:, 0],
+            self._sampled.sensor_rad + changed[:, 1:],
+            self._sampled.solves,
+        )
 
 
 def _one_rod(model: NeedleModel, trials: Sequence[Trial]) -> tuple[Rod, bool]:

@@ -21,6 +21,7 @@ from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import log_places
+from needle_rig.workbench.selection.places import look_through
 from needle_rig.workbench.selection.screening import Screening, Start, beside, screen
 
 HALF_AS_GOOD = 0.5
@@ -74,7 +75,8 @@ def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
     """Fit `effect` on top of `parent` from its best starts, unless screening promises less than `worth`."""
-    ahead = screen(problem, parent, effect, worth)
+    placed = problem.library[effect].is_placed()
+    ahead = look_through(problem, parent, effect) if placed else screen(problem, parent, effect, worth)
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     return _fitted(problem, parent, ahead, [*more, *_worth_fitting(ahead)])

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +22,6 @@ from needle_rig.workbench.estimation.parameters import FreeParameter, against_me
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.evidence import log_places
 
 FORM_STEPS = (-0.6, 0.6)
 """Form parameters that are tried beside the typical one on a logarithmic scale: factors of 4."""
@@ -39,9 +37,6 @@ JOINT_SHARE = 0.8
 """Share of the gain of several signatures together that is expected."""
 RIDGE = 0.01
 """Ridge of the fit of several signatures together, against collinear ones."""
-PLACES_SURE = 0.95
-"""Share of the places at which the strength is known as well as is said: nobody sees a slip in the last
-instant."""
 MOST_STARTS = 4
 """Distinct starts of an effect that are kept."""
 APART, APART_SHARE = 0.3, 0.5
@@ -101,44 +96,6 @@ def forms(parameters: Sequence[FreeParameter]) -> list[Array]:
         every[round(i * (len(every) - 1) / (POLICY.screening.forms - 1))]
         for i in range(POLICY.screening.forms)
     ]
-
-
-@dataclass(frozen=True)
-class Place:
-    """What a value of what a fit holds promises, the strengths fitted together along their signatures."""
-
-    start: Start
-    error: float
-    """Standard deviation of the strength that is known least, scaled."""
-
-
-def looked_through(added: Sequence[FreeParameter], place_at: Callable[[Array], Place | None]) -> list[Place]:
-    """The places of what a fit holds, best first; none where it holds nothing.
-
-    `place_at` is asked with a form, scaled values (k,). Of more than `screening.places` an even choice of
-    each row is looked at, then those between the neighbours of the best.
-    """
-    held = next((i for i, a in enumerate(added) if a.places), None)
-    if held is None:
-        return []
-    rows = added[held].places
-    seen: dict[tuple[int, int], Place] = {}
-    step = math.ceil(added[held].chances / POLICY.screening.places)
-    near = [(r, k) for r, row in enumerate(rows) for k in range(min(step, len(row)) // 2, len(row), step)]
-    while True:
-        for r, k in near:
-            form = np.zeros(len(added))
-            form[held] = added[held].scaled_value(rows[r][k])
-            found = place_at(form) if (r, k) not in seen else None
-            if found is not None:
-                seen[r, k] = found
-        ranked = sorted(seen, key=lambda key: (-seen[key].start.gain, key))
-        if step == 1 or not ranked:
-            return [seen[key] for key in ranked]
-        row, best = ranked[0]
-        first, end = max(0, best - step + 1), min(len(rows[row]), best + step)
-        step = math.ceil((end - first) / POLICY.screening.places_near)
-        near = [(row, k) for k in range(first, end, step)]
 
 
 def out_of_reach(gain: float, asked: float) -> bool:
@@ -207,28 +164,8 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
                         )
         return signatures
 
-    def place_at(form: Array) -> Place | None:
-        strength, columns = POLICY.screening.strengths[1], []
-        for i in itertools.chain(*groups):
-            scaled_values = form.copy()
-            low, high = added[i].bounds
-            scaled_values[i] = np.clip(strength if high > 0 else -strength, low, high)
-            change = signature(problem, parent, parameters, scaled_values)
-            if change is None:
-                return None
-            columns.append(project(*change) / scaled_values[i])
-        matrix = np.column_stack(columns)
-        best, gain = _together(matrix, residual)
-        scaled_values = form.copy()
-        for i, amount in zip(itertools.chain(*groups), best, strict=True):
-            scaled_values[i] = np.clip(amount, *added[i].bounds)
-        size = float(np.sqrt((matrix**2).sum(axis=0)).min())
-        return Place(Start(scaled_values, JOINT_SHARE * gain), 1.0 / size if size > 0 else np.inf)
-
-    looked = looked_through(added, place_at)
-    tried_forms = [_form_of(added, place.start) for place in looked[:1]] or forms(added)
     seen: list[tuple[float, int, Array, list[tuple[Array, Array]]]] = []
-    for place, form in enumerate(tried_forms):
+    for place, form in enumerate(forms(added)):
         begun = len(starts)
         signatures = tried(
             form, POLICY.screening.strengths if place == 0 else POLICY.screening.strengths[1:2]
@@ -243,11 +180,6 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
             signatures += tried(form, (POLICY.screening.strengths[0], *POLICY.screening.strengths[2:]))
         if len(groups) > 1 and signatures:
             starts += _joint(added, groups, signatures, residual, form)
-    if looked:
-        chances = 2.0 * log_places(added)
-        starts += [place.start for place in looked[:MOST_STARTS]]
-        starts = [Start(s.scaled_values, s.gain - chances) for s in starts if s.gain > chances]
-        error = float(np.quantile([place.error for place in looked], PLACES_SURE))
     starts.sort(key=lambda s: -s.gain)
     kept: list[Start] = []
     for start in starts:
@@ -256,13 +188,7 @@ def screen(problem: Problem, parent: Fit, effect: str, worth: float = -1.0) -> S
         if len(kept) == MOST_STARTS:
             break
     gain = max(0.0, kept[0].gain) if kept else 0.0
-    whole = len(seen) == len(tried_forms)
-    return Screening(effect, gain, tuple(kept), error, estimate, whole, nonlinearity)
-
-
-def _form_of(added: Sequence[FreeParameter], start: Start) -> Array:
-    """The form in a start's scaled values (k,): its strengths at 0."""
-    return np.where([a.info.shapes for a in added], start.scaled_values, 0.0)
+    return Screening(effect, gain, tuple(kept), error, estimate, len(seen) == len(forms(added)), nonlinearity)
 
 
 def _nonlinearity(groups: list[list[int]], signatures: list[tuple[Array, Array]]) -> float:
@@ -305,7 +231,7 @@ def _joint(
                 places.append(group)
         if not columns:
             continue
-        best, gain = _together(np.column_stack(columns), residual)
+        best, gain = together(np.column_stack(columns), residual)
         scaled_values = form.copy()
         for amount, group in zip(best, places, strict=True):
             for i in group:
@@ -314,7 +240,7 @@ def _joint(
     return found
 
 
-def _together(matrix: Array, residual: Array) -> tuple[Array, float]:
+def together(matrix: Array, residual: Array) -> tuple[Array, float]:
     """(amounts (m,), gain) of signatures (n, m) fitted together to what is missed (n,)."""
     ridge = np.sqrt(RIDGE) * np.eye(matrix.shape[1])
     padded = np.r_[residual, np.zeros(matrix.shape[1])]

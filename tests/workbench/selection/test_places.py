@@ -12,10 +12,12 @@ import pytest
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.solver import solve_series
 from needle_rig.workbench.estimation import simulator
+from needle_rig.workbench.estimation.problem import ParameterVector
 from needle_rig.workbench.selection.candidates import score
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import adjusted_p
-from needle_rig.workbench.selection.screening import screen, signature
+from needle_rig.workbench.selection.places import look_through
+from needle_rig.workbench.selection.screening import signature
 from tests.workbench.hidden import FEW, dataset, effect, few, fit, null_fit, try_effect
 
 PLACED = ("coupling_slip", "transmission_error", "torque_ripple")
@@ -67,7 +69,7 @@ def test_the_place_is_found_and_fitted(hidden: Effect, place: float | None) -> N
 def test_without_any_no_place_is_worth_a_fit() -> None:
     baseline = null_fit(library=(*FEW, *PLACED))
     for name in PLACED:
-        ahead = screen(baseline.problem, baseline.current, name)
+        ahead = look_through(baseline.problem, baseline.current, name)
         assert (ahead.gain, ahead.starts) == (0.0, ())
         assert 0.0 < ahead.error < np.inf
 
@@ -103,6 +105,37 @@ def test_trials_that_an_event_leaves_alone_are_not_solved_again(monkeypatch: pyt
         assert signature(problem, current, added, values) is not None
         assert solved == new
         solved.clear()
+
+
+def test_an_uneven_drive_is_sketched_to_a_quarter_without_a_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the solver, the turning points alone are half of it; a slip is solved."""
+    baseline = null_fit(library=PLACED)
+    problem, current = baseline.problem, baseline.current
+    before = problem.predict(current.parameters, current.vector)
+    solved: list[int] = []
+
+    def counted(rod: Any, paths: Any, *given: Any, **named: Any) -> Any:
+        solved.append(len(paths))
+        return solve_series(rod, paths, *given, **named)
+
+    monkeypatch.setattr(simulator, "solve_series", counted)
+
+    def vector(name: str, *scaled_values: float) -> ParameterVector:
+        return dataclasses.replace(current.vector, scaled_values=np.array(scaled_values))
+
+    for name, scaled_values in (("transmission_error", (0.1, 0.0, 1.0)), ("coupling_slip", (0.5, 0.0, 0.0))):
+        added = problem.parameters([name])
+        at = vector(name, *scaled_values[: len(added)])
+        if name == "coupling_slip":
+            at.scaled_values[1] = added[1].scaled_value(slipped(2, 1.13).at_s)  # type: ignore[attr-defined]
+        solved.clear()
+        sketched = problem.sketched(current.parameters, current.vector, added, [at])
+        assert solved == [1] * (name == "coupling_slip")
+        exact = problem.predict(added, at)
+        change = np.concatenate([(e - b).ravel() for e, b in zip(exact, before, strict=True)])
+        missed = np.concatenate([(s[:, :, 0] - e).ravel() for s, e in zip(sketched, exact, strict=True)])
+        assert np.linalg.norm(change) > 0.0
+        assert np.linalg.norm(missed) < 0.25 * np.linalg.norm(change)
 
 
 @pytest.mark.whole

@@ -26,6 +26,7 @@ from needle_rig.workbench.selection.decisions import _decision
 from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.notes import contrived
+from needle_rig.workbench.selection.places import Place, looked_through
 from needle_rig.workbench.selection.residual_patterns import (
     Pattern,
     ResidualPatterns,
@@ -34,11 +35,9 @@ from needle_rig.workbench.selection.residual_patterns import (
 )
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 from needle_rig.workbench.selection.screening import (
-    Place,
     Screening,
     Start,
     forms,
-    looked_through,
     out_of_reach,
     screen,
 )
@@ -351,14 +350,16 @@ def test_of_many_places_an_even_choice_is_looked_at_then_those_near_the_best(
         few("torque_bias")["torque_bias"].parameters()["bias_nmm"], shapes=True, places=lambda _: rows
     )
     placed = FreeParameter("x", "at", None, info, tuple(map(tuple, rows)))
-    best, seen = rows[len(rows) // 3][len(rows[0]) // 3], []
+    best = rows[len(rows) // 3][len(rows[0]) // 3]
+    seen: list[float] = []
 
-    def place_at(form: np.ndarray) -> Place:
-        seen.append(form[0])
-        return Place(Start(form, -abs(form[0] - placed.scaled_value(best))), 1.0)
+    def seen_at(forms: Any) -> list[Place]:
+        seen.extend(form[0] for form in forms)
+        return [Place(Start(form, -abs(form[0] - placed.scaled_value(best))), 1.0) for form in forms]
 
-    looked = looked_through([placed], place_at)
-    assert looked[0].start.scaled_values[0] == placed.scaled_value(best)
+    looked = looked_through([placed], seen_at)
+    first = next(iter(looked.values()))
+    assert first.start.scaled_values[0] == placed.scaled_value(best)
     assert len(seen) == len(set(seen)) == len(looked)
     assert abs(len(seen) - asked) <= 2
 
