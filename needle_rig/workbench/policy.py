@@ -398,6 +398,12 @@ class VerdictPolicy:
         "a hundredth of `evidence.significance`, for a library of about 30",
         _RULES,
     )
+    odd_trial: float = _threshold(
+        1e-3,
+        "p, over all trials, of one that differs from all others: its answer is told without it",
+        "one false in a thousand, as of a residual pattern",
+        "selection/test_odd_trial.py",
+    )
     testable_share: float = _threshold(
         0.02,
         "share of a pattern that projection must leave for it to be tested: less is rounding and curvature",

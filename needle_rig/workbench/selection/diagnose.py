@@ -37,6 +37,7 @@ from needle_rig.workbench.selection.notes import (
     of_no_use,
     partial,
 )
+from needle_rig.workbench.selection.odd_trial import odd_trial, without
 from needle_rig.workbench.selection.ranking import order, rank
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
@@ -167,6 +168,17 @@ def diagnose(
             if key in trace.fits:
                 trace = dataclasses.replace(trace, best=key)
         found = concluded(baseline, trace)
+        odd = odd_trial(*found.concluded[:2]) if found.verdict == "unknown" else None
+        if odd is not None and odd.repeated and starts is None:
+            say(f"trying every effect again, without {odd.file}")
+            others = fit_baseline(without(dataset, odd), model, library)
+            others, rest = competed(others, None)
+            anew = concluded(others, rest)
+            if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
+                found = dataclasses.replace(anew, notes=(odd.sentence(left_out=True), *anew.notes))
+                odd = None
+        if odd is not None:
+            found = dataclasses.replace(found, notes=(odd.sentence(left_out=False), *found.notes))
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
 
 
