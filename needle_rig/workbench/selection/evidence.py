@@ -14,19 +14,24 @@ from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
 
+TINY = 1e-12
+"""Sum of squares of logarithms of friction that is none."""
+
 
 def gain_of(parent: Fit, child: Fit) -> float:
     """Fall of −2 log posterior from a parent to its child, as χ² of the directions gained.
 
     The part that a smaller scatter of the random effects brings counts as in an F test on the trials alone:
-    over a few chance makes a trend, and how much friction scatters is not known before.
+    over a few chance makes a trend, and how much friction scatters is not known before. So the prior scatter,
+    which is worth some trials, is in neither of the two sums of squares.
     """
     gain = max(parent.objective - child.objective, 0.0)
     freedom = _freedom(parent, child)
     steadier = 2.0 * parent.scatter_dof * float(np.log(parent.scatter / child.scatter))
     if steadier > 0.0:
         left = parent.scatter_dof - POLICY.noise.scatter_dof - 1.0 - freedom
-        ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
+        before, after = (float((f.vector.trial_friction**2).sum()) for f in (parent, child))
+        ratio = max(before - after, 0.0) / max(after, TINY) * left / freedom
         worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300))) if left > 0 else 0.0
         gain = max(gain - steadier + min(worth, steadier), 0.0)
     return gain
