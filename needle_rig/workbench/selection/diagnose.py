@@ -23,6 +23,7 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
