@@ -108,10 +108,11 @@ def _parameter(field: str, info: ParameterInfo) -> JsonObject:
     from dataclasses import asdict
     from math import isfinite
 
-    # JSON has no infinity
+    # JSON has no infinity, and no function: which places are tried hangs on the series
+    told = asdict(info) | {"places": info.places is not None}
     return {"name": field} | {
         key: value if not isinstance(value, float) or isfinite(value) else str(value)
-        for key, value in asdict(info).items()
+        for key, value in told.items()
     }
 
 

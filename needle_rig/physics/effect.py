@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -51,6 +51,10 @@ class ParameterInfo:
     """`sensor` and `section`: a tuple with one value for each; a single number serves for all."""
     shapes: bool = False
     """A second parameter that only gives form (a relaxation time): it has no off value of its own."""
+
+    places: Callable[[Sequence[Trial]], Sequence[Sequence[float]]] | None = None
+    """Values to try of a form that no slope finds (an instant, an integer order), from the trials of a series
+    in their order: rows of neighbours that look alike. A fit holds the one that it is given."""
 
     relative: bool = False
     """Factors against their mean, which a fit holds at off: what all items share is held by a parameter that
@@ -230,6 +234,11 @@ class Effect:
     def has(cls, hook: str) -> bool:
         """Whether this effect defines `hook` itself."""
         return getattr(cls, hook) is not getattr(Effect, hook)
+
+    @classmethod
+    def is_placed(cls) -> bool:
+        """Whether one of its parameters is a place that is looked for (`ParameterInfo.places`)."""
+        return any(info.places is not None for info in cls.parameters().values())
 
     def is_off(self) -> bool:
         """Whether every parameter stands at its off value (forms, as relaxation times, do not count)."""

@@ -82,6 +82,8 @@ def _check(effect: type[Effect], path: Path) -> None:
         _check_name(field.name, info.unit, place)
     if all(field.metadata["info"].shapes for field in fields):
         raise BadInput(f"{place} has no parameter with an off value; one must not be `shapes`")
+    if sum(field.metadata["info"].places is not None for field in fields) > 1:
+        raise BadInput(f"{place} has several parameters with places; one at most can be tried")
     hooks = [hook for hook in HOOKS if effect.has(hook)]
     if not hooks:
         raise BadInput(f"{place} has none of the hooks {', '.join(HOOKS)}; define one")
@@ -121,5 +123,7 @@ def _check_info(info: ParameterInfo, place: str) -> None:
         raise BadInput(f"{place}: no unit; give it one (1 for a plain ratio)")
     if info.relative and (info.per == "one" or not 0.0 < info.off < math.inf):
         raise BadInput(f"{place}: relative is for factors, one per sensor or section, that are off at 1")
+    if info.places is not None and not (info.shapes and info.per == "one"):
+        raise BadInput(f"{place}: places are tried of a single number that gives form; add shapes=True")
     if not info.shapes and info.typical == info.off:
         raise BadInput(f"{place}: typical equals off ({info.off:g}); give the size that the effect has")

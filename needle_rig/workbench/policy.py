@@ -175,6 +175,16 @@ class ScreeningPolicy:
     )
     forms: int = _threshold(6, "values of form parameters that are tried at most", CHOSEN, _RULES)
     forms_in_full: int = _threshold(2, "forms that are tried at every strength", CHOSEN, _RULES)
+    places: int = _threshold(
+        64,
+        "values of what a fit holds (an instant, an order) that are tried, if there are more of them then"
+        " also those near the best",
+        "every order of a ripple, and each motion of a series of a dozen trials",
+        _RULES,
+    )
+    places_near: int = _threshold(
+        16, "values near the best that are tried at a time", "two passes resolve 64 · 16 / 2 places", _RULES
+    )
     in_full_up_to: float = _threshold(
         10.0,
         "gain asked (−2 log posterior) up to which every form is tried: chance alone may decide there",
@@ -387,6 +397,12 @@ class VerdictPolicy:
         "p of a trend in the trials' friction: an effect that tells of it is to be named first",
         "a hundredth of `evidence.significance`, for a library of about 30",
         _RULES,
+    )
+    odd_trial: float = _threshold(
+        1e-3,
+        "p, over all trials, of one that differs from all others: its answer is told without it",
+        "one false in a thousand, as of a residual pattern",
+        "selection/test_odd_trial.py",
     )
     testable_share: float = _threshold(
         0.02,

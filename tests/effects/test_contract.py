@@ -59,6 +59,9 @@ NAMES = [
     "hall_harmonics",
     "hall_crosstalk",
     "encoder_eccentricity",
+    "transmission_error",
+    "torque_ripple",
+    "coupling_slip",
     "insertion_depth",
     "clock_offset",
 ]

@@ -20,6 +20,7 @@ from needle_rig.units import rad
 from tests.effects.common import LIBRARY, SEQUENCE, SHORT, make_effect, path
 
 JG_NM2 = 62.56e-6
+TURNED = path((0, 0), (2, 90), (3, 90))
 
 
 def torque_through(effect: Effect, trial: Trial, torque_nm: Array | float = 0.0) -> Array:
@@ -188,6 +189,62 @@ def test_an_eccentric_encoder_turns_all_that_follows_the_base_alike(coarse: Need
     for column in np.degrees(seen.hall_rad).T:
         np.testing.assert_allclose(column, shown_deg - error_deg, atol=1e-6)
     assert seen.hall_rad[0] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_gear_turns_all_that_follows_the_base_unevenly(coarse: NeedleModel) -> None:
+    geared = make_effect("transmission_error", sine_deg=0.8, cosine_deg=-0.5, order=14)
+    loose = replace(coarse, friction_n=0.0).with_effects(geared)
+    trial = path((0, 0), (4, 180), (8, -90))
+    phase_rad = 14 * trial.base_angle_rad
+    error_deg = 0.8 * np.sin(phase_rad) - 0.5 * (np.cos(phase_rad) - 1.0)
+    seen = loose.predict(trial)
+    for column in np.degrees(seen.hall_rad).T:
+        np.testing.assert_allclose(column, np.degrees(trial.base_angle_rad) - error_deg, atol=1e-6)
+    assert seen.hall_rad[0] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_ripple_of_the_torque_leaves_the_needle_alone(coarse: NeedleModel) -> None:
+    rippled = coarse.with_effects(make_effect("torque_ripple", sine_nmm=0.02, cosine_nmm=0.01, order=9))
+    trial = path((0, 0), (4, 180), (8, -90))
+    seen, plain = rippled.predict(trial), coarse.predict(trial)
+    phase_rad = 9 * trial.base_angle_rad
+    np.testing.assert_allclose(
+        (seen.torque_nm - plain.torque_nm) * 1e3,
+        0.02 * np.sin(phase_rad) + 0.01 * (np.cos(phase_rad) - 1.0),
+        atol=1e-12,
+    )
+    assert (seen.hall_rad == plain.hall_rad).all()
+
+
+def test_a_coupling_that_slipped_before_a_trial_turns_its_angles_alone(coarse: NeedleModel) -> None:
+    slipped = coarse.with_effects(make_effect("coupling_slip", slip_deg=6.0, at_s=SHORT.start_s))
+    seen, plain = slipped.predict(SHORT), coarse.predict(SHORT)
+    assert (seen.torque_nm == plain.torque_nm).all()
+    np.testing.assert_allclose(np.degrees(plain.hall_rad - seen.hall_rad), 6.0)
+    # a trial that ends before it knows nothing of it
+    later = coarse.with_effects(make_effect("coupling_slip", slip_deg=6.0, at_s=SHORT.start_s + 100.0))
+    assert (later.predict(SHORT).hall_rad == plain.hall_rad).all()
+
+
+def test_a_coupling_that_slips_within_a_trial_turns_the_needle_back(coarse: NeedleModel) -> None:
+    slip = make_effect("coupling_slip", slip_deg=6.0, at_s=TURNED.start_s + 1.505)
+    model = replace(coarse, friction_n=0.0).with_effects(slip)
+    behind_deg = np.degrees(TURNED.base_angle_rad[:, None] - model.predict(TURNED).hall_rad)
+    np.testing.assert_allclose(behind_deg[TURNED.time_s < 1.5], 0.0, atol=1e-9)
+    np.testing.assert_allclose(behind_deg[TURNED.time_s > 1.51], 6.0, atol=1e-9)
+    # with friction the twist, and so the torque, falls by what the needle springs back
+    lost = coarse.predict(TURNED).torque_nm - coarse.with_effects(slip).predict(TURNED).torque_nm
+    assert lost[np.searchsorted(TURNED.time_s, 1.52)] > 1e-6
+
+
+def test_instants_of_a_slip_are_the_trials_and_the_turns_in_them() -> None:
+    (info,) = [i for i in LIBRARY["coupling_slip"].parameters().values() if i.places is not None]
+    assert info.places is not None
+    first = replace(TURNED, start_s=0.0)
+    second = replace(path((0, 0), (1, 0), (2, 45), (3, 45), (4, 0), (5, 0)), start_s=50.0)
+    rows = info.places([first, second])
+    spans = [(round(row[0], 2), round(row[-1], 2)) for row in rows]
+    assert spans == [(0.01, 1.99), (50.0, 50.0), (51.01, 51.99), (53.01, 53.99)]
 
 
 def test_an_encoders_error_comes_before_the_play_behind_it(coarse: NeedleModel) -> None:

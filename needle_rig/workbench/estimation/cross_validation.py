@@ -96,7 +96,7 @@ class _LeaveOut:
         reach = np.array([FRICTION_REACH, RIGIDITY_REACH])
         self.low = np.r_[self.at[:2] - reach, [a.bounds[0] for a in fit.parameters], -free]
         self.high = np.r_[self.at[:2] + reach, [a.bounds[1] for a in fit.parameters], free]
-        fixed = list(problem.fixed_places(fit.parameters))
+        fixed = list(problem.fixed_places(fit.parameters, vector.scaled_values))
         for ends in (self.centre, self.low, self.high):
             ends[fixed] = self.at[fixed]
 

@@ -103,6 +103,8 @@ class LinearisedFit:
     """The place (T,) of each trial's recorded trial: blocks of one have one random effect."""
     fixed: tuple[int, ...] = ()
     """Places of shared parameters that do not move."""
+    held: tuple[int, ...] = ()
+    """Those of them that no fit moves, and that no data can tell by a slope."""
 
     @classmethod
     def at(
@@ -135,11 +137,12 @@ class LinearisedFit:
         widths = np.array([a.prior_sd for a in parameters])
         nuisances = np.ones(x.size - p - len(trials))
         precision = np.r_[0.0, problem.rigidity_prior**-2, widths**-2, precisions, nuisances]
-        fixed = tuple(problem.fixed_places(parameters))
+        fixed = tuple(problem.fixed_places(parameters, x[2:p]))
         for place in fixed:
             from_centre[place], precision[place] = 0.0, EXACT**-2
         means = tuple(2 + places for places in constrained_means(parameters))
-        return cls(trials, from_centre, precision, means, recorded, fixed)
+        held = tuple(2 + k for k, a in enumerate(parameters) if a.held)
+        return cls(trials, from_centre, precision, means, recorded, fixed, held)
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit) -> LinearisedFit:
@@ -256,14 +259,15 @@ class LinearisedFit:
     @cached_property
     def rank(self) -> int:
         """Directions among the scaled values that the data see, all other parameters projected out."""
-        inside = np.arange(2, self.p)
+        inside = np.setdiff1d(np.arange(2, self.p), self.held)
         if not inside.size:
             return 0
         outside = np.setdiff1d(np.arange(self.precision.size), inside)
         cross = self.curvature[np.ix_(inside, outside)]
         rest = self.curvature[np.ix_(outside, outside)] + 1e-9 * np.eye(outside.size)
         left = self.curvature[np.ix_(inside, inside)] - cross @ np.linalg.solve(rest, cross.T)
-        free = _free(_means([places - 2 for places in self.constrained_means], np.ones(inside.size)))
+        means = [np.searchsorted(inside, places) for places in self.constrained_means]
+        free = _free(_means(means, np.ones(inside.size)))
         return max(
             1, int((np.linalg.eigvalsh(free.T @ left @ free) > POLICY.evidence.seen_information).sum())
         )
@@ -366,7 +370,7 @@ def _curvatures(left: Array, whole: Array) -> Array:
     return np.where(remaining > ROUNDING * scale, remaining, scale)
 
 
-def _means(constrained_means: Sequence[Array], size: Array) -> Array:
+def _means(constrained_means: Sequence[Array | Places], size: Array) -> Array:
     """Rows (m, n) of the constrained means of n parameters in units of 1 / `size`."""
     rows = np.zeros((len(constrained_means), size.size))
     for row, places in zip(rows, constrained_means, strict=True):

@@ -86,7 +86,7 @@ def fit(
     `jacobians` are the derivatives there, of a fit that is gone on with. What the problem fixes stays.
     """
     parameters = problem.parameters(effects)
-    objective = Objective(problem, parameters)
+    objective = Objective(problem, parameters, start.scaled_values)
     x = objective.packed(
         start, nuisance if nuisance is not None and nuisance.size == objective.q else np.zeros(objective.q)
     )

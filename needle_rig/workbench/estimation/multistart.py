@@ -138,7 +138,7 @@ def _mixture_covariance(lowest: Fit, met: Sequence[Fit]) -> Array:
 def _from_other_forms(problem: Problem, found: Fit) -> list[Fit]:
     fits = []
     for i, parameter in enumerate(found.parameters):
-        if parameter.info.shapes and parameter.effect == found.effects[-1]:
+        if parameter.info.shapes and not parameter.held and parameter.effect == found.effects[-1]:
             for step in FORM_STEPS:
                 scaled_values = found.vector.scaled_values.copy()
                 scaled_values[i] += step
@@ -152,7 +152,7 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array]
 
     All other parameters follow as the linearised fit says.
     """
-    objective = Objective(problem, found.parameters)
+    objective = Objective(problem, found.parameters, found.vector.scaled_values)
     at = objective.packed(found.vector, found.nuisance)
     move = LinearisedFit.of(problem, found).loosest()
     if move is None:
@@ -172,7 +172,7 @@ def fit_without_derivatives(
 ) -> Fit | None:
     """A simplex search over friction, rigidity and scaled values, then the usual fit from where it ended."""
     parameters = problem.parameters(effects)
-    objective = Objective(problem, parameters)
+    objective = Objective(problem, parameters, start.scaled_values)
     x = objective.packed(start, np.zeros(objective.q))
     scale = np.r_[SIMPLEX[:2], np.full(objective.k, SIMPLEX[2])]
 

@@ -30,6 +30,18 @@ class FreeParameter:
     field: str
     item: int | None
     info: ParameterInfo
+    places: tuple[tuple[float, ...], ...] = ()
+    """Values to try of what a fit holds (`ParameterInfo.places`), in the unit of the field."""
+
+    @property
+    def chances(self) -> int:
+        """How many values were looked through."""
+        return max(1, sum(len(row) for row in self.places))
+
+    @property
+    def held(self) -> bool:
+        """Whether no fit moves it."""
+        return self.info.places is not None
 
     @property
     def name(self) -> str:
@@ -103,6 +115,8 @@ class FreeParameter:
     @property
     def prior_sd(self) -> float:
         """Prior standard deviation of the scaled value."""
+        if self.held:
+            return math.inf
         if self.info.shapes:
             return FORM_DECADES
         if self.info.prior is None:
@@ -114,16 +128,24 @@ class FreeParameter:
 
 
 def free_parameters(
-    effects: Mapping[str, type[Effect]], names: Sequence[str], layout: Layout, torque_scale: float = 1.0
+    effects: Mapping[str, type[Effect]],
+    names: Sequence[str],
+    layout: Layout,
+    torque_scale: float = 1.0,
+    places: Mapping[str, tuple[tuple[float, ...], ...]] | None = None,
 ) -> tuple[FreeParameter, ...]:
-    """The free parameters of the named effects, in that order, on a shaft of that torque scale."""
+    """The free parameters of the named effects, in that order, on a shaft of that torque scale.
+
+    `places` to try, by effect.
+    """
     counts = {"sensor": len(layout.sensor_positions_m), "section": len(layout.tissue_sections_m)}
     found = []
     for name in names:
         for field, info in effects[name].parameters().items():
             items = [None] if info.per == "one" else list(range(counts[info.per]))
             scaled = info.scaled(torque_scale)
-            found += [FreeParameter(name, field, item, scaled) for item in items]
+            tried = (places or {}).get(name, ()) if info.places is not None else ()
+            found += [FreeParameter(name, field, item, scaled, tried) for item in items]
     return tuple(found)
 
 

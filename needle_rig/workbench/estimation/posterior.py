@@ -61,7 +61,8 @@ class Objective:
     x holds friction and rigidity (logarithms), k scaled values, T random effects, q nuisances.
     """
 
-    def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...]) -> None:
+    def __init__(self, problem: Problem, parameters: tuple[FreeParameter, ...], scaled_values: Array) -> None:
+        """`scaled_values` (k,) are those of what a fit holds; the others there count for nothing."""
         self.problem, self.parameters = problem, parameters
         self.k, self.trials = len(parameters), len(problem.trials)
         self.recorded, self.blocks = problem.recorded, np.bincount(problem.recorded)
@@ -80,7 +81,9 @@ class Objective:
         least, most = np.log(np.multiply(self.problem.base.torque_scale, FRICTION_BOUNDS_N))
         self.low = np.r_[least, self.stated - reach, low, -trial_friction, -free]
         self.high = np.r_[most, self.stated + reach, high, trial_friction, free]
-        for place, value in problem.fixed_places(parameters).items():
+        self.fixed = problem.fixed_places(parameters, scaled_values)
+        self.held = np.array([a.held for a in parameters], bool)
+        for place, value in self.fixed.items():
             self.low[place] = self.high[place] = value
 
     def unpacked(self, x: Array) -> ParameterVector:
@@ -144,7 +147,7 @@ class Objective:
             ((x[1] - self.stated) / self.problem.rigidity_prior) ** 2
             + ((x[2 : self.p] / self.prior_sd) ** 2).sum()
             + (noise.scatter_dof + random_effects.size) * np.log1p((random_effects**2).sum() / room)
-            + level(self.problem.fixed_places(self.parameters))
+            + level(self.fixed)
             * (
                 x[self.p : self.p + self.trials].mean() ** 2
                 + (apart**2).sum()
@@ -167,8 +170,9 @@ class Objective:
         down: the angles depend on their ratio, so both columns are then alike, and truncation error does not
         pass for information that only the stated rigidity has.
         """
-        directions = np.eye(self.p, x.size)
-        steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))]
+        moving = np.r_[True, True, ~self.held]
+        directions = np.eye(self.p, x.size)[moving]
+        steps = np.r_[STEP, -STEP, STEP * np.maximum(1.0, np.abs(x[2 : self.p]))][moving]
         if self.random_effect_column == self.p:
             every_trial = np.zeros(x.size)
             every_trial[self.p : self.p + self.trials] = 1.0
@@ -183,6 +187,9 @@ class Objective:
         jacobian = directional_derivatives(left, x, here, directions, steps, self.low, self.high, near)
         if jacobian is None:
             return None
+        if not moving.all():
+            # what is held has no column of its own: nothing is known of its slope, and nothing is asked
+            jacobian = np.insert(jacobian, np.flatnonzero(~moving) - np.arange((~moving).sum()), 0.0, axis=1)
         return np.split(-jacobian, np.cumsum([r.size for r in residuals])[:-1])
 
 

@@ -109,7 +109,22 @@ class Problem:
 
     def parameters(self, names: Sequence[str]) -> tuple[FreeParameter, ...]:
         """Free parameters of the named effects."""
-        return free_parameters(self.library, names, self.base.layout, self.base.torque_scale)
+        return free_parameters(
+            self.library, names, self.base.layout, self.base.torque_scale, self._places_to_try
+        )
+
+    @cached_property
+    def _places_to_try(self) -> dict[str, tuple[tuple[float, ...], ...]]:
+        """By effect: the values, within bounds, of what a fit holds."""
+        trials = [b.trial for b in self.trials]
+        found = {}
+        for name, effect in self.library.items():
+            for info in effect.parameters().values():
+                if info.places is not None:
+                    rows = info.places(trials)
+                    inside = (tuple(float(v) for v in row if info.lower <= v <= info.upper) for row in rows)
+                    found[name] = tuple(row for row in dict.fromkeys(inside) if row)
+        return found
 
     def candidates(self, present: Container[str]) -> tuple[str, ...]:
         """Effects of the library that are not `present` and have a size in this layout, sorted by name.
@@ -133,9 +148,12 @@ class Problem:
             effects=effects,
         )
 
-    def fixed_places(self, parameters: Sequence[FreeParameter]) -> dict[int, float]:
-        """What is fixed, by its place among the shared parameters."""
-        return {k: self.fixed[n] for k, n in enumerate(shared_names(parameters)) if n in self.fixed}
+    def fixed_places(self, parameters: Sequence[FreeParameter], scaled_values: Array) -> dict[int, float]:
+        """What is fixed, by its place among the shared parameters; what is held stands at `scaled_values`
+        (k,)."""
+        fixed = {k: self.fixed[n] for k, n in enumerate(shared_names(parameters)) if n in self.fixed}
+        held = {2 + k: float(scaled_values[k]) for k, a in enumerate(parameters) if a.held}
+        return {**held, **fixed}
 
     def fixing(self, values: Mapping[str, float]) -> Problem:
         """The same with further shared parameters fixed."""
@@ -180,6 +198,19 @@ class Problem:
         every = range(len(self.trials))
         models = [self.model(parameters, vector)] * len(self.trials)
         return self.readings(models, every, np.exp(vector.trial_friction), most_solves)
+
+    def sketched(
+        self,
+        parameters: Sequence[FreeParameter],
+        vector: ParameterVector,
+        more: Sequence[FreeParameter],
+        others: Sequence[ParameterVector],
+    ) -> list[Array]:
+        """Bin means (C, K, V) of every trial at V vectors `others` with `more` parameters, roughly; see
+        `Simulator.sketched`."""
+        models = [self.model(more, other) for other in others]
+        factors = np.exp(vector.trial_friction)
+        return self.simulator.sketched(self.model(parameters, vector), models, self.trials, factors)
 
     def near(
         self,

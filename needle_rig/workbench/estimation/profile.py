@@ -58,7 +58,9 @@ def over_profiles(problem: Problem, found: Fit) -> Fit:
     parameter that is held; the widest counts, parameter by parameter. The fit keeps its covariance where it
     has no form parameter, or where the objective rises at once to all sides.
     """
-    forms = [2 + k for k, parameter in enumerate(found.parameters) if parameter.info.shapes]
+    forms = [
+        2 + k for k, parameter in enumerate(found.parameters) if parameter.info.shapes and not parameter.held
+    ]
     profiles = []
     for place in forms:
         points = _profile(problem, found, place)

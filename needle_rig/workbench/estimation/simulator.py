@@ -8,20 +8,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needle_rig.errors import SolverError
+from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
-from needle_rig.physics.effect import Effect, Trial
+from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solution import Path, Sampled
 from needle_rig.physics.solver import in_reach, solve_series
 from needle_rig.workbench.observations.binning import BinnedTrial
 
-Key = tuple[tuple[Effect, ...], float, float, float, float, int]
-"""(effects that move the needle, torsional rigidity, friction, element length, factor on friction, identity
-of the trial)"""
+Key = tuple[tuple[Effect, ...], float, float, float, bytes, float, int]
+"""(effects in the needle, torsional rigidity, friction, element length, its held end's path where that is not
+the base's, factor on friction, identity of the trial)"""
 
 CACHE_ENTRIES = 1500
+TURNING = 0.05
+"""Share of a path's largest step from which the base counts as turning: slopes over less are rounding."""
 
 
 class Simulator:
@@ -34,6 +36,9 @@ class Simulator:
     def __init__(self) -> None:
         self._kept: OrderedDict[Key, tuple[Trial, Sampled]] = OrderedDict()
         self._paths: OrderedDict[int, tuple[Trial, Path]] = OrderedDict()
+        self._held_paths: OrderedDict[tuple[tuple[Effect, ...], int], tuple[Trial, Path, bytes]] = (
+            OrderedDict()
+        )
 
     def __reduce__(self) -> tuple[type[Simulator], tuple[()]]:
         return Simulator, ()
@@ -99,7 +104,7 @@ class Simulator:
         if reached:
             _, *would = solve_series(
                 rod,
-                [self._held(model, drive) for drive in drives],
+                [self._held(model, drive)[0] for drive in drives],
                 friction_factors,
                 most_solves_per_sample=most_solves,
                 near=[(its_rod, others[k][1]) for k, its_rod in reached.items()],
@@ -108,18 +113,56 @@ class Simulator:
                 found[k] = _means(others[k][0], trials, sampled)
         return found
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def sketched(
+        self,
+        near: NeedleModel,
+        models: Sequence[NeedleModel],
+        trials: Sequence[BinnedTrial],
+        friction_factors: Array,
+        most_solves: float = math.inf,
+    ) -> list[Array]:
+        """Bin means (C, K, models) in each trial, roughly where a model differs from `near` in the evenness
+        of its drive alone; NaN where a model cannot be solved.
+
+        What depends on no rate goes through the same states on a path that turns back where another does, a
+        little earlier or later (`_Carry`). Raises SolverError, BadInput for `near`.
+        """
+        found = []
+        for binned, factor in zip(trials, friction_factors, strict=True):
+            one = np.array([factor])
+            (known,) = self._solved(near, [binned.trial], one, most_solves)
+            carry = _Carry(self._held(near, binned.trial)[0], known)
+            shown = []
+            for model in models:
+                sampled = None
+                if _moving(model) == _moving(near):
+                    sampled = carry.to(model.held_path(binned.trial)[0])
+                try:
+                    if sampled is None:
+                        (sampled,) = self._solved(model, [binned.trial], one, most_solves)
+                    seen = model.observed(binned.trial, sampled)
+                except (SolverError, BadInput):
+                    seen = Reading(binned.trial, known.torque_nm * np.nan, known.sensor_rad * np.nan)
+                shown.append(np.vstack([seen.torque_nm[None, :], seen.hall_rad.T]))
+            found.append(binned.averaged_all(np.stack(shown, axis=-1)))
+        return found
+
     def _solved(
         self, model: NeedleModel, trials: Sequence[Trial], factors: Array, most_solves: float
     ) -> list[Sampled]:
         """What the needle does in trials of one model; those not kept are solved in one call a rod."""
-        moving = _moving(model)
-        keys = [(*moving, float(f), id(t)) for f, t in zip(factors, trials, strict=True)]
+        moving, held = _moving(model), [self._held(model, t) for t in trials]
+        keys = [
+            (*moving, of_path, float(f), id(t))
+            for (_, of_path), f, t in zip(held, factors, trials, strict=True)
+        ]
         new = list({key: k for k, key in enumerate(keys) if key not in self._kept}.values())
         of_rod: dict[int, tuple[Rod, list[int]]] = {}
         for k, rod in zip(new, model.rods([trials[k] for k in new]), strict=True):
             of_rod.setdefault(id(rod), (rod, []))[1].append(k)
         for rod, which in of_rod.values():
-            paths = [self._held(model, trials[k]) for k in which]
+            paths = [held[k][0] for k in which]
             (solved,) = solve_series(rod, paths, factors[which], most_solves_per_sample=most_solves)
             for k, sampled in zip(which, solved, strict=True):
                 self._kept[keys[k]] = trials[k], sampled
@@ -128,13 +171,26 @@ class Simulator:
             raise SolverError(f"{model.name}: the needle snaps through too many balances to follow")
         return found
 
-    def _held(self, model: NeedleModel, trial: Trial) -> Path:
-        """Path of the needle's held end."""
-        path = self._path(trial)
-        if not model.acting("drive"):
-            return path
-        base_rad, _ = model.held_path(trial)
-        return Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
+    def _held(self, model: NeedleModel, trial: Trial) -> tuple[Path, bytes]:
+        """Path of the needle's held end, and its bytes where it is not the base's.
+
+        Models that drive a trial alike share its solution, whatever else they say of other trials.
+        """
+        effects = model.acting("drive")
+        if not effects:
+            return self._path(trial), b""
+        kept = self._held_paths.get((effects, id(trial)))
+        if kept is None:
+            path, (base_rad, _) = self._path(trial), model.held_path(trial)
+            of_path = b""
+            if not np.array_equal(base_rad, path.base_rad):
+                path = Path.of(path.time_s, base_rad, path.tip_nm if path.tip_nm.size else None)
+                of_path = base_rad.tobytes()
+            kept = trial, path, of_path
+            self._held_paths[effects, id(trial)] = kept
+            if len(self._held_paths) > CACHE_ENTRIES:
+                self._held_paths.popitem(last=False)
+        return kept[1:]
 
     def _path(self, trial: Trial) -> Path:
         """A trial's path, checked once."""
@@ -159,6 +215,51 @@ def _means(model: NeedleModel, trials: Sequence[BinnedTrial], solved: Sequence[S
     return found
 
 
+class _Carry:
+    """What is read on a path, carried over to paths that turn back where it does.
+
+    On a way without turning back, what is read is that of the turning point before and a function of the way
+    since: y = y_r + g(θ − θ_r). A change of the path moves it by δy_r + g′ (δ − δ_r).
+    """
+
+    def __init__(self, path: Path, sampled: Sampled) -> None:
+        self._path, self._sampled = path, sampled
+        self._step_rad = np.diff(path.base_rad, prepend=0.0)  # a needle begins relaxed at 0
+        size = np.abs(self._step_rad)
+        turning = np.flatnonzero(size > TURNING * size.max(initial=0.0))
+        self._ways: list[tuple[slice, int]] = []
+        """Samples of each way, and the last at which the base still turned."""
+        if turning.size:
+            back = np.flatnonzero(np.diff(np.sign(self._step_rad[turning])))
+            edges = [0, *turning[back + 1].tolist(), size.size]
+            ends = [*turning[back].tolist(), int(turning[-1])]
+            self._ways = [(slice(a, b), end) for a, b, end in zip(edges[:-1], edges[1:], ends, strict=True)]
+            # at rest the needle stays where the last turn left it
+            places = np.searchsorted(turning, np.arange(size.size), side="right") - 1
+            last = turning[np.maximum(places, 0)]
+            read = np.column_stack([sampled.torque_nm, sampled.sensor_rad])
+            self._slopes = np.diff(read, axis=0, prepend=0.0)[last] / self._step_rad[last, None]
+
+    def to(self, base_rad: Array) -> Sampled | None:
+        """What is read on the path `base_rad` (samples,); None where it turns otherwise: where a step differs
+        by more than itself."""
+        moved_rad = base_rad - self._path.base_rad
+        if not moved_rad.any():
+            return self._sampled
+        differs = np.abs(np.diff(moved_rad, prepend=0.0)) > np.abs(self._step_rad)
+        if not self._ways or differs.any():
+            return None
+        changed, moved_there_rad, change_there = np.empty_like(self._slopes), 0.0, np.zeros(1)
+        for way, end in self._ways:
+            changed[way] = change_there + self._slopes[way] * (moved_rad[way, None] - moved_there_rad)
+            moved_there_rad, change_there = float(moved_rad[end]), changed[end]
+        return Sampled(
+            self._sampled.torque_nm + changed[:, 0],
+            self._sampled.sensor_rad + changed[:, 1:],
+            self._sampled.solves,
+        )
+
+
 def _one_rod(model: NeedleModel, trials: Sequence[Trial]) -> tuple[Rod, bool]:
     """The rod of the first trial, and whether it serves all."""
     rods = model.rods(trials)
@@ -166,10 +267,10 @@ def _one_rod(model: NeedleModel, trials: Sequence[Trial]) -> tuple[Rod, bool]:
 
 
 def _moving(model: NeedleModel) -> tuple[tuple[Effect, ...], float, float, float]:
-    """What moves the needle of a model."""
+    """What moves the needle of a model, but for the path of its held end."""
     moving = tuple(e for e in model.effects if _moves(e) and not e.is_off())
     return moving, model.torsional_rigidity_nm2, model.friction_n, model.element_length_m
 
 
 def _moves(effect: Effect) -> bool:
-    return any(effect.has(hook) for hook in ("shape", "torque", "drive"))
+    return any(effect.has(hook) for hook in ("shape", "torque"))

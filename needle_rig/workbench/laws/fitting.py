@@ -238,8 +238,8 @@ def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[list[Para
     """
     made = screened.made
     parameters = problem.parameters((*parent.effects, made.name))
-    state = Objective(problem, parameters)
     begin = made.scaled_values(beginning(problem, made))
+    state = Objective(problem, parameters, np.r_[parent.vector.scaled_values, begin])
     further = made.scaled_values(screened.coefficients) - begin
 
     def rated(vectors: Sequence[ParameterVector], curves: Sequence[Array]) -> list[ParameterVector]:

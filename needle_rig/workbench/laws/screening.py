@@ -158,9 +158,9 @@ def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
     problem = shared.with_made(made)
     names = (*parent.effects, made.name)
     parameters = problem.parameters(names)
-    state = Objective(problem, parameters)
     begin = made.scaled_values(beginning(problem, made))
     scaled_values = np.r_[parent.vector.scaled_values, begin]
+    state = Objective(problem, parameters, scaled_values)
     x = state.packed(dataclasses.replace(parent.vector, scaled_values=scaled_values), parent.nuisance)
     residuals = state.residuals(x) if begin.any() else list(parent.residuals)
     if residuals is None:

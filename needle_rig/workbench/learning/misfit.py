@@ -59,7 +59,9 @@ def misfit(problem: Problem, found: Fit, names: tuple[str, ...], known: Array | 
     places = all_places(problem, residuals, spreads, names)
     channels = _channels(problem, found, residuals, spreads, names, places)
     ratios = [of["in_noise_units"] for of in channels.values() if of["in_noise_units"] is not None]
-    moved = 2 + len(found.parameters) - len(problem.fixed_places(found.parameters))
+    moved = (
+        2 + len(found.parameters) - len(problem.fixed_places(found.parameters, found.vector.scaled_values))
+    )
     return Misfit(
         found,
         tuple(places),

@@ -83,6 +83,10 @@ class BinnedTrial:
             return np.ascontiguousarray((first @ values.T).T)
         return np.array([average @ each for average, each in zip(self.averages, values, strict=True)])
 
+    def averaged_all(self, values: Array) -> Array:
+        """The same (C, K, M) of M models on the grid (C, m, M)."""
+        return np.array([average @ each for average, each in zip(self.averages, values, strict=True)])
+
 
 def channels(trial: DatasetTrial) -> Array:
     """Torque and Hall angles as (C, M)."""

@@ -1,12 +1,14 @@
 """Noise measured on the data: white and correlated sensor noise, offsets and scatter from trial to trial.
 
-Sensor noise comes from the settled ends of the motions, where nothing moves. What differs from trial to
-trial is read from the rest before the first motion and from replicates of one command, so that a wrong model
+Sensor noise comes from the settled ends of the motions, where nothing moves; where there are too few, from
+what a smooth curve leaves of the samples within a stroke. What differs from trial to trial is read from the
+rest before the first motion and from replicates of one command, so that a wrong model
 does not pass for noise. A floor stands for the accuracy that the solver promises.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,6 +36,12 @@ WINDOW, SHORTEST_WINDOW = 160, 16
 WINDOW_SPACING_S = 0.02
 """which are means over this long where samples come faster: of noise that is correlated over less only the
 mean of a bin is known, and windows of single samples would be too short for what wanders."""
+SMOOTH_WINDOW, SMOOTH_DEGREE = 16, 3
+"""Values in a window of a stroke, and degree of the curve that is taken out of it: of a sine of 0.3 Hz and
+40° at 50 Hz that leaves 0.002°."""
+ROUGH_CHANCE = 0.01
+"""Of a window that holds noise alone to have so much of it; one that has more holds a corner: where a base
+turns or a slip front comes to a sensor, no curve is smooth."""
 MOST_LAGS = 25
 """Lags of the autocovariance."""
 VALID_SHARE = 0.9
@@ -79,18 +87,32 @@ class _Settled:
 
 def _settled(trials: Sequence[DatasetTrial]) -> list[_Settled]:
     """Of every channel, at its own samples: those of a slow one lie between the rows of a fast one."""
+    return [_in_windows(own, [_holds(given) for given in trials], WINDOW) for own in _every_channel(trials)]
+
+
+def _every_channel(trials: Sequence[DatasetTrial]) -> list[tuple[_Samples, ...]]:
+    """Its samples in each trial, of every channel."""
     each = [[_own_samples(given, values) for values in channels(given)] for given in trials]
-    found = []
-    for of_channel in zip(*each, strict=True):
-        gaps = [float(np.median(np.diff(own.time_s))) for own in of_channel if own.time_s.size > 1]
-        spacing_s = float(np.median(gaps)) if gaps else 1.0
-        fast = max(1, round(WINDOW_SPACING_S / spacing_s))
-        for count in sorted({fast, 1}, reverse=True):
-            pieces = [piece for own in of_channel for piece in _windows(own, count)]
-            if pieces:
-                break
-        found.append(_Settled(pieces, count * spacing_s, count))
-    return found
+    return list(zip(*each, strict=True))
+
+
+def _in_windows(
+    of_channel: Sequence[_Samples], stretches: Sequence[Sequence[tuple[int, int]]], window: int
+) -> _Settled:
+    """Windows of stretches of each trial, first and end row, in means over 20 ms where those are enough."""
+    gaps = [float(np.median(np.diff(own.time_s))) for own in of_channel if own.time_s.size > 1]
+    spacing_s = float(np.median(gaps)) if gaps else 1.0
+    fast = max(1, round(WINDOW_SPACING_S / spacing_s))
+    pieces: list[Array] = []
+    for count in sorted({fast, 1}, reverse=True):
+        pieces = [
+            piece
+            for own, of_trial in zip(of_channel, stretches, strict=True)
+            for piece in _windows(own, of_trial, count, window)
+        ]
+        if pieces:
+            break
+    return _Settled(pieces, count * spacing_s, count)
 
 
 @dataclass(frozen=True)
@@ -100,17 +122,19 @@ class _Samples:
     time_s: Array
     filled: Array
     valid: npt.NDArray[np.bool_]
-    stretches: list[tuple[int, int]]
-    """First and end sample of what is settled of each hold."""
+    row: Places
+    """Of the trial, of each sample."""
+
+    def between(self, rows: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+        """First and end sample of stretches that are given by their rows."""
+        return [(int(np.searchsorted(self.row, at)), int(np.searchsorted(self.row, end))) for at, end in rows]
 
 
 def _own_samples(given: DatasetTrial, values: Array) -> _Samples:
     time_s, read = given.trial.time_s, np.isfinite(values)
     rows = np.flatnonzero(read) if is_slow(read) else np.arange(values.size)
     filled, valid, _ = set_aside(values[rows])
-    holds = _holds(given)
-    stretches = [(int(np.searchsorted(rows, at)), int(np.searchsorted(rows, end))) for at, end in holds]
-    return _Samples(time_s[rows], filled, valid, stretches)
+    return _Samples(time_s[rows], filled, valid, rows)
 
 
 def _holds(given: DatasetTrial) -> list[tuple[int, int]]:
@@ -124,29 +148,65 @@ def _holds(given: DatasetTrial) -> list[tuple[int, int]]:
     return found
 
 
-def _windows(own: _Samples, count: int) -> list[Array]:
-    """Windows of what is settled, in means over `count` samples."""
+def _windows(
+    own: _Samples, stretches: Sequence[tuple[int, int]], count: int, window: int = WINDOW
+) -> list[Array]:
+    """Windows of stretches of a trial, first and end row of each, in means over `count` samples."""
     found = []
-    for begin, end in own.stretches:
-        for at in range(begin, end - count * SHORTEST_WINDOW + 1, count * WINDOW):
-            means = min(end - at, count * WINDOW) // count
+    for begin, end in own.between(stretches):
+        for at in range(begin, end - count * SHORTEST_WINDOW + 1, count * window):
+            means = min(end - at, count * window) // count
             until = at + means * count
             if own.valid[at:until].mean() > VALID_SHARE:
                 found.append(own.filled[at:until].reshape(means, count).mean(1))
     return found
 
 
-def _split(pieces: list[Array], spacing_s: float) -> tuple[float, float, float]:
+def _within_strokes(trials: Sequence[DatasetTrial]) -> list[_Settled]:
+    """Of every channel, windows at its own samples, none across a turn of the base, but those with corners.
+
+    What a cubic leaves of a window is noise where the readings are smooth, as with differences of a higher
+    order (Gasser, Sroka, Jennen-Steinmetz, Biometrika 73, 1986).
+    """
+    strokes = [
+        [
+            stretch
+            for first, stop, end in motions_of(given.trial.base_angle_rad, np.asarray(given.phase))
+            for stretch in ((first, stop), (stop, end))
+        ]
+        for given in trials
+    ]
+    every = [_in_windows(own, strokes, SMOOTH_WINDOW) for own in _every_channel(trials)]
+    return [dataclasses.replace(each, pieces=_without_corners(each.pieces)) for each in every]
+
+
+def _without_corners(pieces: list[Array]) -> list[Array]:
+    """Windows of which a curve leaves no more than chance does, told by the median over all."""
+    if not pieces:
+        return []
+    left = np.array(pieces) @ _off_curve(SMOOTH_WINDOW, SMOOTH_DEGREE)
+    dof = SMOOTH_WINDOW - SMOOTH_DEGREE - 1
+    squares = (left**2).sum(1)
+    usual = float(np.median(squares)) / float(chdtri(dof, 0.5))
+    return [p for p, s in zip(pieces, squares, strict=True) if s <= usual * float(chdtri(dof, ROUGH_CHANCE))]
+
+
+def _off_curve(n: int, degree: int) -> Array:
+    """Projection (n, n) off polynomials of a degree."""
+    basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, n), degree + 1, increasing=True))
+    return np.asarray(np.eye(n) - basis @ basis.T)
+
+
+def _split(pieces: list[Array], spacing_s: float, degree: int = 1) -> tuple[float, float, float]:
     """(white, correlated, correlation time): the two parts whose autocovariance the pieces show.
 
-    Expected autocovariances are those of detrended windows, so that short windows bias nothing.
+    Expected autocovariances are those of windows off a polynomial of `degree`, so that short windows bias
+    nothing.
     """
     if not pieces:
         return 0.0, 0.0, CORRELATION_TIMES_S[0]
     n = int(np.median([p.size for p in pieces]))
-    t = np.linspace(-1, 1, n)
-    basis, _ = np.linalg.qr(np.column_stack([np.ones(n), t]))
-    out = np.eye(n) - basis @ basis.T
+    out = _off_curve(n, degree)
     cut = np.array([p[i : i + n] for p in pieces for i in range(0, p.size - n + 1, n)]) @ out
     lags = min(MOST_LAGS, n // 2)
     seen = np.array([(cut[:, : n - k] * cut[:, k:]).sum() / (cut.shape[0] * (n - k)) for k in range(lags)])
@@ -192,17 +252,19 @@ def measure_noise(
     trials: Sequence[DatasetTrial], binned: Sequence[BinnedTrial], torque_scale: float = 1.0
 ) -> Noise:
     """Noise of a dataset, before any model is held against it."""
+    holds_show = _held_share(trials) >= POLICY.noise.held_share
     settled = _settled(trials)
-    parts = np.array([_split(each.pieces, each.spacing_s) for each in settled])
-    parts[:, 0] *= np.sqrt([each.count for each in settled])
+    parts = _parts(settled)
     floor = floors(parts.shape[0], torque_scale)
     silent = parts[:, 0] <= 0
     parts[silent, 0] = 10 * floor[silent]
     groups = replicate_groups([t.command for t in trials])
-    if _held_share(trials) < POLICY.noise.held_share:
-        for c in range(len(parts)):
+    if not holds_show:
+        for c, of_strokes in enumerate(_parts(_within_strokes(trials), SMOOTH_DEGREE)):
             white = _white_of_replicates(binned, groups, c)
-            if white > 0.0:
+            if of_strokes[0] > 0.0:
+                parts[c] = of_strokes
+            elif white > 0.0:
                 parts[c] = max(white, floor[c]), 0.0, CORRELATION_TIMES_S[0]
     return Noise(
         white=parts[:, 0],
@@ -217,6 +279,13 @@ def measure_noise(
         hum=np.zeros(len(parts)),
         hum_hz=0.0,
     )
+
+
+def _parts(every: Sequence[_Settled], degree: int = 1) -> Array:
+    """(white part of a sample, correlated part, correlation time) of each channel, (C, 3)."""
+    parts = np.array([_split(each.pieces, each.spacing_s, degree) for each in every])
+    parts[:, 0] *= np.sqrt([each.count for each in every])
+    return parts
 
 
 def _held_share(trials: Sequence[DatasetTrial]) -> float:

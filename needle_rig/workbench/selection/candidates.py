@@ -20,6 +20,8 @@ from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.evidence import log_places
+from needle_rig.workbench.selection.places import look_through
 from needle_rig.workbench.selection.screening import Screening, Start, beside, screen
 
 HALF_AS_GOOD = 0.5
@@ -51,8 +53,11 @@ def penalty(problem: Problem) -> float:
 
 
 def score(problem: Problem, found: Fit) -> float:
-    """Objective with its price for parameters; lower is better."""
-    return found.objective + penalty(problem) * found.rank
+    """Objective with its price for parameters; lower is better.
+
+    A place that was looked for costs −2 log of its prior, one in as many as there are.
+    """
+    return found.objective + penalty(problem) * found.rank + 2.0 * log_places(found.parameters)
 
 
 def refinable(problem: Problem, found: Fit) -> bool:
@@ -70,7 +75,8 @@ def try_effect(
     problem: Problem, parent: Fit, effect: str, more: tuple[Start, ...] = (), worth: float = -1.0
 ) -> Candidate:
     """Fit `effect` on top of `parent` from its best starts, unless screening promises less than `worth`."""
-    ahead = screen(problem, parent, effect, worth)
+    placed = problem.library[effect].is_placed()
+    ahead = look_through(problem, parent, effect) if placed else screen(problem, parent, effect, worth)
     if ahead.gain < worth and not more:
         return Candidate(effect, None, None, ahead)
     return _fitted(problem, parent, ahead, [*more, *_worth_fitting(ahead)])
@@ -78,15 +84,18 @@ def try_effect(
 
 def from_finite_strengths(problem: Problem, parent: Fit, known: Candidate) -> Candidate:
     """A candidate, or what it is when fitted from finite strengths where that is lower (multistart)."""
-    return lower(known, _fitted(problem, parent, known.screening, finite_starts(problem, known.effect)))
+    return lower(known, _fitted(problem, parent, known.screening, finite_starts(problem, known)))
 
 
-def finite_starts(problem: Problem, effect: str) -> list[Start]:
+def finite_starts(problem: Problem, known: Candidate) -> list[Start]:
     """An effect at each size but the smallest at which it is simulated, either way where it has two.
 
     Screening, which follows each response along a straight line, may promise nothing of what they lead to.
+    What a fit holds has been looked through: it has no other starts.
     """
-    added = problem.parameters([effect])
+    added = problem.parameters([known.effect])
+    if any(a.held for a in added):
+        return list(known.screening.starts)
     sizes = POLICY.screening.strengths[1:]
     return [Start(way, np.inf) for size in sizes for way in either_way(added, size)]
 

@@ -122,13 +122,16 @@ def _undetected(
     if candidate is None:
         return decision_at(name, strength, np.inf, "cannot_tell", 0.0)
     found = candidate.fit
+    seen = found is not None and adjusted_p(best, found, len(search.names)) < POLICY.evidence.significance
+    if any(a.held for a in parameters) and not seen:
+        found = None  # a fit knows one place; screening looked at all of them
     if found is None or not np.all(np.isfinite(found.scaled_errors)):
         limit = candidate.screening.estimate + POLICY.evidence.limit_sigmas * candidate.screening.error
         return decision_at(
             name, strength, limit, "absent" if limit < strength.smallest else "cannot_tell", 0.0
         )
     decided = _decision(name, found, None)
-    if adjusted_p(best, found, len(search.names)) < POLICY.evidence.significance:
+    if seen:
         fixed = "negligible" if is_negligible(found, name) else "cannot_tell"
         return _decision(name, found, fixed)
     return decided

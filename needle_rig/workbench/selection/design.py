@@ -143,7 +143,7 @@ def _proposal(
 ) -> Proposal:
     binned, duration_s = planned(problem, first, command)
     alone = problem.over([binned])
-    objective = Objective(alone, second.parameters)
+    objective = Objective(alone, second.parameters, second.vector.scaled_values)
     x = objective.packed(dataclasses.replace(second.vector, trial_friction=np.zeros(1)), np.zeros(0))
     residuals = objective.residuals(x)
     jacobians = None if residuals is None else objective.derivatives(x, residuals)

@@ -23,6 +23,7 @@ from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
+from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
@@ -37,6 +38,7 @@ from needle_rig.workbench.selection.notes import (
     of_no_use,
     partial,
 )
+from needle_rig.workbench.selection.odd_trial import odd_trial, without
 from needle_rig.workbench.selection.ranking import order, rank
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
@@ -167,6 +169,17 @@ def diagnose(
             if key in trace.fits:
                 trace = dataclasses.replace(trace, best=key)
         found = concluded(baseline, trace)
+        odd = odd_trial(*found.concluded[:2]) if found.verdict == "unknown" else None
+        if odd is not None and odd.repeated and starts is None:
+            say(f"trying every effect again, without {odd.file}")
+            others = fit_baseline(without(dataset, odd), model, library)
+            others, rest = competed(others, None)
+            anew = concluded(others, rest)
+            if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
+                found = dataclasses.replace(anew, notes=(odd.sentence(left_out=True), *anew.notes))
+                odd = None
+        if odd is not None:
+            found = dataclasses.replace(found, notes=(odd.sentence(left_out=False), *found.notes))
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
 
 

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.policy import POLICY
+
+TINY = 1e-12
+"""Sum of squares of logarithms of friction that is none."""
 
 
 def gain_of(parent: Fit, child: Fit) -> float:
     """Fall of −2 log posterior from a parent to its child, as χ² of the directions gained.
 
     The part that a smaller scatter of the random effects brings counts as in an F test on the trials alone:
-    over a few chance makes a trend, and how much friction scatters is not known before.
+    over a few chance makes a trend, and how much friction scatters is not known before. So the prior scatter,
+    which is worth some trials, is in neither of the two sums of squares.
     """
     gain = max(parent.objective - child.objective, 0.0)
     freedom = _freedom(parent, child)
     steadier = 2.0 * parent.scatter_dof * float(np.log(parent.scatter / child.scatter))
     if steadier > 0.0:
         left = parent.scatter_dof - POLICY.noise.scatter_dof - 1.0 - freedom
-        ratio = float(np.expm1(steadier / parent.scatter_dof)) * left / freedom
+        before, after = (float((f.vector.trial_friction**2).sum()) for f in (parent, child))
+        ratio = max(before - after, 0.0) / max(after, TINY) * left / freedom
         worth = float(chdtri(freedom, max(float(fdtrc(freedom, left, ratio)), 1e-300))) if left > 0 else 0.0
         gain = max(gain - steadier + min(worth, steadier), 0.0)
     return gain
@@ -36,13 +45,19 @@ def _freedom(parent: Fit, child: Fit) -> int:
 def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
     """Šidák-adjusted p value of the likelihood-ratio test of a child against its parent.
 
-    Strengths at the boundary of their range halve p (Chernoff 1954).
+    Strengths at the boundary of their range halve p (Chernoff 1954). The best of m places has m chances.
     """
-    new = [a for a in child.parameters if a.effect not in parent.effects and not a.info.shapes]
+    added = [a for a in child.parameters if a.effect not in parent.effects]
     p = float(chdtrc(_freedom(parent, child), gain_of(parent, child)))
-    if all(a.one_sided for a in new):
+    if all(a.one_sided for a in added if not a.info.shapes):
         p *= 0.5
-    return float(-np.expm1(library * np.log1p(-min(p, 1 - 1e-16))))
+    chances = library * math.exp(log_places(added))
+    return float(-np.expm1(chances * np.log1p(-min(p, 1 - 1e-16))))
+
+
+def log_places(parameters: Sequence[FreeParameter]) -> float:
+    """Logarithm of the number of combinations of places that were looked through."""
+    return float(sum(math.log(a.chances) for a in parameters))
 
 
 def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:

@@ -231,16 +231,21 @@ def _joint(
                 places.append(group)
         if not columns:
             continue
-        matrix = np.column_stack(columns)
-        ridge = np.sqrt(RIDGE) * np.eye(len(columns))
-        padded = np.r_[residual, np.zeros(len(columns))]
-        best = np.linalg.lstsq(np.vstack([matrix, ridge]), padded, rcond=None)[0]
+        best, gain = together(np.column_stack(columns), residual)
         scaled_values = form.copy()
         for amount, group in zip(best, places, strict=True):
             for i in group:
                 scaled_values[i] = np.clip(amount, *added[i].bounds)
-        found.append(Start(scaled_values, JOINT_SHARE * float(best @ (matrix.T @ residual))))
+        found.append(Start(scaled_values, JOINT_SHARE * gain))
     return found
+
+
+def together(matrix: Array, residual: Array) -> tuple[Array, float]:
+    """(amounts (m,), gain) of signatures (n, m) fitted together to what is missed (n,)."""
+    ridge = np.sqrt(RIDGE) * np.eye(matrix.shape[1])
+    padded = np.r_[residual, np.zeros(matrix.shape[1])]
+    best = np.linalg.lstsq(np.vstack([matrix, ridge]), padded, rcond=None)[0]
+    return best, float(best @ (matrix.T @ residual))
 
 
 def _apart(a: Array, b: Array) -> bool:
@@ -259,6 +264,9 @@ def beside(
     """
     every = against_mean(parameters, np.r_[parent.vector.scaled_values, scaled_values])
     vector = dataclasses.replace(parent.vector, scaled_values=every)
+    added = {p.effect for p in parameters[len(parent.parameters) :]}
+    if not any(problem.library[effect].has("shape") for effect in added):
+        return vector
     try:
         before, after = (
             _slip_limits(problem, parent.parameters, parent.vector),

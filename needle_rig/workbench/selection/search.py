@@ -206,6 +206,7 @@ def _added(trace: SearchTrace, work: Work, max_effects: int, say: Say) -> Search
             continue
         if not options:
             return trace
+        options = that_matter(trace, options)
         chosen = _chosen(trace, options)
         trace = _over_friction(trace, work, chosen)
         move, small = next_move(trace, chosen, max_effects)
@@ -407,6 +408,22 @@ def _passing(trace: SearchTrace) -> list[EffectSet]:
     size = len(trace.best) + 1
     options = [k for k in trace.fits if len(k) == size and trace.start <= k and trace.passes(trace.best, k)]
     return sorted(options, key=trace.by_score)
+
+
+def that_matter(trace: SearchTrace, options: list[EffectSet]) -> list[EffectSet]:
+    """The options; where no more can be set aside, those without a new effect too small to matter, if any.
+
+    What is small and far beyond chance stands for something that the library lacks. It must not end a search
+    in which something large passes, too.
+    """
+    if len(trace.negligible) < POLICY.search.set_aside:
+        return options
+    matter = [
+        key
+        for key in options
+        if not any(is_negligible(trace.fits[key][0], effect) for effect in key - trace.best)
+    ]
+    return matter or options
 
 
 def _chosen(trace: SearchTrace, options: Sequence[EffectSet]) -> EffectSet:

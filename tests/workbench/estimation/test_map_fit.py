@@ -79,7 +79,8 @@ def test_a_trend_of_friction_over_a_few_trials_is_no_evidence() -> None:
     parent = null_fit().current
     gain = 2.0 * parent.scatter_dof * math.log(2.0)
     seen = dataclasses.replace(parent, objective=parent.objective - gain, rank=1)
-    steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0)
+    halved = dataclasses.replace(parent.vector, trial_friction=parent.vector.trial_friction / 2.0)
+    steadier = dataclasses.replace(seen, scatter=parent.scatter / 2.0, vector=halved)
     assert parent.scatter_dof == 9.0
     assert adjusted_p(parent, seen, 22) < 0.01
     # t² = (2² - 1) · 3 with the 3 degrees of freedom of five trials: p = 0.0577, halved for its one sign

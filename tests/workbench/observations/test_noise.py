@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.model import load_parameters
 from needle_rig.numerics import Array
+from needle_rig.physics.effect import Trial
+from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of
 from needle_rig.workbench.observations.noise import (
@@ -15,6 +18,8 @@ from needle_rig.workbench.observations.noise import (
     whitener,
 )
 from needle_rig.workbench.observations.outliers import set_aside
+from tests.workbench.foreign_friction import Measured
+from tests.workbench.foreign_friction import dataset as swept
 from tests.workbench.hidden import dataset
 
 
@@ -29,6 +34,22 @@ def test_white_noise_is_what_was_put_in() -> None:
     assert noise.white[1:] == pytest.approx(rad(0.25), rel=0.06)
     assert not noise.correlated.any()
     assert noise.replicates == 2
+
+
+@pytest.mark.parametrize("replicates", [1, 3])
+@pytest.mark.parametrize("motion", ["chirp", "slow ramps", "to and fro"])
+def test_without_holds_white_noise_is_what_was_put_in(motion: str, replicates: int) -> None:
+    """Friction that scatters by 2 % is no noise of the sensors, nor is ten times the solver's accuracy."""
+    put_in = Measured(hall_deg=0.1, torque_nmm=0.0005, replicates=replicates)
+    noise, _ = measured(swept(_ours, motion, 4, measured=put_in))
+    assert noise.white[0] == pytest.approx(nm(0.0005), rel=0.12)
+    assert noise.white[1:] == pytest.approx(rad(0.1), rel=0.12)
+
+
+def _ours(time_s: Array, held_rad: Array, factor: float, _: float) -> tuple[Array, Array]:
+    needle = load_parameters("rig_rigid").with_effects(FrictionOfTrial(factor))
+    read = needle.predict(Trial(time_s, held_rad))
+    return read.torque_nm, read.hall_rad
 
 
 def test_correlated_noise_is_seen_as_correlated() -> None:

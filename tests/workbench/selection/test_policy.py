@@ -26,6 +26,7 @@ from needle_rig.workbench.selection.decisions import _decision
 from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.notes import contrived
+from needle_rig.workbench.selection.places import Place, looked_through
 from needle_rig.workbench.selection.residual_patterns import (
     Pattern,
     ResidualPatterns,
@@ -33,7 +34,13 @@ from needle_rig.workbench.selection.residual_patterns import (
     limit_sigmas,
 )
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
-from needle_rig.workbench.selection.screening import Screening, Start, forms, out_of_reach, screen
+from needle_rig.workbench.selection.screening import (
+    Screening,
+    Start,
+    forms,
+    out_of_reach,
+    screen,
+)
 from needle_rig.workbench.selection.search import (
     EffectSet,
     SearchTrace,
@@ -296,7 +303,8 @@ def test_a_restart_fits_what_answers_far_from_linearly_alone() -> None:
 
 def test_other_strengths_are_half_and_one_and_a_half_typical_sizes_either_way(baseline: Baseline) -> None:
     for name, expected in [("torque_bias", [0.5, -0.5, 1.5, -1.5]), ("tip_friction", [0.5, 1.5])]:
-        starts = candidates.finite_starts(baseline.problem, name)
+        known = candidates.Candidate(name, None, None, Screening(name, 0.0, (), 1.0, 0.0))
+        starts = candidates.finite_starts(baseline.problem, known)
         assert [float(s.scaled_values[0]) for s in starts] == expected
 
 
@@ -324,6 +332,36 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
     assert every == 6
     # the typical form and the best other one at three sizes, the rest at one
     assert len({tuple(t) for t in tried}) == every + 2 * 2
+
+
+@pytest.mark.parametrize(
+    ("rows", "asked"),
+    [
+        ([[n] for n in range(60)], 60),  # each is looked at
+        ([list(range(64))], 64),
+        ([list(range(128))], 64 + 2),  # every second, and both neighbours of the best
+        ([list(range(1024))], 64 + 15 + 2),
+    ],
+)
+def test_of_many_places_an_even_choice_is_looked_at_then_those_near_the_best(
+    rows: list[list[float]], asked: int
+) -> None:
+    info = dataclasses.replace(
+        few("torque_bias")["torque_bias"].parameters()["bias_nmm"], shapes=True, places=lambda _: rows
+    )
+    placed = FreeParameter("x", "at", None, info, tuple(map(tuple, rows)))
+    best = rows[len(rows) // 3][len(rows[0]) // 3]
+    seen: list[float] = []
+
+    def seen_at(forms: Any) -> list[Place]:
+        seen.extend(form[0] for form in forms)
+        return [Place(Start(form, -abs(form[0] - placed.scaled_value(best))), 1.0) for form in forms]
+
+    looked = looked_through([placed], seen_at)
+    first = next(iter(looked.values()))
+    assert first.start.scaled_values[0] == placed.scaled_value(best)
+    assert len(seen) == len(set(seen)) == len(looked)
+    assert abs(len(seen) - asked) <= 2
 
 
 def left(size: float = 1.0, unit: str = "°") -> ResidualPatterns:

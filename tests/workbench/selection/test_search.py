@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from needle_rig.physics.library import find_effects
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.candidates import refit
-from needle_rig.workbench.selection.search import SearchTrace, _back, expand, search, set_aside
+from needle_rig.workbench.selection.search import (
+    EffectSet,
+    SearchTrace,
+    _back,
+    expand,
+    search,
+    set_aside,
+    that_matter,
+)
 from tests.workbench.hidden import null_fit
 
 NAMES = ("chuck_backlash", "hall_offset", "tip_friction", "torque_bias")
@@ -73,3 +84,29 @@ def test_what_is_needed_is_not_dropped_for_a_fit_that_was_never_cross_validated(
     work = Work()
     work.share(trace.problem)
     assert _back(dataclasses.replace(trace, best=three), work).best == HIDDEN
+
+
+SMALL, LARGE = frozenset({"small"}), frozenset({"large"})
+
+
+@pytest.mark.parametrize(
+    ("aside", "options", "left"),
+    [
+        (1, [SMALL, LARGE], [SMALL, LARGE]),  # the small one is set aside next
+        (2, [SMALL, LARGE], [LARGE]),
+        (2, [SMALL], [SMALL]),  # nothing large passes: the search ends there
+    ],
+)
+def test_what_is_too_small_to_matter_does_not_end_a_search_in_which_something_large_passes(
+    aside: int, options: list[EffectSet], left: list[EffectSet]
+) -> None:
+    def fit_of(name: str, size: float) -> Any:
+        parameter = SimpleNamespace(effect=name, info=SimpleNamespace(shapes=False), smallest=1.0)
+        return SimpleNamespace(parameters=[parameter], vector=SimpleNamespace(scaled_values=[size])), None
+
+    trace: Any = SimpleNamespace(
+        negligible=dict.fromkeys(range(aside)),
+        best=frozenset(),
+        fits={SMALL: fit_of("small", 0.5), LARGE: fit_of("large", 2.0)},
+    )
+    assert that_matter(trace, options) == left
