@@ -6,16 +6,14 @@ import { html, number, parameter, signal, words } from "./ui.js";
 const MARKED_SIGMAS = 3;
 
 /** What the next comparison holds. @typedef {{refit: boolean, fixed: Record<string, number>, free: string[]}} Held */
-/** @type {Held} */
-const AS_THE_MODEL_SAYS = { refit: false, fixed: {}, free: [] };
 /** @type {{value: Held}} */
-export const held = signal(AS_THE_MODEL_SAYS);
+export const held = signal({ refit: false, fixed: {}, free: [] });
 /** What stands in the form and was not asked yet, by value. @type {{value: Record<string, string>}} */
 const written = signal({});
 
-/** Forget the form: another model or other data have other values. */
-export function holdAll() {
-  held.value = AS_THE_MODEL_SAYS;
+/** The form of a comparison: what it held. @param {Partial<Held>} asked */
+export function holdAs({ refit = false, fixed = {}, free = [] }) {
+  held.value = { refit, fixed, free };
   written.value = {};
 }
 
