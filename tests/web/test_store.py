@@ -11,7 +11,7 @@ from needle_rig.web.identity import data_hash, model_hash
 from needle_rig.web.jobs import CLOSED, Jobs
 from needle_rig.web.store import DATABASE, FOLDER, Store, opened, seal, sealed
 
-OF = {
+OF: dict[str, object] = {
     "kind": "diagnose",
     "data": [["shipped:a", "a"]],
     "model": None,
@@ -85,7 +85,7 @@ def test_python_runs_only_with_the_seal_of_this_users_key(
 def test_no_pickle_lies_where_work_is_kept(tmp_path: Path) -> None:
     store = Store(tmp_path)
     jobs = Jobs(store, tmp_path / "scratch")
-    folder = jobs._folder("compare", "k")  # noqa: SLF001
+    folder = jobs._folder("compare", "k")
     assert folder.is_relative_to(tmp_path / "scratch")
     source = Path(places.__file__).parent
     writers = [
