@@ -131,7 +131,10 @@ class RigLink:
                         str(place), uri="ws://daemon/stream", max_size=None, compression=None, open_timeout=5
                     ) as stream:
                         while True:
-                            self._take(await asyncio.wait_for(stream.recv(decode=True), SILENT_S))
+                            # wait_for of Python 3.11 loses a cancellation that comes with a message
+                            async with asyncio.timeout(SILENT_S):
+                                text = await stream.recv(decode=True)
+                            self._take(text)
             self._lost()
             await asyncio.sleep(AGAIN_S)
 
