@@ -132,7 +132,7 @@ class Job:
             case {"done": int(done), "total": int(total)}:
                 self.done, self.total = done, total
             case {"result": dict(result)}:
-                self.state, self.result = "done", result
+                self.result = result  # it is done once its result is kept
             case {"error": str(error)}:
                 self.state, self.error = "failed", error
 
@@ -270,15 +270,20 @@ class Jobs:
         if job.ended_utc_s is None:
             job.ended_utc_s = time.time()
         result, job.result = job.result, None
-        if result is not None and job.of.kind in LASTING:
+        if job.state != "running":
+            result = None  # it was cancelled at its end
+        elif result is not None and job.of.kind in LASTING:
             job.name = self._unique(str(result.get("model") or result.get("name") or job.of.kind), job)
             job.added = list(result.get("added", []))
             if job.of.kind == "learn":
                 seal(job.folder)
+        state: State = job.state if result is None else "done"
+        kept = job.kept() | {"state": state}
         try:
             await asyncio.to_thread(
-                self._store.keep_job, job.key, job.of.hashes, job.asked_utc_s, job.kept(), result
+                self._store.keep_job, job.key, job.of.hashes, job.asked_utc_s, kept, result
             )
+            job.state = state
         except BadInput as error:
             job.state, job.error = "failed", str(error)
 
@@ -312,7 +317,7 @@ class Jobs:
             while line := await process.stdout.readline():
                 if job.state == "running":
                     job.hear(self._told(json.loads(line)))
-        if job.state == "running":
+        if job.state == "running" and job.result is None:
             said = (await complaints).decode("utf-8", "replace").strip().splitlines()
             job.state, job.error = "failed", f"{CRASHED}: {said[-1] if said else 'it said nothing'}"
         _kill(job)

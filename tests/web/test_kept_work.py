@@ -90,7 +90,7 @@ def test_what_runs_is_in_the_header_of_every_view_and_its_result_is_a_click_away
         at_button.wait_for()
         box = at_button.bounding_box()
         assert 0 <= box["y"] < WIDE["height"]  # progress stands where the button stood
-        strip = page.get_by_role("list", name="Work")
+        strip = page.get_by_role("region", name="Work")
         for view in ("live", "runs", "models", "strategies"):
             page.goto(f"{served.base}/#/{view}")
             strip.get_by_text("Diagnose data/mine").wait_for()
@@ -99,7 +99,7 @@ def test_what_runs_is_in_the_header_of_every_view_and_its_result_is_a_click_away
         look_at(page, "strip")
         other = page.context.new_page()
         other.goto(f"{served.base}/#/live")
-        other.get_by_role("list", name="Work").get_by_text("Diagnose data/mine").wait_for()
+        other.get_by_role("region", name="Work").get_by_text("Diagnose data/mine").wait_for()
         page.reload()
         page.get_by_role("link", name="Show the result").click()
         page.wait_for_selector(".verdict")

@@ -113,9 +113,11 @@ function seenAt(job) {
 /** @param {any} job */
 const subjectOf = (job) => [job.data.map((/** @type {any} */ d) => d.name).join(", "), job.model ? `with ${words(job.model.name)}` : ""].filter(Boolean).join(" ");
 
-/** @param {string} key */
+/** What came up to this job is known. @param {string} key */
 function dismiss(key) {
-  seen.value = [...seen.value, key].slice(-SEEN_KEPT);
+  const until = jobs.value.findIndex((job) => job.key === key);
+  const known = jobs.value.filter((job, k) => k <= until && !alive(job)).map((job) => job.key);
+  seen.value = [...new Set([...seen.value, ...known])].slice(-SEEN_KEPT);
   localStorage.setItem(SEEN, JSON.stringify(seen.value));
 }
 addEventListener("storage", (event) => {
@@ -148,10 +150,10 @@ export function Strip() {
     return true;
   });
   if (!running.length && !came.length) return null;
-  return html`<ul class="strip" aria-label="Work">
-    ${running.map((job) => html`<li key=${job.key}><a href=${seenAt(job)}>${KINDS[job.kind]} ${subjectOf(job)}</a> <${Progress} job=${job} /></li>`)}
-    ${came.map((job) => html`<li key=${job.key} class=${job.state} role="status"><strong>${KINDS[job.kind]} ${subjectOf(job)}</strong> ${job.state === "done" ? html`<span>done</span> <a href=${seenAt(job)} onClick=${() => dismiss(job.key)}>Show the result</a>` : html`<span>${job.error}</span>`}
-      <button onClick=${() => dismiss(job.key)} aria-label="Dismiss what came of the work">×</button></li>`)}</ul>`;
+  return html`<section class="strip" aria-label="Work">
+    ${running.map((job) => html`<div key=${job.key}><a href=${seenAt(job)}>${KINDS[job.kind]} ${subjectOf(job)}</a> <${Progress} job=${job} /></div>`)}
+    ${came.map((job) => html`<div key=${job.key} class=${job.state} role="status"><strong>${KINDS[job.kind]} ${subjectOf(job)}</strong> ${job.state === "done" ? html`<span>done</span> <a href=${seenAt(job)} onClick=${() => dismiss(job.key)}>Show the result</a>` : html`<span>${job.error}</span>`}
+      <button onClick=${() => dismiss(job.key)} aria-label="Dismiss what came of the work">×</button></div>`)}</section>`;
 }
 
 /** Begin to follow the server's jobs. */
