@@ -24,13 +24,12 @@ from typing import Any, Literal
 from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
 from needle_rig.model import parameter_sets
+from needle_rig.web.bounds import RUNNING, told
 from needle_rig.web.places import SCRATCH_KINDS
 from needle_rig.web.sources import free_name
 from needle_rig.web.store import Store, seal
 
 Document = dict[str, Any]
-RUNNING = 2
-"""Jobs at a time; each takes the cores that the tick leaves. Others wait."""
 WAITING = 20
 KEPT = 300
 """Results that are kept; models, imports and laws are kept until a person removes them."""
@@ -38,7 +37,6 @@ TOLD = 30
 """Jobs that the page hears of without asking for them."""
 LINE_BYTES = 64 << 20
 """A line of a job's answer: a comparison of 12 trials of 9 channels takes 3 MB."""
-CRASHED = "the work ended by itself"
 CLOSED = "needle-rig web was closed while this ran; start it again, it goes on from what was done"
 MODELS = frozenset({"adopt", "adopt_law", "take_values", "open"})
 """Kinds whose result is a model."""
@@ -319,7 +317,7 @@ class Jobs:
                     job.hear(self._told(json.loads(line)))
         if job.state == "running" and job.result is None:
             said = (await complaints).decode("utf-8", "replace").strip().splitlines()
-            job.state, job.error = "failed", f"{CRASHED}: {said[-1] if said else 'it said nothing'}"
+            job.state, job.error = "failed", self._inner(told(await process.wait(), said))
         _kill(job)
         await process.wait()
         await complaints
