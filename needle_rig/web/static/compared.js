@@ -147,5 +147,5 @@ export function Figures({ busy, draw, refuse }) {
     ${now ? html`<figure><div class="paper" tabindex="0" role="group" aria-label="The figure"><img src=${now.url} alt=${now.words} class=${wide.value ? "large" : ""}
         onLoad=${(/** @type {any} */ e) => (wide.value = e.target.naturalWidth > WIDE_PX)} /></div><figcaption class="quiet">${now.words}</figcaption></figure>
       <p>Save as ${Object.entries(now.files).map(([kind, file]) => html`<button onClick=${() => save(`jobs/${now.key}/${file}`, file).catch(refuse)}>${kind.toUpperCase()}</button> `)}</p>`
-      : html`<p class="quiet">${busy ? "Working …" : "Each is drawn when it is asked for, some seconds, as the command needle-rig compare --figure draws it."}</p>`}</section>`;
+      : html`<p class="quiet">${busy ? "Working …" : "Each is drawn when it is asked for, in some seconds."}</p>`}</section>`;
 }

@@ -69,7 +69,7 @@ function Doubt({ part, of }) {
   if (!part.doubt) return null;
   const is = confirmed.value.includes(of);
   return html`<label class="row doubt"><input type="checkbox" checked=${is}
-    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> right, although: ${part.doubt}</label>`;
+    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> confirm anyway: ${part.doubt}</label>`;
 }
 
 /** The mapping of dropped recordings; `again` asks for another guess, `take` imports, `discard` removes what was dropped.
