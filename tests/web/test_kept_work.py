@@ -124,10 +124,10 @@ def test_what_runs_is_in_the_header_of_every_view_and_its_result_is_a_click_away
 def test_no_result_stands_under_the_name_of_other_data(visit: Open, page_server: Served) -> None:
     page = visit("data")
     page.get_by_label("data/mine").check()
-    page.get_by_label("reed2008").check()
+    page.get_by_role("radio", name="reed2008").check()
     compared(page, "reed2008").wait_for()
     page.wait_for_timeout(1000)
-    assert page.get_by_label("reed2008").is_checked()
+    assert page.get_by_role("radio", name="reed2008").is_checked()
     assert page.locator("section", has_text="mine against").count() == 0
     page.get_by_role("button", name="Diagnose", exact=True).click()
     page.locator("main .job").wait_for()
@@ -138,7 +138,7 @@ def test_no_result_stands_under_the_name_of_other_data(visit: Open, page_server:
     assert page.get_by_role("button", name="Diagnose", exact=True).is_enabled()
     page.get_by_role("link", name="Show the result").click()
     page.wait_for_selector(".verdict")
-    assert page.get_by_label("reed2008").is_checked()
+    assert page.get_by_role("radio", name="reed2008").is_checked()
     # a comparison that nobody looks at any more was ended
     jobs = page_server.ask("GET", "/api/jobs").json()["jobs"]
     first = next(job for job in jobs if job["kind"] == "compare" and job["data"][0]["name"] == "data/mine")

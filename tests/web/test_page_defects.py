@@ -78,8 +78,9 @@ def test_two_tabs_keep_each_others_note_and_tags_and_a_refused_note_stays_writte
     other = page.context.new_page()
     other.goto(page.url)
     other.get_by_label("Tags of").wait_for()
-    page.get_by_label("Note on").fill("seen by one")
-    page.get_by_label("Note on").press("Tab")
+    page.get_by_label("Note on").press_sequentially("seen by one", delay=100)  # drawn anew meanwhile
+    with page.expect_response("**/notes"):
+        page.get_by_label("Note on").press("Tab")
     other.get_by_label("Tags of").fill("by another")
     other.get_by_label("Tags of").press("Tab")
     expect(other.get_by_label("Note on")).to_have_value("seen by one")

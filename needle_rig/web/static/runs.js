@@ -69,9 +69,11 @@ async function exported(name, form) {
   if (made) await save(`jobs/${job.key}/${encodeURIComponent(made.file)}`, made.file).catch(refuse);
 }
 
+/** What is written stays while the view is drawn anew. @param {string} name @param {"tags" | "note"} field @param {string} text */
+const write = (name, field, text) => (drafts.value = { ...drafts.value, [name]: { ...drafts.value[name], [field]: text } });
+
 /** Keep what changed of a run; a refused draft stays where it was written. @param {string} name @param {"tags" | "note"} field @param {string} text */
 async function keep(name, field, text) {
-  drafts.value = { ...drafts.value, [name]: { ...drafts.value[name], [field]: text } };
   said.value = "";
   const content = field === "note" ? text : text.split(",").map((tag) => tag.trim()).filter(Boolean);
   try {
@@ -138,8 +140,8 @@ function One({ name }) {
         ${["csv", "mcap", "png", "dataset"].map((form) => html`<button onClick=${() => exported(name, form)}>${{ csv: "CSV", mcap: "MCAP", png: "Picture", dataset: "Dataset" }[form]}</button>`)}
         <a href="#/runs">All runs</a></p>
       <${Working} kinds=${["export", "show"]} of=${jobs.value.filter((job) => job.data.some((/** @type {any} */ d) => d.name === name))} />
-      <div class="notes"><label>Tags, with commas between <input aria-label=${`Tags of ${name}`} value=${draft.tags ?? now.tags.join(", ")} onChange=${(/** @type {any} */ e) => keep(name, "tags", e.target.value)} /></label>
-        <label>Note <textarea aria-label=${`Note on ${name}`} rows="3" maxlength=${NOTE_LETTERS} value=${draft.note ?? now.note} onChange=${(/** @type {any} */ e) => keep(name, "note", e.target.value)}></textarea></label></div></section>
+      <div class="notes"><label>Tags, with commas between <input aria-label=${`Tags of ${name}`} value=${draft.tags ?? now.tags.join(", ")} onInput=${(/** @type {any} */ e) => write(name, "tags", e.target.value)} onChange=${(/** @type {any} */ e) => keep(name, "tags", e.target.value)} /></label>
+        <label>Note <textarea aria-label=${`Note on ${name}`} rows="3" maxlength=${NOTE_LETTERS} value=${draft.note ?? now.note} onInput=${(/** @type {any} */ e) => write(name, "note", e.target.value)} onChange=${(/** @type {any} */ e) => keep(name, "note", e.target.value)}></textarea></label></div></section>
     <${Traces} names=${[name]} />`;
 }
 
