@@ -59,6 +59,7 @@ def command(
     from needle_rig.service.client import private_daemon
     from needle_rig.web.guard import LOOPBACK
     from needle_rig.web.server import Page, Settings, listening, serve
+    from needle_rig.web.store import opened
 
     if rig is None and (parameters is not None or fast):
         raise BadInput("--parameters and --fast choose the page's own rig: give them with --rig simulated")
@@ -74,7 +75,11 @@ def command(
             options += ["--rig", "bench"] if rig == "bench" else []
             options += [*(["--parameters", parameters] if parameters else []), *(["--fast"] if fast else [])]
             socket = stack.enter_context(private_daemon(options)).path
-        settings = Settings(socket, data, runs, effects, jobs or len(os.sched_getaffinity(0)))
+        store, unkept = stack.enter_context(opened(runs, folder / "kept"))
+        if unkept:
+            click.echo(f"warning: {unkept}", err=True)
+        processes = jobs or len(os.sched_getaffinity(0))
+        settings = Settings(socket, data, runs, effects, processes, own_rig=rig is not None)
         address = f"http://{LOOPBACK}:{listener.getsockname()[1]}/#token={token}"
 
         def ready() -> None:
@@ -83,5 +88,5 @@ def command(
                 click.launch(address)
 
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(serve(Page(settings, folder), listener, token, ready))
+            asyncio.run(serve(Page(settings, folder, store, unkept), listener, token, ready))
     click.echo("the page is closed", err=True)

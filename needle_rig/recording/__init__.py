@@ -6,6 +6,8 @@ from needle_rig.recording.catalogue import (
     is_run_file,
     list_runs,
     remove_empty_runs,
+    run_summary,
+    runs_in,
     runs_in_journals,
     unfinished_runs,
 )
@@ -32,7 +34,9 @@ __all__ = [
     "remove_empty_runs",
     "retain",
     "run_attributes",
+    "run_summary",
     "run_tables",
+    "runs_in",
     "runs_in_journals",
     "sample_row",
     "unfinished_runs",

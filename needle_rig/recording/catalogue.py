@@ -42,15 +42,22 @@ def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
 
     Raises BadInput for one that is there and cannot be read.
     """
+    return sorted(map(run_summary, runs_in(directory)), key=lambda run: (run.started_utc, run.name))
+
+
+def runs_in(directory: str | os.PathLike[str]) -> set[Path]:
+    """The run files in `directory`, those whose journal is not closed yet too; none in an absent folder.
+
+    Raises BadInput for one that is there and cannot be read.
+    """
     try:
         os.scandir(directory).close()
     except FileNotFoundError:
-        return []
+        return set()
     except OSError as error:
         raise _unlistable(Path(directory), error) from None
     found = [*Path(directory).glob("*.h5"), *Path(directory).glob(f"*{SUFFIX}")]
-    paths = {path.with_suffix(".h5") for path in found if not path.name.startswith(".")}
-    return sorted((_summary(path) for path in paths), key=lambda run: (run.started_utc, run.name))
+    return {path.with_suffix(".h5") for path in found if not path.name.startswith(".")}
 
 
 def _unlistable(directory: Path, error: OSError) -> BadInput:
@@ -120,7 +127,8 @@ def find_run(named: str, directory: str | os.PathLike[str]) -> RunFile:
     raise BadInput(f"{named}: no such run in {shown}; {hint}")
 
 
-def _summary(path: Path) -> RunSummary:
+def run_summary(path: Path) -> RunSummary:
+    """What is listed of one run file."""
     try:
         run = RunFile(path)
         ending = run.ending()

@@ -15,7 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.service.orders import read_order
-from needle_rig.web.guard import WEBSOCKET_TOKEN
+from needle_rig.web.guard import WEBSOCKET_PAGE, WEBSOCKET_TOKEN
 
 if TYPE_CHECKING:
     from starlette.websockets import WebSocket
@@ -30,7 +30,8 @@ NOT_UNDERSTOOD = 1008
 
 async def live(rig: RigLink, socket: WebSocket) -> None:
     """Tell all that the daemon tells, and pass stops on, until one side leaves."""
-    offered = [name for name in socket.scope["subprotocols"] if name.startswith(WEBSOCKET_TOKEN)]
+    both_ways = (WEBSOCKET_TOKEN, WEBSOCKET_PAGE)
+    offered = [name for name in socket.scope["subprotocols"] if name.startswith(both_ways)]
     await socket.accept(subprotocol=offered[0] if offered else None)
     stops: set[asyncio.Task[None]] = set()
 

@@ -5,12 +5,13 @@ that takes the latter over.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
+from needle_rig.questions.compare import Compare
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.identify import Identify
 from needle_rig.web.models import kept_document
@@ -40,13 +41,22 @@ def keep(found: Comparison, out: str) -> None:
     (Path(out) / COMPARISON).write_bytes(pickle.dumps(found, protocol=pickle.HIGHEST_PROTOCOL))
 
 
-def figure(say: Callable[[str], None], *, comparison: str, what: str, out: str) -> Document:
-    """One figure of a comparison that was kept, in every format, with its words. Raises BadInput."""
+def figure(
+    say: Callable[[str], None], *, comparison: str, what: str, again: Mapping[str, Any], out: str
+) -> Document:
+    """One figure of a comparison that was kept, in every format, with its words.
+
+    `again` is its question, for one that an earlier server kept. Raises BadInput, SolverError.
+    """
     needed("matplotlib", "a figure", "figures")
     from needle_rig.figures.residuals import described, function, write_figure
 
     function(what)
-    kept: Comparison = pickle.loads(Path(comparison).read_bytes())
+    place = Path(comparison)
+    if not place.is_file():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        keep(Compare.from_request(again).answer(Doing(say=say)), str(place.parent))
+    kept: Comparison = pickle.loads(place.read_bytes())
     found = kept.traces()
     say(f"drawing {what.replace('_', ' ')}")
     files = {kind: f"{what}.{kind}" for kind in FORMATS}

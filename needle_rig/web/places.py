@@ -6,4 +6,6 @@ DIAGNOSIS = "diagnosis.yaml"
 MODEL = "model.yaml"
 DATASET = "dataset"
 COMPARISON = "comparison.pickle"
-"""A comparison with its fits, for its figures: in a folder of this server alone, which no upload reaches."""
+"""A comparison with its fits, for its figures: in a folder of this server alone, which ends with it."""
+SCRATCH_KINDS = frozenset({"compare"})
+"""Of work whose files end with the server: a pickle runs code, so none is read from a folder of runs."""

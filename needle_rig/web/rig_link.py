@@ -36,10 +36,10 @@ Document = dict[str, Any]
 
 
 class RigLink:
-    """The daemon at `path`, or at the first usual place where one answers."""
+    """The daemon at `path`, or at the first usual place where one answers; the page's `own` ends for good."""
 
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
+    def __init__(self, path: Path | None, own: bool = False) -> None:
+        self._path, self._own = path, own
         self._stream = Stream()
         self._lease: str | None = None
         self._orders = asyncio.Lock()
@@ -123,7 +123,10 @@ class RigLink:
             if "error" in answer:
                 raise failure(answer)
             return answer
-        raise RigFault(f"no daemon answers ({type(last).__name__}); start one: needle-rig daemon") from None
+        raise RigFault(f"no daemon answers ({type(last).__name__}); {self._advice()}") from None
+
+    def _advice(self) -> str:
+        return "start needle-rig web again" if self._own else "start one: needle-rig daemon"
 
     def _places(self) -> list[Path]:
         return sockets_for_client() if self._path is None else [self._path]
@@ -136,7 +139,10 @@ class RigLink:
                         str(place), uri="ws://daemon/stream", max_size=None, compression=None, open_timeout=5
                     ) as stream:
                         while True:
-                            self._take(await asyncio.wait_for(stream.recv(decode=True), SILENT_S))
+                            # wait_for of Python 3.11 loses a cancellation that comes with a message
+                            async with asyncio.timeout(SILENT_S):
+                                text = await stream.recv(decode=True)
+                            self._take(text)
             self._lost()
             await asyncio.sleep(AGAIN_S)
 
@@ -153,6 +159,9 @@ class RigLink:
     def _lost(self) -> None:
         self.reached = False
         where = " or ".join(str(place) for place in self._places())
-        said = {"type": "lost", "text": f"no daemon answers at {where}; start one: needle-rig daemon"}
+        text = f"no daemon answers at {where}; {self._advice()}"
+        if self._own:
+            text = f"the rig of this page has ended; {self._advice()}"
+        said = {"type": "lost", "text": text}
         self._newest = json.dumps(said | {"at": round(time.monotonic(), 1)})
         self._stream.state(self._newest)

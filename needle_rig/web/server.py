@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import secrets
 import socket as sockets
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
@@ -28,35 +27,32 @@ from needle_rig.service.connections import Connections
 from needle_rig.service.endpoint import QUEUE
 from needle_rig.service.orders import read_order
 from needle_rig.service.serving import connection_limit, server
+from needle_rig.web.asked import Lesson, Work, read
+from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate
 from needle_rig.web.glossary import glossary_html
-from needle_rig.web.guard import LOOPBACK, Guard
+from needle_rig.web.guard import LOOPBACK, SESSION, Guard, Session
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.lessons_process import Lessons
 from needle_rig.web.live import STOP_BYTES, live
-from needle_rig.web.places import COMPARISON, DATASET, DIAGNOSIS, MODEL
 from needle_rig.web.rig_link import ORDERS, RigLink
-from needle_rig.web.sources import NOTES_BYTES, Sources
-from needle_rig.web.uploads import TooMuch, Uploads, data_in, model_in
+from needle_rig.web.run_index import RunIndex
+from needle_rig.web.sources import NOTES_BYTES, Listed, Sources
+from needle_rig.web.store import Store
+from needle_rig.web.uploads import NoRoom, TooMuch, Uploads, data_in, model_in
 from needle_rig.workbench.contest.strategies_table import NEEDS_OTHERS
 
 STATIC = Path(__file__).parent / "static"
 BODY_BYTES = 64 << 10
+FILTER_LETTERS = 200
+MOST_RUNS = 10**9
 JOB_BYTES = 512 << 10
 """A mapping of some hundred channels, each with its reason."""
 BODY_S = 10.0
 CONNECTIONS = 256
 """Of strangers, and of those with the token: far more than pages of one person."""
-TARGETS = 8
-SEEDS = 10
 OWN_DESCRIPTORS = 256
 """Files of jobs and uploads, and connections to the daemon."""
-
-OF_A_MODEL = ("compare", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
-OF_DATA = ("compare", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
-"""Kinds of work that are given a model or none, and that are given data."""
-OF_VALUES = ("refit", "fixed", "free")
-"""Fields of a comparison, which its record checks."""
 
 Document = dict[str, Any]
 
@@ -72,21 +68,23 @@ class Settings:
     """Folders with effects of one's own: Python that runs, which no upload can add to."""
     jobs: int
     """Processes of a diagnosis."""
+    own_rig: bool = False
+    """Whether the rig was started for this page alone."""
 
 
 class Page:
-    """Everything behind the page, below one temporary `folder`."""
+    """Everything behind the page: what lasts in `store`, what ends with the server below `folder`."""
 
-    def __init__(self, settings: Settings, folder: Path) -> None:
-        self._settings, self._folder = settings, folder
-        self.rig = RigLink(settings.socket)
-        self.jobs = Jobs()
+    def __init__(self, settings: Settings, folder: Path, store: Store, unkept: str = "") -> None:
+        self._settings, self._store, self._unkept = settings, store, unkept
+        self.rig = RigLink(settings.socket, settings.own_rig)
+        self.jobs = Jobs(store, folder)
         self.lessons = Lessons(settings.effects)
-        self.uploads = Uploads(folder / "uploads")
-        self.sources = Sources(settings.data, settings.runs, self.uploads)
-        self._made: dict[str, Path] = {}
-        self._drafts: dict[str, list[str]] = {}
-        self._laws = 0
+        self.uploads = Uploads(store.folder / "uploads", lambda key: store.keep_upload(key, None))
+        for key, kept in store.uploads().items():
+            self.uploads.restore(key, **kept)
+        self.sources = Sources(settings.data, settings.runs, self.uploads, RunIndex(store))
+        self.desk = Desk(self.sources, self.jobs, settings.effects, settings.jobs)
 
     # the rig
 
@@ -104,7 +102,7 @@ class Page:
 
     async def estimate(self, request: Request) -> Response:
         """The matrix that gives the shaft's angle between its sensors."""
-        rig = json.loads(await body(request))
+        rig: Any = as_mapping(await body(request))
         try:
             return JSONResponse(shaft_estimate(rig).as_json())
         except (KeyError, TypeError, ValueError, ArithmeticError):
@@ -113,8 +111,8 @@ class Page:
     # the workbench
 
     async def about(self, _: Request) -> Response:
-        """What can be chosen: data, strategies, parameter sets."""
-        sources = await asyncio.to_thread(self.sources.datasets)
+        """What can be chosen: data, models, strategies, parameter sets."""
+        sources = await asyncio.to_thread(self.desk.named)
         return JSONResponse(
             {
                 "data": [{"key": s.key, "name": s.name, "kind": s.kind} for s in sources],
@@ -123,121 +121,41 @@ class Page:
                     for name, kind in find_strategies().items()
                     if name not in NEEDS_OTHERS
                 ],
+                "models": [job.as_json() for job in self.jobs.models()],
                 "parameters": sorted(parameter_sets()),
                 "runs": str(self._settings.runs),
+                "unkept": self._unkept,
             }
         )
 
     async def begin_job(self, request: Request) -> Response:
-        """Start a computation: its key."""
-        asked = as_mapping(await body(request, JOB_BYTES))
-        kind, out = asked.get("kind"), self._folder / "jobs" / secrets.token_hex(8)
-        given: Document = {}
-        if kind in OF_DATA:
-            given["data"] = await asyncio.to_thread(self.sources.paths, texts(asked.get("data")))
-        if kind in OF_A_MODEL:
-            given["model"] = self._model(asked.get("model"))
-        drafts = self._drafts_of(asked.get("model"), asked.get("diagnosis"))
-        if kind == "compare":
-            given |= {field: asked[field] for field in OF_VALUES if field in asked}
-        elif kind == "figure":
-            given["comparison"] = self._file(str(asked.get("compared")), COMPARISON)
-            given["what"] = str(asked.get("what"))
-        elif kind == "open":
-            upload = self.uploads.get(str(asked.get("upload")))
-            if (dropped := model_in(upload.folder)) is None:
-                raise BadInput(f"{upload.name}: holds no model file")
-            given["model"] = str(dropped)
-        elif kind == "diagnose":
-            given["quick"] = asked.get("quick") is True
-        elif kind == "adopt":
-            given["diagnosis"] = self._file(asked.get("diagnosis"), DIAGNOSIS)
-            given["chosen"] = texts(asked.get("chosen", []))
-        elif kind == "learn":
-            self._laws += 1
-            given["draft"] = str(out / f"learnt_law_{self._laws}.py")
-        elif kind == "adopt_law":
-            folder = self._made.get(str(asked.get("learnt")))
-            if folder is None:
-                raise BadInput("what was learnt is not there any more; learn it again")
-            given["effect"] = str(asked.get("law"))
-            drafts = [*drafts, str(folder)]
-        elif kind == "undo" and given["model"] is None:
-            raise BadInput("there is no step to take back")
-        elif kind == "export":
-            given["form"] = str(asked.get("form"))
-        elif kind == "strategies":
-            given |= self._contest(asked, given["model"])
-        elif kind in ("guess", "import"):
-            given |= await self._recordings(str(kind), asked, out)
-        elif "data" not in given and kind != "undo":
-            raise BadInput("this is no computation that the page knows")
-        if kind in (*OF_A_MODEL, "adopt", "open"):
-            given["effects"] = [*self._settings.effects, *drafts]
-        out.mkdir(parents=True, exist_ok=True)
-        key = self.jobs.start(str(kind), {**given, "out": str(out), "jobs": self._settings.jobs})
-        self._made[key] = out
-        self._drafts[key] = drafts
-        if kind == "import":
-            self.sources.imported[f"imported:{key}"] = out / DATASET
-        return JSONResponse({"job": key}, 202)
+        """Start a computation, or find that of the same question: its key."""
+        job = await self.desk.begin(read(Work, await body(request, JOB_BYTES)))
+        return JSONResponse({"job": job.key}, 202)
 
-    def _drafts_of(self, *keys: object) -> list[str]:
-        """Folders of the learnt laws in what these jobs made."""
-        return list(dict.fromkeys(folder for key in keys for folder in self._drafts.get(str(key), [])))
+    async def all_jobs(self, _: Request) -> Response:
+        """What runs, and what was asked last: without the results."""
+        return JSONResponse({"jobs": [job.as_json() for job in self.jobs.newest_asked()]})
 
-    async def _recordings(self, kind: str, asked: Document, out: Path) -> Document:
-        """An upload of recordings, with its mapping or with the shaft of its guess."""
-        upload = self.uploads.get(str(asked.get("upload")))
-        given: Document = {"folder": str(upload.folder), "files": sorted(upload.files)}
-        given["files"] = [file for file in given["files"] if (upload.folder / file).is_file()]
-        if kind == "import":
-            return given | {"mapping": asked.get("mapping")}
-        layout, source = asked.get("layout"), asked.get("layout_of")
-        place: str | None = None
-        if isinstance(layout, str) and layout.strip():
-            out.mkdir(parents=True)
-            (out / "layout.yaml").write_text(layout, encoding="utf-8")
-            place = str(out / "layout.yaml")
-        elif source is not None:
-            place = (await asyncio.to_thread(self.sources.paths, texts([source])))[0]
-        return given | {"layout": place, "name": upload.name}
-
-    def _contest(self, asked: Document, model: str | None) -> Document:
-        """Targets, runs, and the rig that planned knows: what was learnt, or else a parameter set."""
-        targets, seeds, parameters = asked.get("targets_deg"), asked.get("seeds"), asked.get("parameters")
-        if not isinstance(targets, list) or not isinstance(seeds, int) or parameters not in parameter_sets():
-            raise BadInput("give targets in degrees, a number of runs, and a parameter set of the list")
-        if not 1 <= len(targets) <= TARGETS or not 1 <= seeds <= SEEDS:
-            raise BadInput(f"give 1 to {TARGETS} targets and 1 to {SEEDS} runs of each kind")
-        rig = model or parameters
-        return {"targets_deg": targets, "seeds": seeds, "parameters": rig, "model": rig}
-
-    def _model(self, key: object) -> str | None:
-        """The model that a job made, or the name of a parameter set; None for the null model."""
-        if isinstance(key, str) and key in parameter_sets():
-            return key
-        return self._file(key, MODEL)
-
-    def _file(self, key: object, name: str) -> str | None:
-        """The file of this name that a job made; None for no key."""
-        if key is None:
-            return None
-        path = self._made.get(str(key), self._folder) / name
-        if not path.is_file():
-            raise BadInput("what this builds on is not there any more; compute it again")
-        return str(path)
+    async def results(self, request: Request) -> Response:
+        """The newest job of each kind that was asked of these data and this model."""
+        asked = request.query_params
+        found = await self.desk.results(asked.getlist("data"), asked.get("model") or None)
+        return JSONResponse({kind: job.as_json() for kind, job in found.items()})
 
     async def job(self, request: Request) -> Response:
-        """How far a computation is, or end it."""
+        """How far a computation is and what it found, or end it."""
         key = request.path_params["key"]
         job = self.jobs.cancel(key) if request.method == "DELETE" else self.jobs.get(key)
-        return JSONResponse(job.as_json())
+        told = json.dumps(job.as_json()).encode()
+        result = await self.jobs.result(job) if job.state == "done" else b"null"
+        return Response(told[:-1] + b', "result": ' + result + b"}", media_type="application/json")
 
     async def file(self, request: Request) -> Response:
         """A file that a job wrote, by its bare name."""
         key, name = request.path_params["key"], request.path_params["name"]
-        folder = self._made.get(key)
+        job = self.jobs.find(key)
+        folder = None if job is None or not job.folder.is_dir() else job.folder
         listed = [] if folder is None else [path.name for path in folder.iterdir() if path.is_file()]
         if folder is None or name not in listed:
             raise BadInput(f"{name[:80]}: no such file; compute it again")
@@ -258,17 +176,51 @@ class Page:
         found = self.uploads.get(key)
         data = await asyncio.to_thread(data_in, found.folder)
         model = await asyncio.to_thread(model_in, found.folder)
+        found.kind = "upload" if data else "model" if model is not None else "recording"
+        kept = {
+            "name": found.name,
+            "kind": found.kind,
+            "files": found.files,
+            "bytes_taken": found.bytes_taken,
+        }
+        await asyncio.to_thread(self._store.keep_upload, key, kept)
         return JSONResponse({"files": len(found.files), "data": len(data), "model": model is not None}, 201)
+
+    async def forget_upload(self, request: Request) -> Response:
+        """Remove what was dropped."""
+        await asyncio.to_thread(self.uploads.forget, request.path_params["key"])
+        return JSONResponse({})
 
     # runs
 
-    async def runs(self, _: Request) -> Response:
-        """The recorded runs with tags and notes, newest first."""
+    async def runs(self, request: Request) -> Response:
+        """A page of the recorded runs with tags and notes, as the query sorts and filters them."""
+        query = request.query_params
+        start = query.get("start", "0")
+        if not start.isascii() or not start.isdigit() or len(start) > len(str(MOST_RUNS)):
+            raise BadInput("start: give the number of a run")
+        asked = Listed(
+            query.get("filter", "")[:FILTER_LETTERS],
+            query.get("by", "started_utc")[:FILTER_LETTERS],
+            query.get("down", "1") == "1",
+            int(start),
+        )
+        return JSONResponse(await asyncio.to_thread(self.sources.run_documents, asked))
 
-        def listed() -> list[Document]:
-            return [self.sources.run_document(run) for run in self.sources.runs()]
+    async def run(self, request: Request) -> Response:
+        """One recorded run with tags and note."""
+        return JSONResponse(await asyncio.to_thread(self.sources.run_document, request.path_params["name"]))
 
-        return JSONResponse({"runs": await asyncio.to_thread(listed)})
+    # the session of a browser
+
+    async def session(self, request: Request) -> Response:
+        """Whether this browser is let in; a POST gives the two halves of a session for its other tabs."""
+        if request.method == "GET":
+            return JSONResponse({})
+        given: Session = request.scope["state"][SESSION]
+        answer = JSONResponse({"page": given.page})
+        answer.set_cookie(given.cookie_name, given.cookie, httponly=True, samesite="strict")
+        return answer
 
     async def watch(self, _: Request) -> Response:
         """What a person should know besides the state; empty where there is nothing.
@@ -293,13 +245,10 @@ class Page:
 
     async def lesson(self, request: Request) -> Response:
         """One effect in the standard trial."""
-        asked = as_mapping(await body(request))
-        values = asked.get("values")
-        if not isinstance(values, dict) or not all(isinstance(v, int | float) for v in values.values()):
-            raise BadInput("values: give a number for each parameter")
-        data = asked.get("data")
-        path = None if data is None else (await asyncio.to_thread(self.sources.paths, texts([data])))[0]
-        return JSONResponse(await self.lessons.ask(str(asked.get("effect")), values, path))
+        asked = read(Lesson, await body(request))
+        data = asked.data
+        path = None if data is None else (await asyncio.to_thread(self.sources.paths, [data]))[0]
+        return JSONResponse(await self.lessons.ask(asked.effect, asked.values, path))
 
     @contextlib.asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
@@ -310,6 +259,7 @@ class Page:
         finally:
             await self.jobs.close()
             self.lessons.close()
+            await asyncio.to_thread(self.sources.index.close)
             await self.rig.close()
 
 
@@ -325,12 +275,17 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/rig/{order}", page.order, "POST"),
             put("/api/estimate", page.estimate, "POST"),
             put("/api/about", page.about, "GET"),
+            put("/api/session", page.session, "GET", "POST"),
+            put("/api/jobs", page.all_jobs, "GET"),
             put("/api/jobs", page.begin_job, "POST"),
+            put("/api/results", page.results, "GET"),
             put("/api/jobs/{key}", page.job, "GET", "DELETE"),
             put("/api/jobs/{key}/{name}", page.file, "GET"),
             put("/api/uploads", page.begin_upload, "POST"),
+            put("/api/uploads/{key}", page.forget_upload, "DELETE"),
             put("/api/uploads/{key}/{path:path}", page.upload, "PUT"),
             put("/api/runs", page.runs, "GET"),
+            put("/api/runs/{name}", page.run, "GET"),
             put("/api/watch", page.watch, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
@@ -374,17 +329,10 @@ def as_mapping(content: bytes) -> Document:
     return asked
 
 
-def texts(given: object) -> list[str]:
-    """A list of texts; raises BadInput."""
-    if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
-        raise BadInput("no data was chosen; choose a dataset, or runs")
-    return given
-
-
 async def refuse(_: Request, error: Exception) -> Response:
     """A sentence for the page."""
     assert isinstance(error, NeedleRigError)
-    kinds = ((TooMuch, 413), (Aborted, 409), (RigFault, 503))
+    kinds = ((TooMuch, 413), (NoRoom, 507), (Aborted, 409), (RigFault, 503))
     status = next((code for kind, code in kinds if isinstance(error, kind)), 422)
     return JSONResponse({"error": str(error), "exit_code": error.exit_code}, status)
 

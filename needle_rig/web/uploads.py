@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import re
 import secrets
+import shutil
 import stat
 import time
 import zipfile
 import zlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -73,8 +75,15 @@ SUFFIXES = frozenset(
 """What a dataset, a run or a recording is made of. An effect's Python is no data and is never taken."""
 
 
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
 class TooMuch(BadInput):
     """More than is taken."""
+
+
+class NoRoom(NeedleRigError):
+    """The disk of this computer takes no more."""
 
 
 @dataclass
@@ -84,6 +93,8 @@ class Upload:
     name: str
     folder: Path
     bytes_taken: int = 0
+    kind: str = "recording"
+    """upload, for datasets or runs; model; or recording, of which it is not known yet what is what."""
     files: list[str] = field(default_factory=list)
 
     def place(self, path: str) -> Path:
@@ -119,16 +130,17 @@ def _harmless(part: str) -> bool:
 
 
 class Uploads:
-    """All uploads of one server, below `folder`."""
+    """The newest uploads, below `folder`; `forgotten` hears the key of one that goes."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, forgotten: Callable[[str], None] = lambda _: None) -> None:
+        self._folder, self._forgotten = folder, forgotten
         self._uploads: dict[str, Upload] = {}
 
     def begin(self, name: str) -> str:
         """A new, empty upload called `name`: its key."""
-        if len(self._uploads) >= UPLOADS:
-            raise TooMuch(f"there are {UPLOADS} uploads already; start needle-rig web again to forget them")
+        while len(self._uploads) >= UPLOADS:
+            # one that holds nothing goes before one that does, the oldest first
+            self.forget(min(self._uploads, key=lambda one: bool(self._uploads[one].files)))
         key = secrets.token_hex(8)
         folder = self._folder / key / "data"
         folder.mkdir(parents=True)
@@ -136,6 +148,23 @@ class Uploads:
             "".join(c for c in name if c.isprintable())[:NAME_LETTERS] or "upload", folder
         )
         return key
+
+    def restore(self, key: str, name: str, kind: str, files: list[str], bytes_taken: int) -> None:
+        """One that an earlier server took, if its files are still there."""
+        folder = self._folder / key / "data"
+        if folder.is_dir():
+            self._uploads[key] = Upload(name, folder, bytes_taken, kind, files)
+
+    def forget(self, key: str) -> None:
+        """Remove an upload with its files; raises BadInput."""
+        folder = self.get(key).folder
+        del self._uploads[key]
+        shutil.rmtree(folder.parent, ignore_errors=True)
+        self._forgotten(key)
+
+    def all(self) -> dict[str, Upload]:
+        """By key, the oldest first."""
+        return dict(self._uploads)
 
     def get(self, key: str) -> Upload:
         """The upload of this key; raises BadInput."""
@@ -163,12 +192,18 @@ class Uploads:
             upload.files.append(path)
             if place.suffix.lower() == ".zip":
                 await asyncio.to_thread(unpack, upload, place)
-        except TimeoutError:
+        except OSError as error:
             place.unlink(missing_ok=True)
-            raise TooMuch(f"{path}: did not come within {UPLOAD_S:g} s; drop it again") from None
+            if isinstance(error, TimeoutError):
+                raise TooMuch(f"{path}: did not come within {UPLOAD_S:g} s; drop it again") from None
+            raise NoRoom(
+                f"{path}: cannot be written ({error.strerror}); make room on this computer's disk"
+            ) from None
         except BaseException:
             place.unlink(missing_ok=True)
             raise
+        finally:
+            upload.files[:] = [file for file in upload.files if upload.folder.joinpath(file).exists()]
         if place.suffix.lower() == ".zip":
             place.unlink()
 
@@ -207,6 +242,8 @@ def unpack(upload: Upload, path: Path) -> None:
                 upload.files.append(entry.filename)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, FileExistsError, OSError) as error:
         _remove(written)
+        if isinstance(error, OSError) and error.errno in _FULL:
+            raise
         raise BadInput(f"{path.name}: cannot be unpacked ({type(error).__name__}); pack it again") from None
     except BadInput:
         _remove(written)

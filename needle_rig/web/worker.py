@@ -15,6 +15,7 @@ from typing import Any
 
 from needle_rig.errors import NeedleRigError
 from needle_rig.parent import end_with
+from needle_rig.web.bounds import bound, too_large
 from needle_rig.workbench.parallel import one_thread_each
 
 NICE = 10
@@ -56,9 +57,13 @@ def main() -> None:
         from needle_rig.web.work import work
 
         doing = Doing(jobs=request.pop("jobs"), say=voice.step, progress=voice.progress)
-        voice.tell(result=work(request.pop("kind"), request, doing))
+        kind = request.pop("kind")
+        bound(kind)
+        voice.tell(result=work(kind, request, doing))
     except NeedleRigError as error:
         voice.tell(error=str(error))
+    except MemoryError:
+        voice.tell(error=too_large())
     except Exception:  # noqa: BLE001 - a defect is told to the page in a line, and whole on stderr
         traceback.print_exc()
         said = traceback.format_exc().strip().splitlines()[-1]

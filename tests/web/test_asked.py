@@ -47,7 +47,7 @@ def worked(served: Served, request: dict[str, Any]) -> tuple[str, dict[str, Any]
     """Key of the job, and what it says at its end."""
     answer = served.ask("POST", "/api/jobs", json=request).json()
     job = answer.get("job", "")
-    while job and answer.get("state", "running") == "running":
+    while job and answer.get("state", "running") in ("waiting", "running"):
         time.sleep(0.1)
         answer = served.ask("GET", f"/api/jobs/{job}").json()
     return job, answer

@@ -178,3 +178,97 @@ def test_a_long_command_is_refused_before_it_is_read_whole(served: Served) -> No
     assert answer.status_code == 413
     answer = served.ask("POST", "/api/jobs", content=b"x" * (513 << 10))
     assert answer.status_code == 413
+
+
+@pytest.fixture(scope="module")
+def halves(served: Served) -> tuple[str, str]:
+    """Cookie and page half of a session that was opened with the token."""
+    answer = served.ask("POST", "/api/session")
+    cookie, *flags = answer.headers["set-cookie"].split("; ")
+    assert {flag.lower() for flag in flags} >= {"httponly", "samesite=strict"}
+    assert served.token not in answer.headers["set-cookie"] + answer.text
+    return cookie, answer.json()["page"]
+
+
+def test_both_halves_of_a_session_let_a_new_tab_in_and_each_alone_lets_nobody_in(
+    served: Served, halves: tuple[str, str]
+) -> None:
+    cookie, page = halves
+    both = {"cookie": cookie, "x-needle-rig-page": page}
+    assert served.ask("GET", "/api/session", both).status_code == 200
+    alone = [{"cookie": cookie}, {"x-needle-rig-page": page}]
+    wrong = [
+        both | {"cookie": cookie + "x"},
+        both | {"x-needle-rig-page": page + "x"},
+        both | {"cookie": "a=b"},
+    ]
+    for headers in (*alone, *wrong, both | {"authorization": "Bearer wrong"}):
+        assert served.ask("GET", "/api/session", headers).status_code == 401, headers
+
+
+@pytest.mark.parametrize("site", ["same-site", "cross-site", "none"])
+def test_a_page_of_another_port_of_this_computer_has_no_session(
+    served: Served, halves: tuple[str, str], site: str
+) -> None:
+    cookie, page = halves
+    headers = {"cookie": cookie, "x-needle-rig-page": page, "sec-fetch-site": site}
+    assert served.ask("GET", "/api/runs", headers).status_code == 401
+    own = {**headers, "sec-fetch-site": "same-origin"}
+    assert served.ask("GET", "/api/runs", own).status_code == 200
+    other = {**own, "origin": f"http://127.0.0.1:{served.port + 1}"}
+    assert served.ask("POST", "/api/rig/stop", other, content=b"{}").status_code == 403
+
+
+def test_a_session_is_opened_by_the_token_and_by_nothing_else(served: Served) -> None:
+    assert served.ask("POST", "/api/session", {}).status_code == 401
+
+
+def test_a_websocket_is_let_in_by_both_halves_alone(served: Served, halves: tuple[str, str]) -> None:
+    cookie, page = halves
+
+    def greeted(cookies: str, name: str) -> bool:
+        own = socket.create_connection(("127.0.0.1", served.port))
+        try:
+            with connect(
+                f"ws://127.0.0.1:{served.port}/api/live",
+                sock=own,
+                origin=Origin(f"http://127.0.0.1:{served.port}"),
+                subprotocols=[Subprotocol(name)],
+                additional_headers={"cookie": cookies},
+            ) as stream:
+                return "no daemon answers" in str(stream.recv(timeout=10))
+        except (InvalidHandshake, ConnectionClosed):
+            return False
+
+    assert greeted(cookie, f"page.{page}")
+    assert not greeted("a=b", f"page.{page}")
+    assert not greeted(cookie, "page.wrong")
+
+
+@pytest.mark.parametrize(
+    ("path", "content"),
+    [
+        ("/api/estimate", b"[["),
+        ("/api/jobs", b'{"kind": "strategies", "targets_deg": [true], "seeds": true, "parameters": ["x"]}'),
+        ("/api/jobs", b'{"kind": "strategies", "targets_deg": [45], "seeds": 1, "parameters": ["x"]}'),
+        (
+            "/api/jobs",
+            b'{"kind": "strategies", "targets_deg": [Infinity], "seeds": 1, "parameters": "rig_soft"}',
+        ),
+        (
+            "/api/jobs",
+            b'{"kind": "strategies", "targets_deg": [45], "seeds": 1000000000, "parameters": "rig_soft"}',
+        ),
+        ("/api/lesson", b'{"effect": "tip_friction", "values": {"torque_nmm": 1' + b"0" * 400 + b"}}"),
+        ("/api/jobs", b"[" * 60000),
+    ],
+)
+def test_what_is_malformed_is_a_sentence_and_no_defect(served: Served, path: str, content: bytes) -> None:
+    answer = served.ask("POST", path, content=content)
+    assert answer.status_code == 422
+    assert answer.json()["exit_code"] == 2
+
+
+def test_a_websocket_with_a_header_and_no_subprotocol_is_let_in(served: Served) -> None:
+    with connect(f"ws://127.0.0.1:{served.port}/api/live", additional_headers=served.authorised) as stream:
+        assert "no daemon answers" in str(stream.recv(timeout=10))

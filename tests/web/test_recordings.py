@@ -44,14 +44,14 @@ def log(data: Path, tmp_path: Path) -> Path:
 def test_a_recording_is_dropped_its_columns_confirmed_and_the_model_held_against_it(
     visit: Open, log: Path
 ) -> None:
-    page = visit("workbench")
+    page = visit("data")
     page.get_by_label("choose files").set_input_files(log)
-    page.get_by_role("heading", name="what is what in log.csv").wait_for()
+    page.get_by_role("heading", name="assign the columns of log.csv").wait_for()
     assert page.get_by_label("theta_base [deg] is").input_value() == "base_angle"
     assert page.get_by_label("Mz [mNm] is").input_value() == "base_torque"
     page.get_by_text("what the shaft looks like is not known").wait_for()
-    page.get_by_role("button", name="Import").click()
-    page.get_by_role("alert").filter(has_text="what the shaft looks like").wait_for()
+    assert page.get_by_role("button", name="Import").is_disabled()
+    assert page.get_by_text("Choose a shaft above, or describe one, before importing.").is_visible()
     page.get_by_label("looks like that of").select_option("written here")
     page.get_by_label("The shaft in lines of YAML").fill(LAYOUT)
     page.get_by_role("button", name="Propose again").click()
@@ -69,7 +69,7 @@ def test_a_recording_is_dropped_its_columns_confirmed_and_the_model_held_against
 
 
 def test_what_cannot_be_imported_is_a_sentence_and_the_lines_stay(visit: Open, log: Path) -> None:
-    page = visit("workbench")
+    page = visit("data")
     page.get_by_label("choose files").set_input_files(log)
     page.get_by_label("looks like that of").select_option("written here")
     page.get_by_label("The shaft in lines of YAML").fill(LAYOUT)
@@ -92,14 +92,14 @@ def test_a_mapping_that_names_other_files_is_refused(visit: Open, tmp_path: Path
         "clocks:\n  log: {files: [{path: ../../../../etc/passwd}], rate_hz: 10}\n"
         "channels:\n  - {role: base_angle, clock: log, source: a, unit: deg}\n"
     )
-    page = visit("workbench")
+    page = visit("data")
     page.get_by_label("choose files").set_input_files(mapping)
     page.get_by_role("alert").filter(has_text="none of the dropped files").wait_for()
 
 
 def test_the_sliders_draw_the_shaft_of_ones_own_data(visit: Open) -> None:
-    page = visit("learn")
-    page.get_by_role("button", name="tissue elasticity").click()
+    page = visit("effects")
+    page.get_by_role("link", name="tissue elasticity").click()
     page.get_by_text("on the experiment's layout").wait_for()
     page.get_by_label("On the shaft of").select_option(label="data/mine")
     page.get_by_text("on the layout of mine, with the noise of its channels").wait_for()

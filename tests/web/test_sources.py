@@ -1,13 +1,18 @@
 """What the page may read, and what people add to a run."""
 
 import json
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from needle_rig.errors import BadInput
 from needle_rig.notebook import simulate
-from needle_rig.web.sources import NOTES_SUFFIX, Sources
+from needle_rig.web import run_index
+from needle_rig.web.run_index import RunIndex
+from needle_rig.web.sources import NOTES_SUFFIX, RUNS_SHOWN, Listed, Sources
+from needle_rig.web.store import Store
 from needle_rig.web.uploads import Uploads
 
 
@@ -16,7 +21,9 @@ def sources(tmp_path: Path) -> Sources:
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "one.h5").write_bytes(b"no run")
     simulate({}, out=tmp_path / "data" / "mine")
-    return Sources([tmp_path / "data"], tmp_path / "runs", Uploads(tmp_path / "uploads"))
+    return Sources(
+        [tmp_path / "data"], tmp_path / "runs", Uploads(tmp_path / "uploads"), RunIndex(Store(tmp_path))
+    )
 
 
 def test_a_key_stands_for_what_was_named_and_for_nothing_else(sources: Sources, tmp_path: Path) -> None:
@@ -54,3 +61,45 @@ def test_there_are_no_notes_on_what_is_no_listed_run(sources: Sources, name: str
 def test_damaged_notes_count_as_none(sources: Sources, tmp_path: Path) -> None:
     (tmp_path / "runs" / f"one{NOTES_SUFFIX}").write_text("{", encoding="utf-8")
     assert sources.notes("one").note == ""
+
+
+def test_two_tabs_keep_each_others_tags_and_note(sources: Sources) -> None:
+    sources.keep_notes("one", b'{"note": "by one tab"}')
+    sources.keep_notes("one", b'{"tags": ["by another"]}')
+    assert sources.notes("one").model_dump() == {"tags": ["by another"], "note": "by one tab"}
+
+
+def test_a_run_is_read_once_until_its_file_changes(
+    sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+    summary = run_index.read_document
+
+    def counted(path: Path) -> dict[str, Any]:
+        read.append(path.name)
+        return summary(path)
+
+    monkeypatch.setattr(run_index, "read_document", counted)
+    for _ in range(2):
+        assert [run["name"] for run in sources.run_documents(Listed())["runs"]] == ["one"]
+    assert read == ["one.h5"]
+    (tmp_path / "runs" / "one.h5").write_bytes(b"no run either")
+    assert sources.run_documents(Listed(filter="unreadable"))["of"] == 1
+    assert read == ["one.h5", "one.h5"]
+    (tmp_path / "runs" / "one.h5").unlink()
+    assert sources.run_documents(Listed())["runs"] == []
+
+
+def test_runs_are_shown_in_pages_and_in_the_order_that_is_asked(sources: Sources, tmp_path: Path) -> None:
+    for k in range(RUNS_SHOWN + 5):
+        (tmp_path / "runs" / f"run_{k:03d}.h5").write_bytes(b"no run")
+    deadline_s = time.monotonic() + 20.0
+    while sources.run_documents(Listed())["indexing"] and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    first = sources.run_documents(Listed(by="name", down=False))
+    assert [run["name"] for run in first["runs"]] == ["one", *(f"run_{k:03d}" for k in range(RUNS_SHOWN - 1))]
+    assert first["of"] == RUNS_SHOWN + 6
+    last = sources.run_documents(Listed(by="name", down=False, start=RUNS_SHOWN))
+    assert [run["name"] for run in last["runs"]] == [
+        f"run_{k:03d}" for k in range(RUNS_SHOWN - 1, RUNS_SHOWN + 5)
+    ]

@@ -1,6 +1,7 @@
 """What a person drops: bounded in size, count and time, data alone, and never outside its folder."""
 
 import asyncio
+import errno
 import io
 import shutil
 import stat
@@ -12,7 +13,7 @@ import pytest
 
 from needle_rig.errors import BadInput
 from needle_rig.web import uploads
-from needle_rig.web.uploads import TooMuch, Uploads, data_in
+from needle_rig.web.uploads import UPLOADS, NoRoom, TooMuch, Uploads, data_in
 
 
 async def chunks(content: bytes, size: int = 1 << 16) -> AsyncIterator[bytes]:
@@ -147,3 +148,31 @@ def test_datasets_are_found_in_what_was_dropped_and_runs_where_there_is_none(
     assert data_in(tmp_path) == [tmp_path / "run.h5"]
     (tmp_path / "one" / "dataset.yaml").write_text("")
     assert data_in(tmp_path) == [tmp_path / "one"]
+
+
+def test_the_oldest_drop_goes_and_one_that_holds_nothing_before_it(tmp_path: Path) -> None:
+    async def one() -> AsyncIterator[bytes]:
+        yield b"x"
+
+    gone: list[str] = []
+    kept = Uploads(tmp_path, gone.append)
+    keys = [kept.begin(f"{k}") for k in range(UPLOADS)]
+    for k, key in enumerate(keys):
+        if k != 7:
+            asyncio.run(kept.take(key, "a.csv", one()))
+    kept.begin("new")
+    kept.begin("newer")
+    assert gone[0] == keys[7]
+    assert len(kept.all()) == UPLOADS
+    assert not (tmp_path / keys[7]).exists()
+
+
+def test_a_full_disk_is_told_as_what_it_is(tmp_path: Path) -> None:
+    async def full() -> AsyncIterator[bytes]:
+        yield b"x"
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    kept = Uploads(tmp_path)
+    with pytest.raises(NoRoom, match=r"a\.csv: cannot be written \(No space left on device\); make room"):
+        asyncio.run(kept.take(kept.begin("mine"), "a.csv", full()))
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]

@@ -84,7 +84,7 @@ def test_the_worst_trials_are_drawn_first_and_a_figure_needs_no_second_compariso
     worst = max((place for place in found["places"] if place["sigmas"]), key=lambda place: place["sigmas"])
     assert drawn[0] == worst["trial"] != data.trials[0].file
     assert (len(drawn), found["traces"]["of"]) == (2, len(data.trials))
-    figure, said = asked("figure", tmp_path, comparison=str(tmp_path / COMPARISON), what="loop")
+    figure, said = asked("figure", tmp_path, comparison=str(tmp_path / COMPARISON), what="loop", again={})
     assert said == ["drawing loop"]
     assert all((tmp_path / file).is_file() for file in figure["files"].values())
     told, _ = asked("diagnose", tmp_path, data=data, model=None, effects=[], quick=True)

@@ -1,55 +1,58 @@
-// The frame: which page is shown, the connection, and a stop that is always in reach.
-import { Live, connected, open, rig, said, watch } from "./live.js";
+// The frame: which view is shown, the connection, the work that runs, and a stop that is always in reach.
+import { Strip, followJobs } from "./jobs.js";
+import { Live, connected, open, rig, watch } from "./live.js";
+import { Models } from "./models.js";
+import { access } from "./net.js";
+import { FIRST, about, look, place, said } from "./store.js";
 import { Stopped, stop } from "./stop.js";
 import { Workbench } from "./workbench.js";
 import { Runs } from "./runs.js";
-import { Learn } from "./learn.js";
+import { Effects } from "./effects.js";
 import { Strategies } from "./strategies.js";
-import { html, render, signal } from "./ui.js";
-import { token } from "./net.js";
+import { effect, html, render, untracked } from "./ui.js";
 
 /** @type {Record<string, [string, any]>} */
-const PAGES = {
+const VIEWS = {
   live: ["Live", Live],
-  workbench: ["Workbench", Workbench],
+  data: ["Workbench", Workbench],
   runs: ["Runs", Runs],
-  learn: ["Learn", Learn],
+  models: ["Models", Models],
+  effects: ["Effects", Effects],
   strategies: ["Strategies", Strategies],
 };
-const page = signal("live");
-
-function follow() {
-  const name = location.hash.slice(2);
-  page.value = name in PAGES ? name : "live";
-  document.title = `${PAGES[page.value][0]} · needle-rig`;
-}
-addEventListener("hashchange", follow);
+const view = () => (place.value.view in VIEWS ? place.value.view : FIRST);
+effect(() => {
+  document.title = `${place.value.name ? `${place.value.name} · ` : ""}${VIEWS[view()][0]} · needle-rig`;
+});
 
 function App() {
-  if (!token)
-    return html`<main><h1>needle-rig</h1><p class="refusal" role="alert">This address has no token.
-      Open the whole address that <code>needle-rig web</code> printed.</p></main>`;
-  const [, Page] = PAGES[page.value];
+  if (access.value === "incomplete")
+    return html`<main><h1>needle-rig</h1><p class="refusal" role="alert">This link is incomplete.
+      Paste the full address from the terminal (it ends in <code>#token=…</code>).</p></main>`;
+  const [, View] = VIEWS[view()];
   const state = rig.value;
   return html`
     <a class="skip" href="#content" onClick=${(/** @type {Event} */ e) => { e.preventDefault(); document.getElementById("content")?.focus(); }}>To the content</a>
     <header>
       <a class="brand" href="#/live">needle-rig</a>
-      <nav aria-label="Pages">${Object.entries(PAGES).map(
+      <nav aria-label="Pages">${Object.entries(VIEWS).map(
         ([name, [label]]) =>
-          html`<a href=${`#/${name}`} aria-current=${page.value === name ? "page" : undefined}>${label}</a>`,
+          html`<a href=${`#/${name}`} aria-current=${view() === name ? "page" : undefined}>${label}</a>`,
       )}</nav>
       <p class=${`link ${connected.value ? "on" : "off"}`} role="status">
         ${connected.value
-          ? html`${state?.rig.name}${state?.rig.simulated ? html` <span class="tag">simulated</span>` : null}`
+          ? html`${state?.rig.name.replace(/ *simulated */, " ").trim() || "rig"}${state?.rig.simulated ? html` <span class="tag">simulated</span>` : null}`
           : "no connection to the rig"}</p>
       <button class="stop" onClick=${() => stop("the page's button")} title="Escape or Space">Stop</button>
       <${Stopped} />
+      <${Strip} />
+      ${access.value === "stale" ? html`<p class="refusal" role="alert">This page's key is no longer valid. Open the address that the newest <code>needle-rig web</code> printed.</p>` : null}
+      ${said.value && access.value === "in" ? html`<p class="refusal" role="alert"><span>${said.value}</span>
+        <button onClick=${() => (said.value = "")} aria-label="Dismiss">×</button></p>` : null}
+      ${about.value?.unkept ? html`<p class="quiet unkept">${about.value.unkept}.</p>` : null}
     </header>
-    ${said.value ? html`<p class="refusal" role="alert">${said.value}
-      <button onClick=${() => (said.value = "")} aria-label="Dismiss">×</button></p>` : null}
-    <main id="content" tabindex="-1"><${Page} /></main>
-    <footer>Words: <a href="glossary.html">glossary</a>. needle-rig is no medical device.
+    <main id="content" tabindex="-1"><${View} /></main>
+    <footer><a href="glossary.html" target="_blank" rel="noopener">Glossary</a>. needle-rig is no medical device.
       ${state?.version ? ` The rig runs needle-rig ${state.version}.` : null}</footer>`;
 }
 
@@ -70,9 +73,15 @@ addEventListener(
 
 const inMotion = () => Boolean(rig.value && (rig.value.run || rig.value.moving));
 
-follow();
-if (token) {
-  open();
-  watch();
-}
+let begun = false;
+effect(() => {
+  if (access.value !== "in" || begun) return;
+  begun = true;
+  untracked(() => {
+    open();
+    watch();
+    look();
+    followJobs();
+  });
+});
 render(html`<${App} />`, /** @type {HTMLElement} */ (document.getElementById("app")));

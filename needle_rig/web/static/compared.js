@@ -6,16 +6,14 @@ import { html, number, parameter, signal, words } from "./ui.js";
 const MARKED_SIGMAS = 3;
 
 /** What the next comparison holds. @typedef {{refit: boolean, fixed: Record<string, number>, free: string[]}} Held */
-/** @type {Held} */
-const AS_THE_MODEL_SAYS = { refit: false, fixed: {}, free: [] };
 /** @type {{value: Held}} */
-export const held = signal(AS_THE_MODEL_SAYS);
+export const held = signal({ refit: false, fixed: {}, free: [] });
 /** What stands in the form and was not asked yet, by value. @type {{value: Record<string, string>}} */
 const written = signal({});
 
-/** Forget the form: another model or other data have other values. */
-export function holdAll() {
-  held.value = AS_THE_MODEL_SAYS;
+/** The form of a comparison: what it held. @param {Partial<Held>} asked */
+export function holdAs({ refit = false, fixed = {}, free = [] }) {
+  held.value = { refit, fixed, free };
   written.value = {};
 }
 
@@ -149,5 +147,5 @@ export function Figures({ busy, draw, refuse }) {
     ${now ? html`<figure><div class="paper" tabindex="0" role="group" aria-label="The figure"><img src=${now.url} alt=${now.words} class=${wide.value ? "large" : ""}
         onLoad=${(/** @type {any} */ e) => (wide.value = e.target.naturalWidth > WIDE_PX)} /></div><figcaption class="quiet">${now.words}</figcaption></figure>
       <p>Save as ${Object.entries(now.files).map(([kind, file]) => html`<button onClick=${() => save(`jobs/${now.key}/${file}`, file).catch(refuse)}>${kind.toUpperCase()}</button> `)}</p>`
-      : html`<p class="quiet">${busy ? "Working …" : "Each is drawn when it is asked for, some seconds, as the command needle-rig compare --figure draws it."}</p>`}</section>`;
+      : html`<p class="quiet">${busy ? "Working …" : "Each is drawn when it is asked for, in some seconds."}</p>`}</section>`;
 }

@@ -1,13 +1,16 @@
 // The rig as it is now: the shaft, torque and angles over time, the sequence, orders, and faults as sentences.
-import { ask, token } from "./net.js";
+import { ask, subprotocol, whyNot } from "./net.js";
 import { Plot, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
+import { about, dataRoute, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
 import { batch, html, number, signal, useSignal, words } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
 const SHOWN_S = 40;
+/** As the page's server takes the lease. */
+const OWN_LEASE = "a person at the page";
 const DRAW_MS = 1000 / 30;
 /** The watch looks at a run in a quarter of a minute. */
 const WATCH_MS = 15_000;
@@ -15,8 +18,6 @@ const WATCH_MS = 15_000;
 /** The daemon's newest state; kept, greyed, when the connection is lost. @type {{value: any}} */
 export const rig = signal(null);
 export const connected = signal(false);
-/** What was refused last. */
-export const said = signal("");
 /** Why there is no connection. */
 const why = signal("connecting …");
 /** Matrix of the shaft's estimate. @type {{value: any}} */
@@ -35,22 +36,23 @@ let drawn = 0;
 /** Any other order. @param {string} name @param {object} [content] */
 async function order(name, content = {}) {
   said.value = "";
+  ended.value = null;
   moveOn();
   try {
     await ask("POST", `rig/${name}`, content);
   } catch (error) {
-    said.value = /** @type {Error} */ (error).message;
+    refuse(error);
   }
 }
 
 /** Begin to listen, and again whenever the connection breaks. */
 export function open() {
-  const socket = new WebSocket(`ws://${location.host}/api/live`, ["needle-rig", `token.${token}`]);
+  const socket = new WebSocket(`ws://${location.host}/api/live`, ["needle-rig", subprotocol()]);
   sendOn(socket);
   socket.onmessage = (event) => take(JSON.parse(event.data));
   socket.onclose = () => {
-    lose("the page's server does not answer; start it again: needle-rig web");
-    setTimeout(open, AGAIN_MS);
+    lose(why.value);
+    whyNot().then(lose).finally(() => setTimeout(open, AGAIN_MS));
   };
 }
 
@@ -85,8 +87,10 @@ function take(document) {
   drawn = heard;
   batch(() => {
     connected.value = true;
-    if (document.last && !ended.value) ended.value = document.last;
     const before = rig.value;
+    // the daemon tells of its last run until the next one; a jog or another order since then has no part in it
+    if (document.moving && !document.run) ended.value = null;
+    else if (document.last && (!before || JSON.stringify(document.last) !== JSON.stringify(before.last))) ended.value = document.last;
     rig.value = document;
     if (columns.length) {
       const now = columns[0].at(-1) ?? 0;
@@ -157,6 +161,9 @@ function Faults({ state }) {
     <ul>${told.map((text) => html`<li>${text}</li>`)}</ul></section>`;
 }
 
+/** The listed name of a run file. @param {string} path */
+const nameOf = (path) => path.replace(/^.*\//, "").replace(/\.h5$/, "");
+
 const PHASES = {
   idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures",
   done: "done", fault: "fault", aborted: "stopped",
@@ -182,7 +189,8 @@ function Sequence({ state }) {
     ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
-    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text}</p>` : null}</section>`;
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text}</p>
+      ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class="button" href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
 }
 
 /** @param {{state: any}} props */
@@ -191,24 +199,29 @@ function Orders({ state }) {
   const strategy = useSignal("reed2008");
   const by = useSignal("10");
   const busy = Boolean(state.run) || state.moving;
-  const names = ["reed2008", "reed2008_elastic", "planned", "estimator", "relax", "decay", "base_equals_tip"];
+  const known = about.value?.strategies ?? [];
+  const text = known.find((/** @type {any} */ s) => s.name === strategy.value)?.text ?? "";
+  // a button that was pressed keeps the focus: it is not disabled while the needle moves
+  /** @param {string} name @param {object} [content] */
+  const give = (name, content) => busy || order(name, content);
   /** @param {any} s */
   const write = (s) => (/** @type {any} */ e) => (s.value = e.target.value);
   return html`<section class="card half"><h2>Orders</h2>
-    ${state.lease ? html`<p class="quiet">${state.lease} commands this rig.</p>` : null}
-    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); order("compensate", { target_deg: Number(target.value), strategy: strategy.value }); }}>
+    ${state.lease ? html`<p class="quiet">${state.lease === OWN_LEASE ? "You have control, until ten seconds after the last order." : `${state.lease} commands this rig.`}</p>` : null}
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value }); }}>
       <label>Target <span class="unit"><input type="number" step="any" required value=${target.value} onInput=${write(target)} /> °</span></label>
-      <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${names.map((n) => html`<option value=${n}>${words(n)}</option>`)}</select></label>
-      <button class="go" disabled=${busy}>Compensate</button>
+      <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${known.map((/** @type {any} */ s) => html`<option value=${s.name} selected=${s.name === strategy.value} title=${s.text}>${words(s.name)}</option>`)}</select></label>
+      <button class="go" aria-disabled=${busy}>Compensate</button>
+      ${text ? html`<p class="quiet all">${text}</p>` : null}
     </form>
-    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); order("jog", { by_deg: Number(by.value) }); }}>
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("jog", { by_deg: Number(by.value) }); }}>
       <label>Jog by <span class="unit"><input type="number" step="any" required value=${by.value} onInput=${write(by)} /> °</span></label>
-      <button disabled=${busy}>Jog</button>
-      <button type="button" disabled=${busy} onClick=${() => order("home")}>Home</button>
-      <button type="button" disabled=${busy} onClick=${() => order("home", { by: "hall" })}>Home by Hall</button>
-      <button type="button" disabled=${busy} onClick=${() => order("hold")}>Hold</button>
-      <button type="button" disabled=${busy} onClick=${() => order("release")}>Release</button>
-      <button type="button" disabled=${busy} onClick=${() => order("clear")}>Clear</button>
+      <button aria-disabled=${busy}>Jog</button>
+      <button type="button" aria-disabled=${busy} onClick=${() => give("home")}>Home</button>
+      <button type="button" aria-disabled=${busy} onClick=${() => give("home", { by: "hall" })}>Home by Hall</button>
+      <button type="button" aria-disabled=${busy} onClick=${() => give("hold")}>Hold</button>
+      <button type="button" aria-disabled=${busy} onClick=${() => give("release")}>Release</button>
+      <button type="button" aria-disabled=${busy} onClick=${() => give("clear")}>Clear</button>
     </form>
     <p class="quiet">Escape stops at any time, Space while the needle moves.</p></section>`;
 }

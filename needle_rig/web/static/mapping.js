@@ -1,6 +1,6 @@
 // What is what in dropped recordings: the proposed mapping, line by line, to confirm or correct.
 import { Plot, line } from "./plot.js";
-import { html, signal, significant, words } from "./ui.js";
+import { effect, html, signal, significant, untracked, words } from "./ui.js";
 
 /** The dropped recordings and their mapping. @type {{value: any}} */
 export const proposal = signal(null);
@@ -15,14 +15,22 @@ tissue_sections_mm: [[175, 200], [240, 265]]
 hall_sensors:
   - {name: hall_1, position_mm: 220}
 `;
+const KEPT = "needle-rig-mapping-";
 const NOT_USED = "not used";
 const WRITTEN = "written here";
 
 /** Take in what is proposed for an upload. @param {string} upload @param {any} found */
 export function propose(upload, found) {
-  proposal.value = { ...found, upload };
-  confirmed.value = [];
+  if (untracked(() => proposal.value)?.key === found.key) return;
+  const kept = JSON.parse(sessionStorage.getItem(`${KEPT}${found.key}`) ?? "null");
+  proposal.value = { ...found, upload, mapping: kept?.mapping ?? found.mapping };
+  confirmed.value = kept?.confirmed ?? [];
 }
+effect(() => {
+  // what a person corrected outlives a reload of this tab
+  const { key, mapping } = proposal.value ?? {};
+  if (key) sessionStorage.setItem(`${KEPT}${key}`, JSON.stringify({ mapping, confirmed: confirmed.value }));
+});
 
 /** Where the shaft of a guess is taken from, as the server wants it. */
 export const shaft = () =>
@@ -61,18 +69,18 @@ function Doubt({ part, of }) {
   if (!part.doubt) return null;
   const is = confirmed.value.includes(of);
   return html`<label class="row doubt"><input type="checkbox" checked=${is}
-    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> right, although: ${part.doubt}</label>`;
+    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> confirm anyway: ${part.doubt}</label>`;
 }
 
-/** The mapping of dropped recordings; `again` asks for another guess, `take` imports.
- * @param {{busy: boolean, sources: any[], again: () => void, take: () => void}} props */
-export function WhatIsWhat({ busy, sources, again, take }) {
+/** The mapping of dropped recordings; `again` asks for another guess, `take` imports, `discard` removes what was dropped.
+ * @param {{busy: boolean, sources: any[], again: () => void, take: () => void, discard: () => void}} props */
+export function WhatIsWhat({ busy, sources, again, take, discard }) {
   const found = proposal.value;
   if (!found) return null;
   const { mapping } = found;
   /** @param {any} e */
   const value = (e) => e.target.value;
-  return html`<section class="card wide" aria-label="What is what"><h2>1 · Data: what is what in ${mapping.name}</h2>
+  return html`<section class="card wide" aria-label="What is what"><h2>1 · Data: assign the columns of ${mapping.name}</h2>
     <p>Proposed from names, units and what the channels do. Correct what is wrong; confirm what is in doubt.</p>
     <div class="scroll" tabindex="0" role="group" aria-label="Channels"><table><thead><tr><th class="text">column</th><th class="text">is</th><th class="text">unit</th><th class="text">sign</th><th class="text">zero</th><th class="text">why</th></tr></thead>
       <tbody>${mapping.channels.map((/** @type {any} */ c, /** @type {number} */ k) => html`<tr><th scope="row" class="text">${c.source}</th>
@@ -101,8 +109,8 @@ export function WhatIsWhat({ busy, sources, again, take }) {
       <button disabled=${busy || !layoutOf.value} onClick=${again}>Propose again with this shaft</button></div>
     ${layoutOf.value === WRITTEN ? html`<label class="all">The shaft in lines of YAML<textarea rows="8" value=${layoutText.value} onInput=${(/** @type {any} */ e) => (layoutText.value = value(e))}></textarea></label>` : null}
     ${found.lacks.length ? html`<ul class="lacks">${found.lacks.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
-    <p><button class="go" disabled=${busy} onClick=${take}>Import</button>${" "}
-      <button disabled=${busy} onClick=${() => (proposal.value = null)}>Leave it</button></p>
+    <p class="buttons"><button class="go" disabled=${busy || !mapping.rig} onClick=${take}>Import</button>
+      <button disabled=${busy} onClick=${discard}>Discard</button>${mapping.rig ? null : html` <span class="lacks">Choose a shaft above, or describe one, before importing.</span>`}</p>
     <div class="grid2">${found.shown.map((/** @type {any} */ s) => html`<div><h3>${words(s.role)} <span class="quiet">${s.source}</span></h3>
       <${Plot} label=${`${s.role} from ${s.source} over time`} unit=${`${words(s.role)} / ${s.unit}`} height=${160} cursor="mapping" series=${[line(words(s.role), "--c1")]} data=${[s.time_s, s.values]} /></div>`)}</div></section>`;
 }

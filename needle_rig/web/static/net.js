@@ -1,35 +1,76 @@
-// Requests to the page's own server: each carries the token of the printed address.
-const KEY = "needle-rig-token";
-const given = new URLSearchParams(location.hash.slice(1)).get("token");
-if (given) {
-  sessionStorage.setItem(KEY, given);
-  history.replaceState(null, "", location.pathname);
+// Requests to the page's own server: with the token of the printed address, or with the session that it opened.
+import { signal } from "./ui.js";
+
+/** The page's half of the session, which every tab of this address may read. */
+const PAGE = "needle-rig-page";
+/** The token, until the session is open; it does not outlive this tab. */
+const TOKEN = "needle-rig-token";
+
+let token = sessionStorage.getItem(TOKEN) ?? "";
+/** Whether this browser may ask: `incomplete` without a key, `stale` with one that the server does not know. @type {{value: "in" | "incomplete" | "stale"}} */
+export const access = signal("incomplete");
+
+/** Take the token of the address, and open a session for other tabs and for later. */
+async function enter() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    token = given;
+    sessionStorage.setItem(TOKEN, token);
+    history.replaceState(null, "", location.pathname);
+  }
+  if (!token && !localStorage.getItem(PAGE)) return;
+  access.value = "in";
+  if (!token) return;
+  try {
+    localStorage.setItem(PAGE, (await ask("POST", "session")).page);
+    sessionStorage.removeItem(TOKEN);
+  } catch {
+    // told where it matters: this tab goes on with the token
+  }
 }
-export const token = sessionStorage.getItem(KEY) ?? "";
+
+/** @returns {Record<string, string>} */
+const credentials = () => (token ? { Authorization: `Bearer ${token}` } : { "X-Needle-Rig-Page": localStorage.getItem(PAGE) ?? "" });
+
+/** What lets a WebSocket in. */
+export const subprotocol = () => (token ? `token.${token}` : `page.${localStorage.getItem(PAGE) ?? ""}`);
+
+const GONE = "The page's server does not answer. Start it again: needle-rig web.";
+const STALE = "This page's key is no longer valid. Open the address that the newest needle-rig web printed.";
+
+/** @param {string} method @param {string} path @param {BodyInit} [body] @param {Record<string, string>} [headers] */
+async function sent(method, path, body, headers = {}) {
+  let response;
+  try {
+    response = await fetch(`/api/${path}`, { method, headers: { ...credentials(), ...headers }, body });
+  } catch {
+    throw new Error(GONE);
+  }
+  if (response.status === 401 || response.status === 403) {
+    access.value = "stale";
+    throw new Error(STALE);
+  }
+  if (access.value === "stale") access.value = "in";
+  return response;
+}
 
 /** The answer to a request; throws an Error with the server's sentence.
  * @param {string} method @param {string} path @param {unknown} [content] @returns {Promise<any>} */
 export async function ask(method, path, content) {
   const raw = content instanceof Blob;
-  let response;
-  try {
-    response = await fetch(`/api/${path}`, {
-      method,
-      headers: { Authorization: `Bearer ${token}`, ...(raw ? {} : { "Content-Type": "application/json" }) },
-      body: content === undefined ? undefined : raw ? content : JSON.stringify(content),
-    });
-  } catch {
-    throw new Error("the page's server does not answer; start it again: needle-rig web");
-  }
+  const response = await sent(method, path, content === undefined ? undefined : raw ? content : JSON.stringify(content), raw ? {} : { "Content-Type": "application/json" });
   const answer = await response.json().catch(() => ({ error: `the server answered ${response.status}` }));
-  if (!response.ok || answer.error !== undefined && answer.exit_code !== undefined) throw new Error(answer.error);
+  if (!response.ok) throw new Error(answer.error);
   return answer;
 }
+
+/** Why nothing comes from the server. @returns {Promise<string>} */
+export const whyNot = () => ask("GET", "session").then(() => "the connection broke", (error) => error.message);
 
 /** Address of a file that the server made, as this page may show it; to be revoked.
  * @param {string} path */
 export async function picture(path) {
-  const response = await fetch(`/api/${path}`, { headers: { Authorization: `Bearer ${token}` } });
+  const response = await sent("GET", path);
   if (!response.ok) throw new Error((await response.json()).error);
   return URL.createObjectURL(await response.blob());
 }
@@ -44,16 +85,5 @@ export async function save(path, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** Run a computation to its end; `show` hears its progress, `begun` its key.
- * @param {any} request @param {(job: any) => void} show @param {(key: string) => void} [begun] @returns {Promise<any>} */
-export async function compute(request, show, begun) {
-  const { job } = await ask("POST", "jobs", request);
-  begun?.(job);
-  for (;;) {
-    const now = await ask("GET", `jobs/${job}`);
-    show({ ...now, key: job });
-    if (now.state === "done") return { ...now.result, key: job };
-    if (now.state !== "running") throw new Error(now.error);
-    await new Promise((go) => setTimeout(go, 200));
-  }
-}
+addEventListener("hashchange", enter);
+enter();

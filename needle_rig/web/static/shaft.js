@@ -1,8 +1,12 @@
 // The shaft along its length: tissue, sensors, measured angles, the estimate between them and its uncertainty.
-import { html, number } from "./ui.js";
+import { html, number, signal } from "./ui.js";
 
 // on a narrow screen the same height is drawn with fewer units across, so that text stays readable
-const WIDTH = matchMedia("(max-width: 760px)").matches ? 460 : 1000;
+const narrow = matchMedia("(max-width: 760px)");
+const width = signal(0);
+const measure = () => (width.value = narrow.matches ? 460 : 1000);
+narrow.addEventListener("change", measure);
+measure();
 const HEIGHT = 250;
 const LEFT = 52;
 const RIGHT = 20;
@@ -32,6 +36,7 @@ export function Shaft({ state, estimate }) {
 
 /** @param {{rig: any, points: any[], target: number | null, curve: number[] | null, places?: number[], deviation?: number[]}} props */
 export function ShaftPicture({ rig, points, target, curve, places, deviation }) {
+  const WIDTH = width.value;
   const values = [...points.map((p) => p[1]), ...(curve ?? []), target ?? 0, 0].filter((v) => v !== null);
   const low = STEP_DEG * Math.floor((Math.min(...values) - 2) / STEP_DEG);
   const high = Math.max(STEP_DEG * Math.ceil((Math.max(...values) + 2) / STEP_DEG), low + 2 * STEP_DEG);

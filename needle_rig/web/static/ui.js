@@ -4,7 +4,7 @@ import htm from "./vendor/htm.js";
 
 export { render } from "./vendor/preact.js";
 export { useEffect, useRef } from "./vendor/hooks.js";
-export { signal, computed, effect, batch, useSignal } from "./vendor/signals.js";
+export { signal, computed, effect, batch, untracked, useSignal } from "./vendor/signals.js";
 
 export const html = htm.bind(h);
 

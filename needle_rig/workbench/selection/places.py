@@ -76,7 +76,7 @@ def look_through(problem: Problem, parent: Fit, effect: str) -> Screening:
         effect,
         max(0.0, starts[0].gain),
         promising,
-        float(np.quantile([place.error for place in looked.values()], SURE)),
+        float(np.quantile([place.error for place in looked.values()], SURE, method="higher")),
         float(np.abs(starts[0].scaled_values[strengths]).max()),
     )
 

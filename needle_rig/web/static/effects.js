@@ -1,8 +1,8 @@
 // Each effect: its law and source, and what its parameters change in a standard trial.
 import { ask } from "./net.js";
 import { Plot, line } from "./plot.js";
-import { about, chosen } from "./workbench.js";
-import { batch, html, signal, significant, number, useEffect, words } from "./ui.js";
+import { about, heldData, place, refuse, route } from "./store.js";
+import { batch, effect, html, signal, significant, number, untracked, useEffect, words } from "./ui.js";
 
 /** @type {{value: any[] | null}} */
 const effects = signal(null);
@@ -13,7 +13,6 @@ const name = signal("");
 const values = signal({});
 /** @type {{value: any}} */
 const lesson = signal(null);
-const refused = signal("");
 /** Key of the data whose shaft is used; empty for the paper's. */
 const shaft = signal("");
 let asking = false;
@@ -28,9 +27,8 @@ async function redraw() {
   asking = true;
   try {
     lesson.value = await ask("POST", "lesson", { effect: name.value, values: values.value, data: shaft.value || null });
-    refused.value = "";
   } catch (error) {
-    refused.value = /** @type {Error} */ (error).message;
+    refuse(error);
   }
   asking = false;
   if (again) {
@@ -39,15 +37,22 @@ async function redraw() {
   }
 }
 
-/** @param {any} effect */
-function choose(effect) {
+/** @param {any} one */
+function choose(one) {
   batch(() => {
-    name.value = effect.name;
+    name.value = one.name;
     lesson.value = null;
-    values.value = Object.fromEntries(effect.parameters.map((/** @type {any} */ p) => [p.name, p.typical]));
+    values.value = Object.fromEntries(one.parameters.map((/** @type {any} */ p) => [p.name, p.typical]));
   });
   redraw();
 }
+
+effect(() => {
+  // the effect of the address, or else the first
+  if (place.value.view !== "effects" || !effects.value) return;
+  const one = place.value.name ? effects.value.find((e) => e.name === place.value.name) : effects.value[0];
+  if (one) untracked(() => one.name === name.value || choose(one));
+});
 
 /** A slider's 0 … 100 stands for the plausible range, on the parameter's own scale. @param {any} p */
 export function scale(p) {
@@ -65,24 +70,22 @@ export function scale(p) {
   };
 }
 
-/** Data with traces: what was chosen in the workbench, and what is listed. @returns {{key: string, name: string}[]} */
+/** Data with traces: what was chosen in the workbench last, and what is listed. @returns {{key: string, name: string}[]} */
 function sources() {
-  const listed = (about.value?.data ?? []).filter((/** @type {any} */ s) => s.kind !== "published");
-  const more = chosen.value.filter((key) => !listed.some((/** @type {any} */ s) => s.key === key)).slice(0, 1);
-  return [...more.map((key) => ({ key, name: "the workbench's data" })), ...listed];
+  const listed = (about.value?.data ?? []).filter((/** @type {any} */ s) => s.kind !== "published" && s.kind !== "recording");
+  const more = heldData.value.filter((one) => !listed.some((/** @type {any} */ s) => s.key === one.key)).slice(0, 1);
+  return [...more, ...listed];
 }
 
-export function Learn() {
+export function Effects() {
   useEffect(() => {
-    if (!about.value) ask("GET", "about").then((found) => (about.value = found), () => null);
-    if (effects.value) return;
-    ask("GET", "effects").then((found) => { effects.value = found.effects; broken.value = found.broken; choose(found.effects[0]); }, (error) => (refused.value = error.message));
+    if (!effects.value) ask("GET", "effects").then((found) => { effects.value = found.effects; broken.value = found.broken; }, refuse);
   }, []);
-  const effect = effects.value?.find((e) => e.name === name.value);
-  return html`<h1>Learn</h1>
-    ${refused.value ? html`<p class="refusal" role="alert">${refused.value}</p>` : null}
+  const effect = effects.value?.find((e) => e.name === (place.value.name || name.value));
+  return html`<h1>Effects</h1>
+    ${effects.value && place.value.name && !effect ? html`<p class="refusal" role="alert">${place.value.name}: no such effect in the library. Choose from the list.</p>` : null}
     <div class="side"><section class="card"><h2>Effects</h2>
-      ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><button aria-pressed=${e.name === name.value} title=${e.first} onClick=${() => choose(e)}>${words(e.name)}</button></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}
+      ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><a aria-current=${e.name === effect?.name ? "true" : undefined} title=${e.first} href=${route("effects", e.name)}>${words(e.name)}</a></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}
       ${broken.value.length ? html`<div role="alert"><p class="lacks">Cannot be used, until mended:</p><ul aria-label="Broken effects">${broken.value.map((text) => html`<li>${text}</li>`)}</ul></div>` : null}</section>
     ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2><pre class="law">${effect.text}</pre>
       ${effect.relatives.length ? html`<p class="quiet">Looks like: ${effect.relatives.map(words).join(", ")}.</p>` : null}
@@ -95,7 +98,7 @@ export function Learn() {
         return html`<label>${p.words}: ${significant(value)} ${p.unit === "1" ? "" : p.unit}
           <input type="range" min="0" max="100" step="0.5" value=${on.place(value)} aria-valuetext=${`${significant(value)} ${p.unit}`}
             onInput=${(/** @type {any} */ e) => { values.value = { ...values.value, [p.name]: on.value(Number(e.target.value)) }; redraw(); }} />
-          <span>${significant(on.low)} to ${significant(on.high)}, typical ${significant(p.typical)}${p.shapes ? ", gives form only" : ""}</span></label>`;
+          <span>${significant(on.low)} to ${significant(on.high)}, typical ${significant(p.typical)}${p.shapes ? ", shape only" : ""}</span></label>`;
       })}</div></section>
       ${lesson.value ? html`<${Trial} found=${lesson.value} />` : null}</div>` : null}</div>`;
 }
@@ -107,7 +110,7 @@ function Trial({ found }) {
     <p class="quiet">A compensation to 45° on ${found.shaft}; noise ${significant(found.channels[0].noise)} N·mm and ${significant(found.channels[1].noise)}°.</p>
     <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th>channel</th>${found.channels.map((/** @type {any} */ c) => html`<th>${words(c.name)}</th>`)}</tr></thead>
       <tbody><tr><th scope="row">root mean square / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.rms_sigmas, 1)}</td>`)}</tr>
-      <tr><th scope="row">most / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>
+      <tr><th scope="row">peak / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>
     <${Plot} label="Change against the null model by channel" unit="change / noise" height=${200} cursor="learn" marks=${starts}
       series=${found.channels.map((/** @type {any} */ c, /** @type {number} */ k) => line(words(c.name), `--c${k}`))} data=${[found.time_s, ...found.channels.map((/** @type {any} */ c) => c.sigmas)]} />
     <div class="grid2">${found.channels.map((/** @type {any} */ c) => html`<div><h3>${words(c.name)}</h3>

@@ -1,0 +1,99 @@
+// Models that were learnt or dropped: the ladder of their errors, their values, and where they come from.
+import { result } from "./jobs.js";
+import { save } from "./net.js";
+import { about, dataRoute, heldModel, place, refuse, route, subject } from "./store.js";
+import { effect, html, measured, number, parameter, signal, significant, untracked, words } from "./ui.js";
+
+/** The model whose document is shown, by key. @type {{value: {key: string, document: any} | null}} */
+const shown = signal(null);
+
+/** What is known of a model that was learnt; null for a parameter set. @param {string | undefined} key */
+export const learnt = (key) => about.value?.models.find((/** @type {any} */ m) => m.key === key) ?? null;
+
+/** The model of the address. */
+const wanted = () => {
+  const { view, name } = place.value;
+  if (view === "data") return heldModel.value?.key;
+  return view === "models" ? about.value?.models.find((/** @type {any} */ m) => m.name === name)?.key : undefined;
+};
+effect(() => {
+  const key = wanted();
+  if (!key || !learnt(key) || untracked(() => shown.value)?.key === key) return;
+  result(key).then((document) => {
+    if (wanted() === key) shown.value = { key, document };
+  }, refuse);
+});
+
+/** The document of this model, once it came. @param {string | undefined} key */
+const document_ = (key) => (shown.value && shown.value.key === key ? shown.value.document : null);
+
+/** The model that is held against the present data: how its error fell, and the way back. */
+export function Falls() {
+  const of = subject.value;
+  const model = learnt(of?.model?.key);
+  const now = document_(model?.key);
+  if (!of || !now) return null;
+  return html`<section class="card wide"><h2>4 · ${isKnown(now) ? "The error falls" : "The model"}</h2>
+    <${Ladder} now=${now} />
+    <p class="buttons"><a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
+      <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
+}
+
+/** @param {{model: any}} props */
+const File = ({ model }) => html`<button onClick=${() => save(`jobs/${model.key}/model.yaml`, `${model.name}.yaml`).catch(refuse)}>Model file</button>`;
+
+/** @param {any} now */
+const isKnown = (now) => now.steps.some((/** @type {any} */ s) => (s.held_out_error ?? s.training_error) !== null);
+
+/** @param {{now: any}} props */
+function Ladder({ now }) {
+  const steps = now.steps;
+  const most = Math.max(...steps.map((/** @type {any} */ s) => s.held_out_error ?? s.training_error ?? 0), 1);
+  const names = Object.keys(steps.at(-1)?.channels ?? {});
+  return html`${isKnown(now) ? html`<p>Prediction error on unseen trials, in units of the sensor noise; the line is the noise.</p>
+    <div class="bars">${steps.map((/** @type {any} */ step, /** @type {number} */ k) => {
+      const error = step.held_out_error ?? step.training_error;
+      return html`<span>${words(step.step)}</span>
+        <svg viewBox="0 0 100 10" preserveAspectRatio="none" role="img" aria-label=${`${number(error, 2)} times the noise`}><rect class=${k ? "fill after" : "fill"} x="0" y="1" width=${(100 * error) / most} height="8" /><line class="floor" x1=${100 / most} x2=${100 / most} y1="0" y2="10" vector-effect="non-scaling-stroke" /></svg>
+        <strong>${number(error, 2)}</strong>`;
+    })}</div>
+    <div class="scroll" tabindex="0" role="group" aria-label="Errors by channel"><table><thead><tr><th>channel</th>${steps.map((/** @type {any} */ s) => html`<th>${words(s.step)}</th>`)}<th>noise floor</th></tr></thead>
+      <tbody>${names.map((name) => html`<tr><th scope="row">${words(name.replace(/_(nmm|deg)$/, ""))} / ${name.endsWith("_nmm") ? "N·mm" : "°"}</th>
+        ${steps.map((/** @type {any} */ s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
+        <td>${significant(steps.at(-1).channels[name]?.floor)}</td></tr>`)}</tbody></table></div>` : null}
+    <h3>Model ${now.model}</h3>
+    <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${measured(v.value, v.uncertainty)} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>`;
+}
+
+/** The library: every model, or one of them. */
+export function Models() {
+  const { name } = place.value;
+  const all = about.value?.models ?? [];
+  if (name) return html`<${One} model=${all.find((/** @type {any} */ m) => m.name === name)} name=${name} />`;
+  return html`<h1>Models</h1><section class="card"><p>Models that were learnt in the workbench, or dropped there as files.</p>
+    ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table><thead><tr><th scope="col">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
+      <tbody>${[...all].reverse().map((/** @type {any} */ m) => html`<tr key=${m.key}><th scope="row"><a href=${route("models", m.name)}>${words(m.name)}</a></th>
+        <td class="text">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text">${from(m)}</td><td class="text">${made(m)}</td></tr>`)}</tbody></table></div>`
+      : html`<p class="quiet">None yet. <a href="#/data">Choose data in the workbench</a>, diagnose, and add what is missing.</p>`}</section>`;
+}
+
+/** @param {any} m */
+const from = (m) => (m.kind === "open" ? "a file" : m.data.map((/** @type {any} */ d) => d.name).join(", "));
+/** @param {any} m */
+const made = (m) => new Date(m.begun_utc_s * 1000).toLocaleString();
+
+/** @param {{model: any, name: string}} props */
+function One({ model, name }) {
+  if (!about.value) return html`<h1>Models</h1><p class="quiet">Loading …</p>`;
+  if (!model) return html`<h1>Models</h1><p class="refusal" role="alert">${name}: no such model here. <a href="#/models">All models</a></p>`;
+  const now = document_(model.key);
+  /** @type {any[]} */
+  const line = [];
+  for (let step = model; step; step = learnt(step.model?.key)) line.unshift(step);
+  return html`<h1>${words(name)}</h1><section class="card"><p>Learnt from ${from(model)}, ${made(model)}.</p>
+    <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step) => html` → ${step === model ? html`<strong>${words(step.name)}</strong>` : html`<a href=${route("models", step.name)}>${words(step.name)}</a>`}`)}</p>
+    ${now ? html`<${Ladder} now=${now} />` : html`<p class="quiet">Loading …</p>`}
+    <p class="buttons">${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
+      <a class="button" href=${route("data", "", [["model", name]])}>Hold against other data</a>
+      <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${File} model=${model} /></p></section>`;
+}

@@ -1,0 +1,129 @@
+// Where a model fails: errors, the residual map, and the traces behind each of its cells.
+import { Errors, Figures, More, Values, forgetFigures, held, holdAs } from "./compared.js";
+import { asked, busy, found as known, ofSubject } from "./found.js";
+import { alive, done, result } from "./jobs.js";
+import { Plot, dots, line } from "./plot.js";
+import { refuse, subject } from "./store.js";
+import { computed, effect, html, number, signal, significant, untracked, words } from "./ui.js";
+
+/** The comparison of the present data and model. @type {{value: any}} */
+const comparison = computed(() => known.value.compare);
+/** Shown trial, its shown stretch and the cell that was clicked. */
+const trial = signal(0);
+/** @type {{value: [number, number] | null}} */
+const stretch = signal(null);
+const cell = signal("");
+/** The candidate that is laid over the traces. */
+export const over = signal("");
+
+effect(() => {
+  // another comparison: nothing of what was looked at holds any more, and its worst trial comes first
+  const asked = comparison.value?.asked ?? {};
+  untracked(forgetFigures);
+  holdAs(asked);
+  over.value = cell.value = "";
+  stretch.value = null;
+  trial.value = 0;
+});
+
+/** What the form holds, without what it leaves as it is. */
+const heldOnly = () => Object.fromEntries(Object.entries(held.value).filter(([, value]) => value === true || Object.keys(value).length));
+/** Whether a figure is drawn now. */
+const drawing = computed(() => ofSubject.value.some((job) => alive(job) && (job.kind === "figure" || job.kind === "compare")));
+
+/** Compare with what the form holds. */
+async function compareAgain() {
+  const of = subject.value;
+  if (of) await done({ kind: "compare", ...asked(of), ...heldOnly() });
+}
+
+const LEVELS = [2, 3, 6, 15, 50];
+const LEVEL_NAMES = ["below 2", "2", "3, the limit", "6", "15", "50 and more"];
+/** @param {number} sigmas */
+const heat = (sigmas) => `h${LEVELS.filter((limit) => sigmas >= limit).length}`;
+const ARROWS = /** @type {Record<string, string>} */ ({ up: " ↑", down: " ↓" });
+
+/** Where the model fails. */
+export function Compared() {
+  const found = comparison.value;
+  if (!found) return null;
+  return html`<section class="card wide"><h2>2 · Where it fails</h2>
+      <p><strong>${found.name}</strong> ${found.sentence}</p>
+      <${Errors} found=${found} />
+      <${ResidualMap} found=${found} />
+      <${Values} found=${found} />
+      <${More} found=${found} own=${subject.value?.model != null} busy=${busy.value} again=${compareAgain} />
+      ${found.traces && found.sentences.length ? html`<details><summary>The worst places in words</summary><ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
+      ${found.notes?.length ? html`<details><summary>${found.notes.length} ${found.notes.length === 1 ? "note" : "notes"} on the data</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
+    </section>
+    ${found.traces ? html`<${Traces} found=${found} /><${Figures} busy=${drawing.value} draw=${draw} refuse=${refuse} />` : null}`;
+}
+
+/** @param {string} what */
+async function draw(what) {
+  const of = subject.value;
+  const job = of && (await done({ kind: "figure", compared: comparison.value.key, what, ...asked(of) }));
+  return job ? await result(job.key).catch(refuse) : null;
+}
+
+/** @param {{found: any}} props */
+function ResidualMap({ found }) {
+  const channels = [...new Set(found.places.map((/** @type {any} */ p) => p.channel))];
+  /** @type {Map<string, any>} */
+  const columns = new Map(found.places.map((/** @type {any} */ p) => [`${p.motion}|${p.direction ?? ""}|${p.state}`, p]));
+  /** @type {Map<string, any>} */
+  const at = new Map(found.places.map((/** @type {any} */ p) => [`${p.channel}|${p.motion}|${p.direction ?? ""}|${p.state}`, p]));
+  /** @param {any} place @param {string} key */
+  const go = (place, key) => {
+    cell.value = key;
+    if (!found.traces) return;
+    const index = found.traces.trials.findIndex((/** @type {any} */ t) => t.file === place.trial);
+    const k = index >= 0 ? index : found.traces.trials.findIndex((/** @type {any} */ t) => t.motions.some((/** @type {any} */ m) => m.name === place.motion));
+    if (k < 0) return;
+    trial.value = k;
+    const motion = found.traces.trials[k].motions.find((/** @type {any} */ m) => m.name === place.motion);
+    stretch.value = motion ? [Math.max(0, motion.start_s - 0.5), motion.end_s + 0.5] : null;
+    document.getElementById(`trace-${place.channel}`)?.scrollIntoView({ block: "center" });
+  };
+  return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}
+      <span class="levels">${LEVEL_NAMES.map((name, k) => html`<span class=${`h${k}${k === 2 ? " limit" : ""}`}>${name}</span>`)}</span></p>
+    <div class="scroll" tabindex="0" role="group" aria-label="Residual map"><table class="map">
+    <thead><tr><td></td>${[...columns.values()].map((p) => html`<th scope="col"><span>${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}</span></th>`)}</tr></thead>
+    <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${[...columns.keys()].map((column) => {
+      const key = `${channel}|${column}`;
+      const place = at.get(key);
+      if (!place || place.sigmas === null || place.sigmas === undefined) return html`<td></td>`;
+      const text = place.words || `${words(place.channel)}, ${words(place.motion)} ${place.state}: ${number(place.sigmas, 1)} times the noise`;
+      return html`<td><button class=${heat(place.sigmas)} title=${text} aria-label=${text} aria-pressed=${cell.value === key}
+        onClick=${() => go(place, key)}>${place.sigmas >= 9.95 ? Math.round(place.sigmas) : number(place.sigmas, 1)}</button></td>`;
+    })}</tr>`)}</tbody></table></div>`;
+}
+
+/** @param {{found: any}} props */
+function Traces({ found }) {
+  const { channels, trials, of } = found.traces;
+  const shown = trials[Math.min(trial.value, trials.length - 1)];
+  const k = trials.indexOf(shown);
+  const candidate = over.value ? known.value.diagnose?.candidates?.[over.value]?.[shown.file] : null;
+  return html`<section class="card wide"><h2>Traces</h2>
+    <div class="tabs" role="group" aria-label="Trials">${trials.map((/** @type {any} */ t, /** @type {number} */ i) => html`<button aria-pressed=${i === k}
+      onClick=${() => { trial.value = i; stretch.value = null; }}>${i + 1} · ${t.title}</button>`)}
+      ${stretch.value ? html`<button onClick=${() => (stretch.value = null)}>Whole trial</button>` : null}</div>
+    ${trials.length < of ? html`<p class="quiet">${trials.length} of ${of} trials are drawn.</p>` : null}
+    ${over.value ? html`<p>Laid over: what <strong>${words(over.value)}</strong> predicts, fitted.</p>` : null}
+    <div class="grid2">${channels.map((/** @type {any} */ channel, /** @type {number} */ c) => {
+      const noise = 2 * channel.noise;
+      const expected = shown.model[c];
+      const data = [shown.time_s, shown.measured[c], expected,
+        expected.map((/** @type {number|null} */ v) => (v === null ? null : v + noise)),
+        expected.map((/** @type {number|null} */ v) => (v === null ? null : v - noise)),
+        ...(shown.refit ? [shown.refit[c]] : []), ...(candidate ? [candidate[c]] : [])];
+      return html`<div id=${`trace-${channel.name}`}><h3>${words(channel.name)} <span class="quiet">noise ${significant(channel.noise)} ${channel.unit}</span></h3>
+        <${Plot} label=${`${channel.name} over time, measured and model`} unit=${`${words(channel.name)} / ${channel.unit}`} height=${200} band=${true} cursor="traces"
+          range=${stretch.value} marks=${shown.motions}
+          series=${[dots("measured", "--quiet"), line(shown.refit ? "as it stands" : "model", "--model"), line("noise +2σ", "--band", { width: 0.5 }), line("noise −2σ", "--band", { width: 0.5 }),
+            ...(shown.refit ? [line("refitted", "--c1", { dash: [5, 4] })] : []), ...(candidate ? [line(`with ${words(over.value)}`, "--other", { width: 2 })] : [])]}
+          data=${data} /></div>`;
+    })}</div></section>`;
+}
+
