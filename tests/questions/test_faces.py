@@ -27,7 +27,7 @@ from needle_rig.questions.learn import Learn
 from needle_rig.questions.question import Request
 from needle_rig.questions.recordings import Understand
 from needle_rig.questions.strategies import Strategies
-from needle_rig.web.server import OF_A_MODEL, OF_DATA
+from needle_rig.web.desk import OF_A_MODEL, OF_DATA
 from needle_rig.web.work import QUESTIONS
 
 COMMANDS: dict[type[Request], str] = {
