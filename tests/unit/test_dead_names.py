@@ -25,6 +25,7 @@ CALLED_BY_LIBRARIES = {
     "_options_end": "pydantic",
     "get_code": "importlib",
     "_repr_png_": "IPython",
+    "compress_type": "zipfile",
     "define_pipelines": "numba",
     "disconnected": "uvicorn",
     "format_commands": "click",

@@ -76,7 +76,7 @@ def begin_job(process: subprocess.Popen[str]) -> None:
     said = httpx.post(
         f"{address}/api/jobs",
         headers={"authorization": f"Bearer {token}"},
-        json={"kind": "diagnose", "data": ["data:0:"], "model": None},
+        json={"kind": "diagnose", "data": ["data:elastic"], "model": None},
         timeout=60.0,
     )
     assert said.is_success, said.text

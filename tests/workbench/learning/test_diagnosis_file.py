@@ -170,7 +170,11 @@ def test_a_model_that_no_longer_meets_its_data_is_refused(
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("needle-rig-diagnosis/1", "needle-rig-diagnosis/2", "version '2' of a"),
+        (
+            "needle-rig-diagnosis/1",
+            "needle-rig-diagnosis/2",
+            "needle-rig-diagnosis/2 was written by a newer needle-rig",
+        ),
         ("verdict: effect", "verdict: maybe", "'maybe' is not one of"),
         ("verdict: effect", "verdict: none", "the file was changed after it was written"),
         (r"value: 0\.", "value: 0.0", "the file was changed after it was written"),
