@@ -65,8 +65,9 @@ class Desk:
         if kind in OF_DATA:
             data = await asyncio.to_thread(self._sources.paths, asked.data)
             given["data"] = data
+        model = self._model(asked.model) if kind in OF_A_MODEL else None
         if kind in OF_A_MODEL:
-            given["model"] = self._model(asked.model)
+            given["model"] = model
         question: Document = {
             name: getattr(asked, name) for name in asked.model_fields_set - {"kind", "data", "model"}
         }
@@ -116,9 +117,7 @@ class Desk:
             tuple((key, names.get(key, key.partition(":")[2])) for key in keys),
             None if asked.model is None else (asked.model, self.name_of(asked.model)),
             question_text(kind, question),
-            await self._hashes(
-                self._content(keys, data), given.get("model") if kind in OF_A_MODEL else None, effects
-            ),
+            await self._hashes(self._content(keys, data), model, effects),
             {name: value for name, value in question.items() if name in SHOWN},
             tuple(dict.fromkeys(drafts)),
         )

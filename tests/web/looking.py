@@ -17,7 +17,7 @@ IN_BROWSER = [
 ]
 PICTURES = Path(__file__).parents[2] / "build" / "page"
 WIDE, NARROW = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
-PATIENCE_MS = 600_000
+PATIENCE_MS = 300_000
 """A diagnosis beside other tests."""
 EVIL = "<img src=x onerror=window.evil=1>"
 

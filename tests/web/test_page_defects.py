@@ -105,7 +105,7 @@ def test_what_was_dropped_is_named_as_it_was_dropped_and_can_be_removed(
     assert alert.locator("span").inner_text().startswith("日本語 файл.csv")
     assert not re.search(r"uploads|\.page|/tmp", alert.inner_text())
     page.get_by_role("button", name="Remove 日本語 файл.csv").click()
-    page.get_by_label("日本語 файл.csv").wait_for(state="detached")
+    page.get_by_role("radio", name="日本語 файл.csv").wait_for(state="detached")
 
 
 def test_the_page_can_be_dropped_on_for_as_long_as_it_is_open(

@@ -1,6 +1,6 @@
 // The one client of the server's jobs: begin, follow, cancel, and the strip that shows them in every view.
 import { ask } from "./net.js";
-import { dataRoute, look, refuse, route, said } from "./store.js";
+import { dataOf, dataRoute, look, refuse, route, said } from "./store.js";
 import { computed, html, number, signal, words } from "./ui.js";
 
 const BUSY_MS = 250;
@@ -81,7 +81,7 @@ export async function done(request) {
     timer = setTimeout(follow, 0);
   });
   if (job.state === "done") return job;
-  if (job.state === "failed") said.value = job.error;
+  if (job.state === "failed" && !TOLD.includes(job.kind)) said.value = job.error;
   return null;
 }
 
@@ -106,7 +106,8 @@ function seenAt(job) {
   if (job.kind === "strategies") return route("strategies", "", job.model ? [["model", job.model.name]] : []);
   if (job.kind === "open") return job.name ? route("models", job.name) : route("data");
   if (job.kind === "show") return route("runs");
-  if (job.kind === "import") return job.name ? route("data", job.name) : dataRoute(job.data);
+  const imported = dataOf(`imported:${job.key}`);
+  if (imported) return dataRoute([imported]);
   return dataRoute(job.data, job.kind === "learn" ? job.model : made);
 }
 
@@ -152,7 +153,7 @@ export function Strip() {
   if (!running.length && !came.length) return null;
   return html`<section class="strip" aria-label="Work">
     ${running.map((job) => html`<div key=${job.key}><a href=${seenAt(job)}>${KINDS[job.kind]} ${subjectOf(job)}</a> <${Progress} job=${job} /></div>`)}
-    ${came.map((job) => html`<div key=${job.key} class=${job.state} role="status"><strong>${KINDS[job.kind]} ${subjectOf(job)}</strong> ${job.state === "done" ? html`<span>done</span> <a href=${seenAt(job)} onClick=${() => dismiss(job.key)}>Show the result</a>` : html`<span>${job.error}</span>`}
+    ${came.map((job) => html`<div key=${job.key} class=${job.state} role=${job.state === "failed" ? "alert" : "status"}><strong>${KINDS[job.kind]} ${subjectOf(job)}</strong> ${job.state === "done" ? html`<span>done</span> <a href=${seenAt(job)} onClick=${() => dismiss(job.key)}>Show the result</a>` : html`<span>${job.error}</span>`}
       <button onClick=${() => dismiss(job.key)} aria-label="Dismiss what came of the work">×</button></div>`)}</section>`;
 }
 

@@ -52,6 +52,9 @@ export function dataRoute(data, model = null) {
   return route("data", runs.length ? "" : data[0]?.name ?? "", query);
 }
 
+/** Data of a key, by the name that the server gives them: that of a file may be taken. @param {string} key @returns {Named | undefined} */
+export const dataOf = (key) => about.value?.data.find((/** @type {any} */ source) => source.key === key);
+
 /** @param {string} key @returns {Named} */
 export const run = (key) => ({ key: `run:${key}`, name: key });
 

@@ -6,7 +6,7 @@ import { Missing } from "./missing.js";
 import { Falls } from "./models.js";
 import { ask } from "./net.js";
 import { Compared } from "./residuals.js";
-import { about, dataRoute, heldModel, look, lost, modelCalled, place, refuse, route, said, subject } from "./store.js";
+import { about, dataOf, dataRoute, heldModel, look, lost, modelCalled, place, refuse, route, said, subject } from "./store.js";
 import { effect, html, signal, untracked, words } from "./ui.js";
 
 /** The file that is taken in now. */
@@ -30,7 +30,8 @@ async function importProposed() {
   const job = await done({ kind: "import", upload, mapping: asConfirmed() });
   if (!job) return;
   await look();
-  if (subject.value?.id === of?.id) location.hash = route("data", job.name);
+  const imported = dataOf(`imported:${job.key}`);
+  if (imported && subject.value?.id === of?.id) location.hash = dataRoute([imported]);
 }
 
 /** Take in dropped files, folders included.
@@ -54,11 +55,11 @@ async function take(items) {
     taking.value = "";
   }
   await look();
-  if (!opens) return go(about.value.data.find((/** @type {any} */ s) => s.key === `upload:${upload}`));
+  if (!opens) return go(dataOf(`upload:${upload}`));
   const job = await done({ kind: "open", upload });
   if (!job) return;
   await look();
-  const source = data ? about.value.data.find((/** @type {any} */ s) => s.key === `upload:${upload}`) : null;
+  const source = data ? dataOf(`upload:${upload}`) : null;
   const of = source ? [source] : subject.value?.data;
   location.hash = of ? dataRoute(of, job) : route("models", job.name);
 }
