@@ -36,6 +36,8 @@ PACKAGE = {
     "matlab_timetable_7": "matio",
     "matlab_timetable_73": "matio",
 }
+WRITTEN_BY = {"openpyxl_text_cells": "openpyxl", "ros1_bag": "rosbags"}
+"""Packages that write these kinds."""
 OF_A_BUS = ("can_candump", "can_vector_asc", "can_vector_blf", "can_peak_trc", "can_python_csv")
 
 
@@ -46,8 +48,8 @@ def source() -> Source:
 
 
 def made(name: str, source: Source, folder: Path) -> Truth:
-    if name in PACKAGE:
-        pytest.importorskip(PACKAGE[name])
+    if needed := (PACKAGE | WRITTEN_BY).get(name):
+        pytest.importorskip(needed)
     return CASES[name](source, folder)
 
 
