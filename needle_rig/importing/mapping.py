@@ -54,7 +54,7 @@ class ChannelPart(_Part):
     scale: Annotated[float, Field(gt=0)] = 1.0
     zero: float | Literal["start"] = 0.0
     sure: bool = False
-    """A person confirmed it: a size that no needle has is told, and not refused."""
+    """A person confirmed it: a size that no needle has is reported, not refused."""
     why: str = ""
     doubt: str = ""
 

@@ -72,7 +72,7 @@ class Store:
         )
 
     def touch_job(self, key: str, asked_utc_s: float) -> None:
-        """A result that was asked again is the newest of its kind."""
+        """A result that was requested again is the newest of its kind."""
         with suppress(BadInput):  # it is shown all the same
             self._write("UPDATE jobs SET asked_utc_s = ? WHERE key = ?", (asked_utc_s, key))
 

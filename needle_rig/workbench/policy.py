@@ -182,9 +182,6 @@ class ScreeningPolicy:
         "every order of a ripple, and each motion of a series of a dozen trials",
         _RULES,
     )
-    places_near: int = _threshold(
-        16, "values near the best that are tried at a time", "two passes resolve 64 · 16 / 2 places", _RULES
-    )
     in_full_up_to: float = _threshold(
         10.0,
         "gain asked (−2 log posterior) up to which every form is tried: chance alone may decide there",
@@ -397,12 +394,6 @@ class VerdictPolicy:
         "p of a trend in the trials' friction: an effect that tells of it is to be named first",
         "a hundredth of `evidence.significance`, for a library of about 30",
         _RULES,
-    )
-    odd_trial: float = _threshold(
-        1e-3,
-        "p, over all trials, of one that differs from all others: its answer is told without it",
-        "one false in a thousand, as of a residual pattern",
-        "selection/test_odd_trial.py",
     )
     testable_share: float = _threshold(
         0.02,

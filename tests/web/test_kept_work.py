@@ -105,7 +105,7 @@ def test_what_runs_is_in_the_header_of_every_view_and_its_result_is_a_click_away
         page.wait_for_selector(".verdict")
         assert page.url.endswith("#/data/data/mine")
         strip.wait_for(state="detached")
-        # asked again in the other tab, it is there at once
+        # requested in the other tab, it is there at once
         other.goto(f"{served.base}/#/data/data/mine")
         other.wait_for_selector(".verdict", timeout=SOON_MS)
         page.get_by_role("button", name="Add tissue elasticity").click()

@@ -38,7 +38,7 @@ async function follow() {
   try {
     if (!document.hidden || waiting.size || jobs.value.some(alive)) heard((await ask("GET", "jobs")).jobs);
   } catch {
-    // the connection is told in the header
+    // the header shows the connection
   }
   timer = setTimeout(follow, waiting.size || jobs.value.some(alive) ? BUSY_MS : IDLE_MS);
 }

@@ -107,7 +107,7 @@ def looked_through(
             return {key: seen[key] for key in ranked}
         row, best = ranked[0]
         first, end = max(0, best - step + 1), min(len(rows[row]), best + step)
-        step = math.ceil((end - first) / POLICY.screening.places_near)
+        step = math.ceil((end - first) / POLICY.screening.places)
         near = [(row, k) for k in range(first, end, step)]
 
 

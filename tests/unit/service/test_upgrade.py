@@ -150,7 +150,7 @@ def test_a_run_that_goes_on_is_waited_for(computer: Computer) -> None:
     journal.write_bytes(b"")
     text = computer.place.rig_file.read_text().replace("directory: runs", "directory: /var/lib/needle-rig")
     computer.place.rig_file.write_text(text)
-    held = open(journal, "rb")  # noqa: SIM115 - closed when it is told
+    held = open(journal, "rb")  # noqa: SIM115 - the test closes it
     fcntl.flock(held, fcntl.LOCK_EX)
 
     def told(sentence: str) -> None:

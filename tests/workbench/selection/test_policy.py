@@ -340,7 +340,7 @@ def test_an_effect_is_simulated_at_three_sizes_and_few_forms(
         ([[n] for n in range(60)], 60),  # each is looked at
         ([list(range(64))], 64),
         ([list(range(128))], 64 + 2),  # every second, and both neighbours of the best
-        ([list(range(1024))], 64 + 15 + 2),
+        ([list(range(1024))], 64 + 30),  # every sixteenth, and all between the best one's neighbours
     ],
 )
 def test_of_many_places_an_even_choice_is_looked_at_then_those_near_the_best(
