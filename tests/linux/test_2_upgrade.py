@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import zipfile
 from pathlib import Path
 
@@ -58,12 +60,25 @@ def test_a_version_that_starts_waits_for_a_run_and_can_be_left_again(rig: Rig) -
     # the one of the test before, mended
     (daemon,) = Path(f"/opt/needle-rig/{NEW}").glob(f"lib/python3*/site-packages/{DAEMON}")
     daemon.write_text(daemon.read_text().removeprefix(BROKEN))
-    process = started_run("--settle", "30")
+    process = started_run("--settle", "600")
     begun(process)
-    told = shell(f"{PROGRAM} install-service --upgrade {NEW}", timeout_s=280).stdout
-    assert "this run goes on" in told
+    upgrade = subprocess.Popen(
+        [PROGRAM, "install-service", "--upgrade", NEW],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    assert upgrade.stdout is not None
+    told = ""
+    while "this run goes on" not in told:
+        told = upgrade.stdout.readline()
+        assert told, "the upgrade does not wait for the run"
+    assert process.poll() is None
+    assert status()["version"] == VERSION
+    assert needle_rig("stop").returncode == 0
     process.communicate()
-    assert process.returncode == 0
+    upgrade.communicate(timeout=280)
+    assert upgrade.returncode == 0
     assert status()["version"] == NEW
     assert shell("/usr/local/bin/needle-rig --version").stdout.split()[-1] == NEW
     assert f"the daemon runs needle-rig {NEW}, and this is {VERSION}" in needle_rig("status").stdout
