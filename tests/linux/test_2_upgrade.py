@@ -14,13 +14,14 @@ from needle_rig.version import VERSION
 from tests.linux.conftest import (
     PROGRAM,
     RIG_FILE,
+    RUNS,
     Rig,
-    begun,
     needle_rig,
     outcome,
     shell,
     started_run,
     status,
+    until,
 )
 
 pytestmark = pytest.mark.linux
@@ -61,7 +62,7 @@ def test_a_version_that_starts_waits_for_a_run_and_can_be_left_again(rig: Rig) -
     (daemon,) = Path(f"/opt/needle-rig/{NEW}").glob(f"lib/python3*/site-packages/{DAEMON}")
     daemon.write_text(daemon.read_text().removeprefix(BROKEN))
     process = started_run("--settle", "600")
-    begun(process)
+    until(lambda: bool(list(RUNS.glob("*.journal"))), "the run is recorded")
     upgrade = subprocess.Popen(
         [PROGRAM, "install-service", "--upgrade", NEW],
         stdout=subprocess.PIPE,
