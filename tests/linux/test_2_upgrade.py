@@ -14,14 +14,14 @@ from needle_rig.version import VERSION
 from tests.linux.conftest import (
     PROGRAM,
     RIG_FILE,
-    RUNS,
     Rig,
+    begun,
+    journal,
     needle_rig,
     outcome,
     shell,
     started_run,
     status,
-    until,
 )
 
 pytestmark = pytest.mark.linux
@@ -62,18 +62,19 @@ def test_a_version_that_starts_waits_for_a_run_and_can_be_left_again(rig: Rig) -
     (daemon,) = Path(f"/opt/needle-rig/{NEW}").glob(f"lib/python3*/site-packages/{DAEMON}")
     daemon.write_text(daemon.read_text().removeprefix(BROKEN))
     process = started_run("--settle", "600")
-    until(lambda: bool(list(RUNS.glob("*.journal"))), "the run is recorded")
+    begun(process, "rotate")
     upgrade = subprocess.Popen(
         [PROGRAM, "install-service", "--upgrade", NEW],
         stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
     assert upgrade.stdout is not None
-    told = ""
-    while "this run goes on" not in told:
-        told = upgrade.stdout.readline()
-        assert told, "the upgrade does not wait for the run"
+    told: list[str] = []
+    while not told or "this run goes on" not in told[-1]:
+        told.append(upgrade.stdout.readline())
+        assert told[-1], f"the upgrade does not wait: {told}; the run: {process.poll()}; {journal()}"
     assert process.poll() is None
     assert status()["version"] == VERSION
     assert needle_rig("stop").returncode == 0
