@@ -20,6 +20,7 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, against_mean
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.slip_limits import at_same_slip_limits
 from needle_rig.workbench.policy import POLICY
 
 LEAST_SCALE, MOST_SCALE = 0.02, 4.0
@@ -120,26 +121,7 @@ def beside(
     """
     every = against_mean(parameters, np.r_[parent.vector.scaled_values, scaled_values])
     vector = dataclasses.replace(parent.vector, scaled_values=every)
-    added = {p.effect for p in parameters[len(parent.parameters) :]}
-    if not any(problem.library[effect].has("shape") for effect in added):
-        return vector
-    try:
-        before, after = (
-            _slip_limits(problem, parent.parameters, parent.vector),
-            _slip_limits(problem, parameters, vector),
-        )
-    except BadInput:
-        return vector
-    scale = np.log(np.where((before > 0) & (after > 0), before / np.maximum(after, 1e-300), 1.0))
-    return dataclasses.replace(vector, trial_friction=vector.trial_friction + scale)
-
-
-def _slip_limits(problem: Problem, parameters: Sequence[FreeParameter], vector: ParameterVector) -> Array:
-    """Sum of both slip limits of all nodes that can slip in each trial (T,), N·m."""
-    rods = problem.model(parameters, vector).rods([b.trial for b in problem.trials])
-    limits_nm = [rod.slip_plus_nm + rod.slip_minus_nm for rod in rods]
-    sums_nm = np.array([float(limit_nm[np.isfinite(limit_nm)].sum()) for limit_nm in limits_nm])
-    return sums_nm * np.exp(vector.trial_friction)
+    return at_same_slip_limits(problem, (parent.parameters, parent.vector), (parameters, vector))
 
 
 def signature(
