@@ -101,7 +101,7 @@ def _ways_on(found: Answer, question: Diagnose, *, laws: bool) -> Iterator[str]:
     if way.part is not None:
         on = dataclasses.replace(question, model=Path("MODEL.yaml"))
         adopt = typed("adopt", question, "--out", "MODEL.yaml", last=(way.part.effect,))
-        yield f"{way.part_sentence(found.held_out_error_before)}: {adopt}, then {typed('diagnose', on)}"
+        yield f"{way.part_sentence()}: {adopt}, then {typed('diagnose', on)}"
     if laws:
         yield (
             "look for a law that the library does not hold, which takes as long as a diagnosis without"
@@ -109,12 +109,9 @@ def _ways_on(found: Answer, question: Diagnose, *, laws: bool) -> Iterator[str]:
         )
     if way.record:
         both = typed("diagnose", question, last=("NEW_DATA",))
-        yield f"record {'; '.join(way.record)}, and ask of both: {both}"
+        yield f"{way.record_sentence()}: {both}"
     if way.channel:
-        yield (
-            f"all that is left is in {way.channel}, and the other channels are met: where that sensor is in"
-            " doubt, take its column out of the trial files and ask again"
-        )
+        yield way.channel_sentence()
 
 
 def _show(found: Answer, values: Sequence[str]) -> None:

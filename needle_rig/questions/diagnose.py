@@ -47,9 +47,13 @@ class Diagnosed:
 
     def as_json(self) -> DiagnoseDocument:
         """The stated form of the answer."""
+        from needle_rig.workbench.selection.way_on import way_on
+
         document, values = self.found.as_json(), self.model_values()
         if values is not None:
             document["model_values"] = values
+        if self.found.verdict == "unknown":
+            document["way_on"] = way_on(self.found).as_json()
         return document
 
     def keep(self) -> KeptDiagnosis:

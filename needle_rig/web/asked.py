@@ -39,7 +39,7 @@ class Work(Asked):
     diagnosis: Key | None = None
     chosen: Annotated[list[Key], Field(max_length=DATA)] = []
     learnt: Key | None = None
-    law: Key | None = None
+    effect: Key | None = None
     compared: Key | None = None
     what: Key | None = None
     form: Key | None = None

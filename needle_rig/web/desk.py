@@ -16,8 +16,8 @@ from needle_rig.web.sources import Source, Sources, free_name
 from needle_rig.web.store import sealed
 from needle_rig.web.uploads import Uploads, model_in
 
-OF_A_MODEL = ("compare", "diagnose", "take_values", "undo", "strategies", "learn", "adopt_law")
-OF_DATA = ("compare", "diagnose", "take_values", "adopt", "show", "export", "learn", "adopt_law")
+OF_A_MODEL = ("compare", "diagnose", "take_values", "undo", "strategies", "learn", "add_effect")
+OF_DATA = ("compare", "diagnose", "take_values", "adopt", "show", "export", "learn", "add_effect")
 """Kinds of work that are given a model or none, and that are given data."""
 OF_VALUES = ("refit", "fixed", "free")
 """Fields of a comparison, which its record checks."""
@@ -31,7 +31,7 @@ SHOWN = (
     "parameters",
     "upload",
     "chosen",
-    "law",
+    "effect",
     "compared",
 )
 """Fields of a question that the page shows again."""
@@ -89,12 +89,13 @@ class Desk:
             given["chosen"] = asked.chosen
         elif kind == "learn":
             draft = f"learnt_law_{1 + sum(job.of.kind == 'learn' for job in self._jobs.all())}.py"
-        elif kind == "adopt_law":
-            learnt = self._jobs.find(asked.learnt)
-            if learnt is None or not learnt.folder.is_dir():
-                raise BadInput("what was learnt is not there any more; learn it again")
-            given["effect"] = str(asked.law)
-            drafts = (*drafts, learnt.key)
+        elif kind == "add_effect":
+            given["effect"] = str(asked.effect)
+            if asked.learnt is not None:
+                learnt = self._jobs.find(asked.learnt)
+                if learnt is None or not learnt.folder.is_dir():
+                    raise BadInput("what was learnt is not there any more; learn it again")
+                drafts = (*drafts, learnt.key)
         elif kind == "undo" and given["model"] is None:
             raise BadInput("there is no step to take back")
         elif kind == "export":

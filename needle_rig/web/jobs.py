@@ -38,7 +38,7 @@ TOLD = 30
 LINE_BYTES = 64 << 20
 """A line of a job's answer: a comparison of 12 trials of 9 channels takes 3 MB."""
 CLOSED = "needle-rig web was closed while this ran; start it again"
-MODELS = frozenset({"adopt", "adopt_law", "take_values", "open"})
+MODELS = frozenset({"adopt", "add_effect", "take_values", "open"})
 """Kinds whose result is a model."""
 LASTING = MODELS | {"import", "learn"}
 

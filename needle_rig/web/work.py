@@ -206,7 +206,7 @@ QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
     "diagnose": (Diagnose, diagnose),
     "take_values": (Identify, pictures.take_values),
     "adopt": (Adopt, adopt),
-    "adopt_law": (AddEffect, adopt),
+    "add_effect": (AddEffect, adopt),
     "undo": (Undo, undo),
     "learn": (Learn, learn),
     "strategies": (Strategies, strategies),

@@ -325,6 +325,9 @@ def test_a_law_that_nobody_told_it_is_learnt_added_and_taken_back(
         page.wait_for_selector(".verdict")
         assert page.get_by_role("button", name="Look for several").is_enabled()
         assert "no effect of the library explains" in page.locator(".verdict").inner_text()
+        on = page.get_by_role("list", name="How to go on").get_by_role("listitem").first.inner_text()
+        assert "of the error above the noise" in on
+        assert page.get_by_role("button", name=f"Add {on.partition(' explains')[0]}").is_enabled()
         page.get_by_role("button", name="Learn the law").click()
         page.locator("section.law h4", has_text="a torque in tissue section 3").wait_for()
         assert "sin(2" in page.locator("section.law strong").first.inner_text()

@@ -47,7 +47,7 @@ def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
 @pytest.mark.whole
 def test_an_effect_is_added_by_name_as_a_learnt_law_is(tmp_path: Path) -> None:
     law = {"data": ["reed2008"], "model": None, "effect": "tissue_elasticity"}
-    model, said = asked("adopt_law", tmp_path, **law, effects=[])
+    model, said = asked("add_effect", tmp_path, **law, effects=[])
     assert model["added"] == ["tissue_elasticity"]
     assert said == ["fitting tissue_elasticity"]
 

@@ -21,13 +21,13 @@ let timer = 0;
 
 /** What a job is called. @type {Record<string, string>} */
 const KINDS = {
-  compare: "Compare", diagnose: "Diagnose", take_values: "Take values over from", adopt: "Add what is missing in", adopt_law: "Add the law of", undo: "Undo",
+  compare: "Compare", diagnose: "Diagnose", take_values: "Take values over from", adopt: "Add what is missing in", add_effect: "Add an effect to", undo: "Undo",
   learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", open: "Open model", show: "Show", export: "Export",
 };
 /** Kinds whose end is worth a word in every view; the others are seen where they were asked. */
-const TOLD = ["diagnose", "learn", "strategies", "adopt", "adopt_law", "take_values", "import"];
+const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import"];
 /** Kinds after which there is more to choose. */
-const MAKING = ["adopt", "adopt_law", "take_values", "open", "import"];
+const MAKING = ["adopt", "add_effect", "take_values", "open", "import"];
 
 /** @param {any} job */
 export const alive = (job) => job.state === "waiting" || job.state === "running";

@@ -30,7 +30,9 @@ const learn = () => about({ kind: "learn" });
 /** @param {string[]} effects */
 const adopt = (effects) => make({ kind: "adopt", diagnosis: known.value.diagnose.key, chosen: effects });
 /** @param {string} law */
-const adoptLaw = (law) => make({ kind: "adopt_law", learnt: known.value.learn.key, law });
+const adoptLaw = (law) => make({ kind: "add_effect", learnt: known.value.learn.key, effect: law });
+/** @param {string} effect */
+const addEffect = (effect) => make({ kind: "add_effect", effect });
 const takeValues = () => make({ kind: "take_values" });
 
 export function Missing() {
@@ -41,7 +43,7 @@ export function Missing() {
       <span class="quiet"> tries every effect of the library on commands that were left out</span></p>
       <p><button onClick=${() => diagnose(true)}>Diagnose quickly</button>
       <span class="quiet"> one effect alone, in half the time or less</span></p>`}
-    <${Working} kinds=${["diagnose", "learn", "adopt", "adopt_law", "take_values"]} of=${ofSubject.value} /></section>`;
+    <${Working} kinds=${["diagnose", "learn", "adopt", "add_effect", "take_values"]} of=${ofSubject.value} /></section>`;
 }
 
 /** @param {{found: any}} props */
@@ -68,6 +70,8 @@ function Verdict({ found }) {
         <td class="text">${row.in_favour}${row.against ? html`; against: ${row.against}` : null}
           ${Object.entries(row.parameters).map(([name, v]) => html`<br /><span class="quiet">${parameter(name)} = ${significant(/** @type {any} */ (v).value)} (95 %: ${significant(/** @type {any} */ (v).low)} to ${significant(/** @type {any} */ (v).high)}) ${/** @type {any} */ (v).unit === "1" ? "" : /** @type {any} */ (v).unit}</span>`)}</td></tr>`)}</tbody></table></div>
     ${found.ranking.length > SHOWN_ROWS ? html`<p><button aria-expanded=${everyRow.value} onClick=${() => (everyRow.value = !everyRow.value)}>${everyRow.value ? "Fewer" : `The other ${found.ranking.length - SHOWN_ROWS}`}</button></p>` : null}
+    ${found.way_on ? html`<h3>How to go on</h3><ul aria-label="How to go on">${found.way_on.sentences.map((/** @type {string} */ s) => html`<li>${words(s)}</li>`)}</ul>
+      ${found.way_on.part ? html`<p><button disabled=${busy.value} onClick=${() => addEffect(found.way_on.part)}>Add ${words(found.way_on.part)}</button></p>` : null}` : null}
     ${known.value.learn ? html`<${LearntLaws} found=${known.value.learn} busy=${busy.value} add=${adoptLaw} />`
       : found.verdict === "unknown" || found.verdict === "cannot_tell" ? html`<p><button class="go" disabled=${busy.value} onClick=${learn}>Learn the law</button>
         <span class="quiet"> searches where it acts, on what it depends, its curve and a formula; minutes</span></p>` : null}

@@ -136,8 +136,25 @@ class ValuesDocument(TypedDict):
     sentences: list[str]
 
 
+class WayOnDocument(TypedDict):
+    """What goes on from a diagnosis that does not explain the data."""
+
+    part: str | None
+    """Effect that explains most by itself."""
+    as_good: list[str]
+    """Effects that explain as much."""
+    channel: str | None
+    """The only channel that more than noise is left in."""
+    record: list[str]
+    """What the recording lacks."""
+    sentences: list[str]
+
+
 class DiagnoseDocument(TypedDict):
     """What `needle-rig diagnose` answers."""
+
+    way_on: NotRequired[WayOnDocument]
+    """Where the verdict is *unknown*."""
 
     model_values: NotRequired[ValuesDocument]
     """Of a model with values of its own, held against traces."""

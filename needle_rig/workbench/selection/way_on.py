@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from needle_rig.workbench.observations.blocks import NOTE
 from needle_rig.workbench.selection.answer import Answer, Ranked
 from needle_rig.workbench.selection.diagnose import Diagnosis
+from needle_rig.workbench.selection.documents import WayOnDocument
 
 
 @dataclass(frozen=True)
 class WayOn:
     """What goes on from a diagnosis that does not explain the data."""
 
+    before: float
+    """Error left out of the model as it is, in units of the noise; infinite with one command."""
     part: Ranked | None
     """The effect that lowers the error most by itself; adopted, it is a part of the next model."""
     as_good: tuple[str, ...]
@@ -23,10 +26,11 @@ class WayOn:
     record: tuple[str, ...]
     """What the recording lacks, worst first."""
 
-    def part_sentence(self, before: float) -> str:
-        """What the effect explains, and that it is not said to be the cause."""
-        assert self.part is not None
-        after = self.part.held_out_error
+    def part_sentence(self) -> str:
+        """What the effect explains, and that it is not said to be the cause; empty without one."""
+        if self.part is None:
+            return ""
+        before, after = self.before, self.part.held_out_error
         error = (
             f", error left out {before:.2f} → {after:.2f} × the noise"
             if after is not None and math.isfinite(before)
@@ -38,12 +42,37 @@ class WayOn:
             f" noise{error}{rivals}"
         )
 
+    def record_sentence(self) -> str:
+        """What to record beside these data; empty where they lack nothing."""
+        return f"record {'; '.join(self.record)}, and ask of both" if self.record else ""
+
+    def channel_sentence(self) -> str:
+        """The channel that may be at fault; empty without one."""
+        if not self.channel:
+            return ""
+        return (
+            f"all that is left is in {self.channel}, and the other channels are met: where that sensor is in"
+            " doubt, take its column out of the trial files and ask again"
+        )
+
+    def as_json(self) -> WayOnDocument:
+        """As it stands in the JSON answer."""
+        sentences = self.part_sentence(), self.record_sentence(), self.channel_sentence()
+        return {
+            "part": None if self.part is None else self.part.effect,
+            "as_good": list(self.as_good),
+            "channel": self.channel or None,
+            "record": list(self.record),
+            "sentences": [sentence for sentence in sentences if sentence],
+        }
+
 
 def way_on(found: Answer) -> WayOn:
     """Of a diagnosis whose verdict is *unknown*."""
     helping = [row for row in found.ranking if row.error_removed > 0.0 and _lowers(row, found)]
     part = max(helping, key=lambda row: row.error_removed, default=None)
     return WayOn(
+        found.held_out_error_before,
         part,
         tuple(
             row.effect

@@ -26,7 +26,7 @@ def test_the_part_that_is_named_lowers_the_error_when_it_is_adopted() -> None:
     assert taken.improves
     assert way.part.held_out_error is not None
     assert way.part.held_out_error < found.held_out_error_before
-    assert f"{way.part.held_out_error:.2f}" in way.part_sentence(found.held_out_error_before)
+    assert f"{way.part.held_out_error:.2f}" in way.part_sentence()
 
 
 @pytest.mark.whole
@@ -37,6 +37,10 @@ def test_unknown_is_no_dead_end(tmp_path: Path, capsys: pytest.CaptureFixture[st
     said = capsys.readouterr().out
     assert "no effect of the library explains" in " ".join(said.split())
     line = next(line for line in said.splitlines() if "needle-rig adopt" in line)
+    assert run(["diagnose", data, "--quick", "--jobs", "1", "--json"]) == 0
+    way = json.loads(capsys.readouterr().out)["way_on"]
+    assert line.startswith(way["sentences"][0])
+    assert way["sentences"][0].startswith(way["part"])
     words = line.partition("needle-rig ")[2].partition(", then")[0].split()
     model = str(tmp_path / "MODEL.yaml")
     assert run([model if word == "MODEL.yaml" else word for word in words]) == 0
