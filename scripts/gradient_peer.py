@@ -11,7 +11,7 @@ from sample to sample, where IDAS begins anew.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -56,9 +56,10 @@ def smooth(rod: Rod, path: Path, friction_factor: float, parameters: int) -> Smo
     every = ca.vertcat(base, angle)
     carried = rod.stiffness_nm_per_rad / UNIT_NM * ca.exp(x[1]) * (every[1:] - every[:-1])
     tissue = (every[inside.tolist()] - anchor) / (rod.compliance_rad_per_nm[inside] * UNIT_NM)
-    balance = ca.vertcat(carried[1:], 0) - carried
+    loads: list[Any] = [0] * len(rod.position_m)
     for k, node in enumerate(inside):
-        balance[int(node) - 1] -= tissue[k]
+        loads[node] = tissue[k]
+    balance = ca.vertcat(carried[1:], 0) - carried - ca.vertcat(*loads[1:])
 
     def beyond(share: ca.SX) -> ca.SX:
         return (share + ca.sqrt(share**2 + ROUNDING**2)) / 2
