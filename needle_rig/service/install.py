@@ -212,7 +212,7 @@ def _network_steps(place: Installation, interface: str, bitrate_kbit_s: int, liv
 
 
 def _changed(file: WriteFile, live: bool, *commands: list[str]) -> list[Step]:
-    """The file, and what the system must be told when it is new."""
+    """The file, and what tells the system that it is new."""
     told = live and not file.is_done()
     return [file, *(Run(command, lambda: False) for command in commands if told)]
 
