@@ -146,7 +146,9 @@ def removal_steps(place: Installation) -> list[Step]:
     live = place.root == Path("/")
     steps: list[Step] = []
     if live:
-        steps.append(Run(["systemctl", "stop", UNIT], lambda: not is_active()))
+        steps += [
+            Run(["systemctl", "stop", unit], functools.partial(_rests, unit)) for unit in (UNIT, FAILED_UNIT)
+        ]
     enabled = functools.partial(_is_enabled, place, UNIT)
     steps.append(Run(["systemctl", *_at(place), "disable", UNIT], lambda: not enabled()))
     if links_to(place.link, place.program):  # before the unit, which tells that it is ours
@@ -288,12 +290,16 @@ def _is_enabled(place: Installation, unit: str, target: str = "multi-user.target
     return (place.root / "etc/systemd/system" / target / unit).is_symlink()
 
 
-def is_active() -> bool:
-    """Whether the service runs, or is about to."""
+def is_active(unit: str = UNIT) -> bool:
+    """Whether a unit runs, or is about to."""
     from needle_rig.service.systemd import unit_standing
 
-    standing = unit_standing()
+    standing = unit_standing(unit)
     return standing is not None and standing.state in ("active", "activating", "reloading")
+
+
+def _rests(unit: str) -> bool:
+    return not is_active(unit)
 
 
 def _at(place: Installation) -> list[str]:
