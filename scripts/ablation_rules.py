@@ -20,9 +20,10 @@ import needle_rig.workbench.estimation.discretisation_error as discretisation
 import needle_rig.workbench.estimation.map_fit as map_fit
 import needle_rig.workbench.estimation.multistart as multistart
 import needle_rig.workbench.observations.binning as binning
-import needle_rig.workbench.observations.noise as noise
+import needle_rig.workbench.observations.measured_noise as measured_noise
+import needle_rig.workbench.observations.noise_terms.offset as offset
 import needle_rig.workbench.observations.outliers as outliers
-import needle_rig.workbench.observations.replicate_noise as replicate_noise
+import needle_rig.workbench.observations.shown_terms as shown_terms
 import needle_rig.workbench.observations.snaps as snaps
 import needle_rig.workbench.selection.candidates as candidates
 import needle_rig.workbench.selection.decisions as decisions
@@ -36,7 +37,6 @@ import needle_rig.workbench.selection.rivals as rivals
 import needle_rig.workbench.selection.screening as screening
 import needle_rig.workbench.selection.search as search
 import needle_rig.workbench.selection.shown_noise as shown_noise
-import needle_rig.workbench.selection.unknown_starts as unknown_starts
 import needle_rig.workbench.selection.verdict as verdict
 from needle_rig.workbench.policy import POLICY
 
@@ -48,23 +48,19 @@ REMEMBERED: tuple[tuple[Any, str], ...] = (
     (map_fit, "fit"),
     (multistart, "lowest_fit"),
     (multistart, "through_valleys"),
-    (multistart, "over_friction"),
     (multistart, "over_strength"),
-    (multistart, "fit_without_derivatives"),
     (cross_validation, "cross_validate"),
     (screening, "screen"),
     (discretisation, "with_discretisation_error"),
     (discretisation, "driven_at"),
-    (unknown_starts, "held"),
     (baseline, "judged"),
     (baseline, "_first_fit"),
     (binning, "bin_trial"),
-    (noise, "measure_noise"),
-    (replicate_noise, "with_correlation"),
-    (replicate_noise, "with_motion_scatter"),
+    (measured_noise, "measure_noise"),
+    (shown_terms, "with_shown_terms"),
+    (shown_terms, "with_motion_scatter"),
     (residual_patterns, "find_residual_patterns"),
     (lack_of_fit, "lack_of_fit"),
-    (rivals, "bootstrap_share"),
     (rivals, "separation"),
     (design, "best_experiment"),
     (snaps, "snaps"),
@@ -223,14 +219,6 @@ def _nothing(*_: Any, **__: Any) -> None:
     return None
 
 
-def _found_no_starts(dataset: Any, model: Any, library: Any, of: Any, *_: Any) -> Any:
-    return unknown_starts.FoundStarts(of.problem, of, None, {}, math.inf)
-
-
-def _tie_by_score_alone(behind: float, **_: Any) -> bool:
-    return behind < POLICY.ties.close
-
-
 def _tie_of_general(behind: float, **given: Any) -> bool:
     return _CANNOT_BE_TOLD_APART(behind, **{**given, "gain_over_special": None})
 
@@ -254,23 +242,8 @@ def _known_noise(_: Any, problem: Any, __: Any) -> Any:
     return problem.noise
 
 
-def _as_found(*given: Any) -> list[Any]:
-    return list(given[3])
-
-
 def _as_fitted(_: Any, found: Any) -> Any:
     return found
-
-
-def _one_start(ahead: Any) -> Any:
-    return ahead.starts[:1]
-
-
-def _typical_form(parameters: Any) -> Any:
-    return _FORMS(parameters)[:1]
-
-
-_FORMS = screening.forms
 
 
 def _none_set_aside(values: Any) -> Any:
@@ -280,8 +253,8 @@ def _none_set_aside(values: Any) -> Any:
     return filled, valid, np.zeros(values.size, bool)
 
 
-def _no_offsets(binned: Any, parts: Any, floor: Any) -> Any:
-    return np.zeros(len(floor))
+def _no_offsets(binned: Any, within: Any, floor: Any) -> Any:
+    return offset.Offset(np.zeros(len(floor)))
 
 
 def _no_error(problem: Any, found: Any, *_: Any) -> Any:
@@ -291,23 +264,19 @@ def _no_error(problem: Any, found: Any, *_: Any) -> Any:
 _SMALL_PATTERN = "find_residual_patterns"
 
 RULES: tuple[Rule, ...] = (
-    # searches again
+    # effects, noise and initial twists in turn
     Rule("noise that shows beside what was found", gives(shown_noise, "with_noise_at", _as_it_is)),
+    Rule("initial twists that what was found holds", gives(shown_noise, "with_starts_of", _as_it_is)),
     Rule("driven by every sample", gives(shown_noise, "with_samples_at", _as_it_is)),
     Rule("noise that the residual shows", gives(shown_noise, "left_over", _known_noise)),
     Rule("no turns of effects and noise", gives(diagnose, "renewed", _nothing)),
-    Rule("search again from the starts of another", gives(unknown_starts.FoundStarts, "simpler", _nothing)),
-    Rule("starts as an effect holds them", gives(diagnose, "from_found_starts", _found_no_starts)),
     # the search
-    Rule("restart far from the noise", gives(search, "_restarts", _never)),
-    Rule("fit from other friction", gives(search, "_over_friction", _as_it_is)),
     Rule("negligible effect set aside", threshold("search", "set_aside", 0)),
     Rule("effect of no size taken out", threshold("search", "no_size", 0.0)),
     Rule("swap of effects", gives(search, "_swapped", _not_swapped)),
     Rule("backward elimination", gives(search, "_back", _as_it_is)),
-    Rule("fit from special cases", gives(search, "from_limits", _as_found)),
     Rule("several sets side by side", threshold("search", "frontier", 1)),
-    Rule("fewer named at a near score", threshold("search", "fewer_named", 0.0)),
+    Rule("only what screening promises is fitted", threshold("screening", "kept", 0.0)),
     Rule("Šidák's adjustment over the library", gives(search, "adjusted_p", _one_test)),
     Rule("gain of steadier friction as F test", gives(evidence, "gain_of", _likelihood_alone)),
     Rule("within the discretisation error", gives(search, "within_discretisation_error", _never)),
@@ -315,37 +284,23 @@ RULES: tuple[Rule, ...] = (
     Rule("pull of the rigidity stands in for it", gives(evidence, "relieves_pull", _never)),
     # fits
     Rule("fit along valleys", gives(candidates, "through_valleys", _as_fitted)),
-    Rule("fit from several starts", gives(candidates, "_worth_fitting", _one_start)),
-    Rule("fit without derivatives", gives(candidates, "fit_without_derivatives", _nothing)),
-    Rule("starts of all items at once", gives(screening, "_joint", _none), ("screen",)),
-    Rule("forms beyond the typical one", gives(screening, "forms", _typical_form), ("screen",)),
     # the verdict
     *(Rule(f"verdict: {rule.__name__}", without_verdict(rule)) for rule in verdict.RULES),
     Rule("verdict: values beyond what is plausible", gives(diagnose, "contrived", _none)),
-    Rule("verdict: of no use on commands left out", gives(diagnose, "of_no_use", _none)),
-    Rule("verdict: noise may wander without replicates", gives(verdict, "may_be_noise", _never)),
-    Rule(
-        "verdict: more is left where no pattern shows",
-        threshold("verdict", "reached_without_pattern", POLICY.verdict.reached),
-    ),
     Rule("verdict: a pattern of small size", gives(type(POLICY.size), "small", _never), (_SMALL_PATTERN,)),
     # ties
-    Rule("tie: reweighted trials", threshold("ties", "sure_share", 0.0)),
-    Rule("tie: more above the noise", gives(rivals, "excess", lambda *_: 0.0)),
     Rule("tie: a generalisation must gain", gives(rivals, "cannot_be_told_apart", _tie_of_general)),
-    Rule("tie: by score alone", gives(rivals, "cannot_be_told_apart", _tie_by_score_alone)),
-    Rule("tie: from starts of its own", gives(unknown_starts.FoundStarts, "behind", lambda *_: {})),
     # the noise
     noise_rule("outliers set aside", gives(binning, "set_aside", _none_set_aside), "bin_trial"),
-    noise_rule("correlated as replicates show", gives(baseline, "with_correlation", _as_it_is)),
+    noise_rule("terms that replicates show", gives(baseline, "with_shown_terms", _as_it_is)),
     noise_rule("scatter from motion to motion", gives(baseline, "with_motion_scatter", _as_it_is)),
-    noise_rule("offset of a trial", gives(noise, "_rest_offsets", _no_offsets), "measure_noise"),
+    noise_rule("offset of a trial", gives(measured_noise, "measured_offset", _no_offsets), "measure_noise"),
     noise_rule("jitter of the clock", threshold("noise", "clock_jitter_s", 0.0), "measure_noise"),
     noise_rule("nothing after a snap", gives(baseline, "snaps", lambda *_: ())),
     noise_rule(
         "nothing where replicates agree on more",
         threshold("noise", "replicate_misfit", math.inf),
-        "with_correlation",
+        "with_shown_terms",
     ),
     noise_rule("discretisation error as nuisance", gives(baseline, "with_discretisation_error", _no_error)),
 )

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     help="One effect alone, each by itself: half the time or less, and no second one.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Diagnosis file to write, for adopt.")
-@of_field(Diagnose, "seed")
 @jobs_option
 @cluster_option
 @json_option

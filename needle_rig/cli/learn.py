@@ -18,7 +18,6 @@ from needle_rig.cli._workbench import (
     jobs_option,
     json_option,
     model_option,
-    of_field,
     say,
     terminal,
     typed,
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 @click.option("--pysr", is_flag=True, help="Ask PySR for a formula of each curve as well.")
 @model_option
 @effects_option
-@of_field(Learn, "seed")
 @jobs_option
 @json_option
 def command(png_path: Path | None, pysr: bool, jobs: int | None, as_json: bool, **asked: Any) -> None:

@@ -46,7 +46,7 @@ def traces(found: TraceComparison) -> Figure:
         thin = max(1, given.trial.time_s.size // SHOWN_SAMPLES)
         for c, name in enumerate(names):
             factor, unit = scale_of(c)
-            noise = factor * float(np.hypot(problem.noise.white[c], problem.noise.correlated[c]))
+            noise = factor * float(problem.noise.within_trial[c])
             axis = axes[c, k]
             axis.plot(given.trial.time_s[::thin], factor * data[c][::thin], ms=1.5, **SAMPLES)
             axis.plot(

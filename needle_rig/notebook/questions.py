@@ -97,7 +97,6 @@ def diagnose(
     effects: Sequence[PathLike] = (),
     max_effects: int = 3,
     quick: bool = False,
-    seed: int = 0,
     jobs: int | None = None,
 ) -> Diagnosis:
     """Which effect is missing from `model` (default: the null model). Raises BadInput, SolverError.
@@ -111,7 +110,6 @@ def diagnose(
         effects=several(effects),
         max_effects=max_effects,
         quick=quick,
-        seed=seed,
     )
     return Diagnosis(question.answer(at_work(jobs)))
 
@@ -150,11 +148,10 @@ def learn(
     model: AnyModel | None = None,
     *,
     effects: Sequence[PathLike] = (),
-    seed: int = 0,
     jobs: int | None = None,
 ) -> Laws:
     """A law that no effect holds: where it acts, its curve, a short formula. Raises BadInput, SolverError."""
-    question = Learn(data=given(data), model=known(model), effects=several(effects), seed=seed)
+    question = Learn(data=given(data), model=known(model), effects=several(effects))
     return Laws(question.answer(at_work(jobs)).found)
 
 

@@ -72,7 +72,6 @@ class Diagnose(About):
     max_effects: Annotated[int, Within(1, 6)] = 3
     quick: bool = False
     """Look for one effect alone."""
-    seed: Annotated[int, Within(0)] = 0
 
     def answer(self, doing: Doing = SILENT) -> Diagnosed:
         """Raises BadInput, SolverError."""
@@ -83,7 +82,6 @@ class Diagnose(About):
                 None if saved is None else saved.model,
                 max_effects=self.max_effects,
                 quick=self.quick,
-                seed=self.seed,
                 work=work,
                 say=doing.say,
             )

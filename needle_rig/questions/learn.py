@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from needle_rig.errors import BadInput
 from needle_rig.questions.doing import SILENT, Doing
-from needle_rig.questions.fields import Within
 from needle_rig.questions.question import About, PathLike
 
 if TYPE_CHECKING:
@@ -29,7 +28,6 @@ class Learn(About):
 
     draft: PathLike | None = None
     """Effect file to write (.py); a second law's is beside it."""
-    seed: Annotated[int, Within(0)] = 0
 
     def answer(self, doing: Doing = SILENT) -> Laws:
         """Raises BadInput, SolverError."""
@@ -41,9 +39,7 @@ class Learn(About):
 
         present = saved.model if saved else None
         with doing.work(self) as work:
-            found = learn_law.laws_of(
-                Traces(dataset), library, present, seed=self.seed, work=work, say=doing.say
-            )
+            found = learn_law.laws_of(Traces(dataset), library, present, work=work, say=doing.say)
         return Laws(found, found.write_drafts(draft) if draft is not None else ())
 
 

@@ -29,7 +29,7 @@ def channels_document(problem: Problem, dataset: Dataset) -> list[Document]:
     found = []
     for c, name in enumerate(("torque", *dataset.sensor_names)):
         factor, unit = scale_of(c)
-        spread = factor * float(np.hypot(noise.white[c], noise.correlated[c]))
+        spread = factor * float(noise.within_trial[c])
         found.append({"name": name, "unit": unit, "noise": float(f"{spread:.3g}"), "digits": digits(spread)})
     return found
 

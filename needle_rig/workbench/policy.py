@@ -23,7 +23,7 @@ def _threshold(value: Any, reason: str, source: str, guard: str) -> Any:
 
 _RULES = "selection/test_policy.py"
 _NOISE = "observations/test_policy.py"
-_REPLICATES = "observations/test_replicate_noise.py"
+_SHOWN = "observations/test_shown_terms.py"
 _SNAPS = "observations/test_snaps.py"
 
 
@@ -72,31 +72,25 @@ class NoisePolicy:
         "white noise that is taken for correlated hides effects: only high odds count",
         _NOISE,
     )
-    replicate_gain: float = _threshold(
-        13.8,
-        "twice the gain of log-likelihood by which replicates show noise correlated over seconds",
-        "p = 0.001 with two parameters, size and time",
-        _REPLICATES,
-    )
-    replicate_favour: float = _threshold(
-        2.7,
-        "twice the gain of log-likelihood by which replicates support noise that the residuals of all trials"
-        " show",
-        "p = 0.05, one-sided, of a size that is given",
-        _REPLICATES,
-    )
-    hum_significance: float = _threshold(
+    shown_significance: float = _threshold(
         0.001,
-        "chance of an oscillation of one frequency in the contrasts of replicates, all frequencies counted",
-        "as of what is correlated over seconds",
-        "observations/test_hum.py",
+        "chance that replicates, or residuals, show a drift or an interference that is not there",
+        "one in a thousand datasets, over all forms that are told apart",
+        _SHOWN,
     )
     replicate_misfit: float = _threshold(
         3.0,
         "mean square of what replicates share over that of how they differ, above which the model is wrong"
         " and they tell nothing of noise",
         "0.6 to 1.5 in 22 sets with nothing hidden, four kinds of noise; 36 and more with something hidden",
-        _REPLICATES,
+        _SHOWN,
+    )
+    residual_share: float = _threshold(
+        1.0,
+        "size of a term that the residual alone shows, in units of the white noise of a sample, above which"
+        " it is something missing",
+        "noise that drifts by as much as it is white",
+        _SHOWN,
     )
     clock_jitter_s: float = _threshold(
         1e-3, "time between base and sensors varies from trial to trial by a tick of 1 kHz", CHOSEN, _NOISE
@@ -167,37 +161,23 @@ class SnapPolicy:
 class ScreeningPolicy:
     """Which starts are tried before an effect is fitted."""
 
-    strengths: tuple[float, float, float] = _threshold(
-        (0.1, 0.5, 1.5),
+    strengths: tuple[float, ...] = _threshold(
+        (0.1, 0.5, 1.5, 5.0),
         "sizes, in typical ones, at which an effect is simulated: dry friction answers differently to each",
         "derivatives at 0 miss slip",
         _RULES,
     )
-    forms: int = _threshold(6, "values of form parameters that are tried at most", CHOSEN, _RULES)
-    forms_in_full: int = _threshold(2, "forms that are tried at every strength", CHOSEN, _RULES)
+    kept: float = _threshold(
+        0.25,
+        "share of a fit's gain that screening promises at least",
+        "what fitted as well promised 0.7 and more; " + TABLE,
+        _RULES,
+    )
     places: int = _threshold(
         64,
         "values of what a fit holds (an instant, an order) that are tried, if there are more of them then"
         " also those near the best",
         "every order of a ripple, and each motion of a series of a dozen trials",
-        _RULES,
-    )
-    in_full_up_to: float = _threshold(
-        10.0,
-        "gain asked (−2 log posterior) up to which every form is tried: chance alone may decide there",
-        "the difference that ties two explanations",
-        _RULES,
-    )
-    nonlinear: float = _threshold(
-        0.5,
-        "share of a response that a straight line misses, from which finite strengths are starts, too",
-        "a step along the line is less than half right; of 29 effects 23 miss 0.4 at most, six 0.67 at least",
-        _RULES,
-    )
-    form_share: float = _threshold(
-        0.05,
-        "share of the gain asked below which the typical form rules out that another form reaches it",
-        CHOSEN,
         _RULES,
     )
 
@@ -214,12 +194,6 @@ class SearchPolicy:
     )
     frontier: int = _threshold(
         3, "sets that are followed side by side", "the first effect may be half of a pair", _RULES
-    )
-    frontier_share: float = _threshold(
-        0.6, "share of the best set's gain within which another set is followed, too", TABLE, _RULES
-    )
-    fewer_named: float = _threshold(
-        8.0, "score that is given for a set with fewer effects to name", "odds of e⁴ = 55 to 1", _RULES
     )
     rough: float = _threshold(
         0.5,
@@ -241,28 +215,10 @@ class SearchPolicy:
         CHOSEN,
         _RULES,
     )
-    faint_share: float = _threshold(
-        0.1, "share of an error far above the noise that screening must promise for a fit", TABLE, _RULES
-    )
-    beside_gain: float = _threshold(
-        12.0,
-        "gain that screening must promise for a fit on a set that is not the best",
-        "above `ties.close`",
-        _RULES,
-    )
     relatives_gain: float = _threshold(
         2.0,
         "gain in score from which a set with a relative in an effect's place is taken",
         "odds of e to 1",
-        _RULES,
-    )
-    in_place_all_up_to: float = _threshold(
-        100.0, "gain of an effect up to which every other is fitted in its place", "10σ", _RULES
-    )
-    in_place_share: float = _threshold(
-        0.25,
-        "above it, share of that gain which screening must promise",
-        "what fitted as well promised 0.7 and more; " + TABLE,
         _RULES,
     )
 
@@ -316,17 +272,18 @@ class TiePolicy:
         "odds of e⁵ = 148 to 1",
         _RULES,
     )
-    unsure: float = _threshold(
-        3.0, "times that, where reweighting the trials changes which is ahead", CHOSEN, _RULES
-    )
-    sure_share: float = _threshold(
-        0.8, "share of reweightings in which the better of two stays ahead if it surely is", CHOSEN, _RULES
-    )
 
 
 @dataclass(frozen=True)
 class LawPolicy:
     """When a law that no library holds is said."""
+
+    reached: float = _threshold(
+        1.1,
+        "error on commands left out, in units of the noise, above which one more law is looked for",
+        TABLE + ", where nothing hidden left 0.997 at most",
+        "laws/test_policy.py",
+    )
 
     ties: int = _threshold(
         1,
@@ -407,26 +364,10 @@ class VerdictPolicy:
     patterns: int = _threshold(5, "patterns that are reported", CHOSEN, _RULES)
     lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)
     reached: float = _threshold(
-        1.1,
-        "error on commands left out, in units of the noise, above which something is left: 20 % in variance",
-        TABLE + ", where nothing hidden left 0.997 at most",
-        _RULES,
-    )
-    reached_without_pattern: float = _threshold(
         1.3,
-        "the same where no effect is named and the residual shows no pattern: nothing is said to be none,"
-        " absent or negligible above it; and of named effects that leave none the error on the trials that"
-        " were fitted; noise that wanders over seconds is known badly",
+        "error in units of the noise above which something is left",
         "`scripts/null_rates`: nothing hidden left 1.26 at most in ten kinds of noise;"
         " `scripts/bench_effects`: a needle that snaps left 1.66",
-        _RULES,
-    )
-    wandering: float = _threshold(
-        1.0,
-        "what may be left beyond the noise, in units of a sample's white noise, where no command was"
-        " repeated: noise that wanders over seconds is not told there from what is missing",
-        "noise that wanders by as much as it is white; by half as much it left 0.51 at most in 48 sets"
-        " with nothing hidden, of `no replicates` in `scripts/messy_shapes.py`",
         _RULES,
     )
     at_any_value: int = _threshold(

@@ -76,12 +76,12 @@ def main_pid() -> int:
     return int(shell("systemctl show needle-rig -p MainPID --value").stdout)
 
 
-def begun(process: subprocess.Popen[str]) -> None:
-    """Wait until the base turns."""
+def begun(process: subprocess.Popen[str], motion: str = "overshoot") -> None:
+    """Wait until the base turns, in one motion of the run."""
     assert process.stderr is not None
     said = ""
     for line in process.stderr:
-        if "overshoot" in line and "moving" in line:
+        if motion in line and "moving" in line:
             return
         said = line
     told = process.communicate()[0]

@@ -16,6 +16,7 @@ from tests.linux.conftest import (
     RIG_FILE,
     Rig,
     begun,
+    journal,
     needle_rig,
     outcome,
     shell,
@@ -61,18 +62,19 @@ def test_a_version_that_starts_waits_for_a_run_and_can_be_left_again(rig: Rig) -
     (daemon,) = Path(f"/opt/needle-rig/{NEW}").glob(f"lib/python3*/site-packages/{DAEMON}")
     daemon.write_text(daemon.read_text().removeprefix(BROKEN))
     process = started_run("--settle", "600")
-    begun(process)
+    begun(process, "rotate")
     upgrade = subprocess.Popen(
         [PROGRAM, "install-service", "--upgrade", NEW],
         stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
     assert upgrade.stdout is not None
-    told = ""
-    while "this run goes on" not in told:
-        told = upgrade.stdout.readline()
-        assert told, "the upgrade does not wait for the run"
+    told: list[str] = []
+    while not told or "this run goes on" not in told[-1]:
+        told.append(upgrade.stdout.readline())
+        assert told[-1], f"the upgrade does not wait: {told}; the run: {process.poll()}; {journal()}"
     assert process.poll() is None
     assert status()["version"] == VERSION
     assert needle_rig("stop").returncode == 0

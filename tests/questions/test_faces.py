@@ -157,8 +157,7 @@ def test_what_a_request_states_too_much_lacks_or_mistakes_is_one_sentence() -> N
     ("make", "said"),
     [
         (lambda: Diagnose(data="mine", max_effects=7), "max_effects 7: give 1 to 6"),
-        (lambda: Diagnose(data="mine", seed=-1), "seed -1: give at least 0"),
-        (lambda: Diagnose(data="mine", seed=True), "seed is True, not a whole number"),
+        (lambda: Diagnose(data="mine", max_effects=True), "max_effects is True, not a whole number"),
         (lambda: Strategies(friction_scatter=float("nan")), "friction_scatter nan: give 0 to 0.5"),
         (lambda: Strategies(targets_deg=(45.0, "9")), "targets_deg is '9', not a number"),  # type: ignore[arg-type]
         (lambda: Compare(data="mine", free="friction"), "free is 'friction', not a list of text"),

@@ -22,6 +22,7 @@ from needle_rig.workbench.estimation.discretisation_error import (
 )
 from needle_rig.workbench.estimation.file_units import values_by_name
 from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.multistart import over_strength
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import EXACT, Problem
@@ -30,8 +31,9 @@ from needle_rig.workbench.estimation.unseen import unseen_names, unseen_sentence
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.observations.blocks import in_blocks
 from needle_rig.workbench.observations.earlier_path import with_known_paths
-from needle_rig.workbench.observations.noise import Noise, measure_noise
-from needle_rig.workbench.observations.replicate_noise import with_correlation, with_motion_scatter
+from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise import Noise
+from needle_rig.workbench.observations.shown_terms import with_motion_scatter, with_shown_terms
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.policy import POLICY
 
@@ -45,6 +47,11 @@ FIRST_FITS = 2
 """Levels of friction from which the current model is fitted: the best of those above, and one more."""
 REACHED = 1.5
 """χ² a value at which a converged first fit needs no second one."""
+ROUNDS = 8
+"""Most times that initial twists are found with the fit to those before; rigid shafts take three to six."""
+SAME = 1e-3
+"""Fall of −2 log density a value in a round after which twists and fit hold each other: three for three
+thousand values, below what tells two explanations apart."""
 OUTLIERS, OUTLIER_SHARE = 3, 0.0005
 """Outliers of a channel that are not worth a note: so many, or this share of its samples."""
 
@@ -154,7 +161,7 @@ def fit_baseline(
     notes = list(_notes(problem))
     if noise.replicates:
         noise = with_motion_scatter(
-            _correlated(dataset, problem, first), binned, problem.raw(first.residuals), problem.groups
+            _with_shown(dataset, problem, first), binned, problem.raw(first.residuals), problem.groups
         )
         problem = problem.with_noise(noise)
         first = refitted(problem, first)
@@ -169,7 +176,7 @@ def with_noise_at(baseline: Baseline, problem: Problem, found: Fit) -> Baseline:
 
     Itself where that shows no other noise than is known, or cannot be solved under it.
     """
-    return under_noise(baseline, problem, _correlated(baseline.dataset, problem, found))
+    return under_noise(baseline, problem, _with_shown(baseline.dataset, problem, found))
 
 
 def under_noise(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
@@ -180,6 +187,39 @@ def under_noise(baseline: Baseline, problem: Problem, noise: Noise) -> Baseline:
 def over_trials(baseline: Baseline, trials: Sequence[BinnedTrial]) -> Baseline:
     """The baseline over other trials in bins; itself where it cannot be solved over them."""
     return _fitted(baseline, baseline.problem.over(trials))
+
+
+def with_starts_of(baseline: Baseline, given: Dataset, found: Fit | None = None) -> Baseline:
+    """The baseline from initial twists that the fit `found` holds (default: its own); itself where it holds
+    those that are known.
+
+    `given` are the trials as recorded. Twists and fit are found in turn, while −2 log density falls by more
+    than a fit's tolerance.
+    """
+    if not any(trial.start_found for trial in baseline.dataset.trials):
+        return baseline
+    problem, found, best = baseline.problem, found or baseline.current, None
+    lowest = _deviance(problem, found)
+    for _ in range(ROUNDS):
+        try:
+            shaft = problem.model(found.parameters, found.vector)
+            dataset = judged(given, shaft)
+            here = problem.over([bin_trial(t) for t in dataset.trials])
+            again = over_strength(here, found.effects, found.vector)
+        except (BadInput, SolverError):
+            break
+        if again is None:
+            break
+        reached = _deviance(here, again)
+        if reached > lowest - SAME * here.size:
+            break
+        problem, found, best, lowest = here, again, dataset, reached
+    return baseline if best is None else _fitted(dataclasses.replace(baseline, dataset=best), problem)
+
+
+def _deviance(problem: Problem, found: Fit) -> float:
+    """−2 log density of a fit, with that of the noise."""
+    return found.objective + sum(w.log_det for w in problem.whiteners)
 
 
 def with_samples_at(baseline: Baseline, problem: Problem, found: Fit, gain: float) -> Baseline:
@@ -219,7 +259,7 @@ def as_baseline(
     the fit stays as it is.
     """
     try:
-        noise = _correlated(baseline.dataset, problem, found)
+        noise = _with_shown(baseline.dataset, problem, found)
         if noise is not problem.noise:
             renewed = problem.with_noise(noise)
             found = refitted(renewed, found)
@@ -230,11 +270,11 @@ def as_baseline(
     return problem, found, cross_validate(problem, found)
 
 
-def _correlated(dataset: Dataset, problem: Problem, found: Fit) -> Noise:
-    """The noise, with what replicates show at this fit of its correlation."""
+def _with_shown(dataset: Dataset, problem: Problem, found: Fit) -> Noise:
+    """The noise, with the terms that replicates show at this fit."""
     if not problem.noise.replicates or snaps(dataset):  # a snap comes at another instant in each replicate
         return problem.noise
-    return with_correlation(problem.noise, problem.trials, problem.raw(found.residuals), problem.groups)
+    return with_shown_terms(problem.noise, problem.trials, problem.raw(found.residuals), problem.groups)
 
 
 def _first_fit(

@@ -107,11 +107,15 @@ def fit(
             problem, parameters, x, residuals, known, objective.random_effect_precision(x)
         )
         curvature, descent = linear.curvature + linear.level, linear.descent
-        improved = False
+        enough = tolerance + EXCESS_TOLERANCE * excess(problem, value)
+        improved = refused = False
         for _ in range(MOST_DAMPINGS):
-            step = _bounded_step(objective, x, curvature, descent, damping)
-            expected = float(2 * descent @ step - step @ curvature @ step)
-            if expected < tolerance + EXCESS_TOLERANCE * excess(problem, value):
+            step, expected = _damped(objective, x, curvature, descent, damping)
+            while expected < enough and not refused and damping > LEAST_DAMPING:
+                # damping holds back what the data hardly determine first
+                damping = max(damping * LOWER, LEAST_DAMPING)
+                step, expected = _damped(objective, x, curvature, descent, damping)
+            if expected < enough:
                 converged = True
                 break
             after = np.clip(x + step, objective.low, objective.high)
@@ -134,7 +138,7 @@ def fit(
                 x, residuals, value = after, after_residuals, after_value
                 improved, fresh = True, False
                 break
-            damping = max(damping * HIGHER, FIRST_DAMPING)
+            damping, refused = max(damping * HIGHER, FIRST_DAMPING), True
         if converged and not fresh:
             converged, known = False, None
             continue
@@ -149,6 +153,14 @@ def fit(
         if known is None:
             return None
     return _finish(objective, tuple(effects), x, residuals, value, known, converged)
+
+
+def _damped(
+    objective: Objective, x: Array, curvature: Array, descent: Array, damping: float
+) -> tuple[Array, float]:
+    """A damped step within bounds, and the fall of the objective that it promises."""
+    step = _bounded_step(objective, x, curvature, descent, damping)
+    return step, float(2 * descent @ step - step @ curvature @ step)
 
 
 def _bounded_step(objective: Objective, x: Array, curvature: Array, descent: Array, damping: float) -> Array:

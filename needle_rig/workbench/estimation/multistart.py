@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
@@ -22,19 +20,14 @@ FORM_STEPS = (0.3, -0.3)
 is a decade."""
 
 FACTORS = (1.4, 0.7, 2.0, 0.5)
-"""Friction, or strength of an effect, in that of a fit, from which it is restarted, by half octaves: where
-starts are unknown, what these change covers what friction does, and the way from a wrong model's friction is
-not downhill; a node that friction holds, or just not, in one hold makes a valley of its own."""
+"""Strength of an effect, in that of a fit, from which it is restarted, by half octaves: where initial twists
+are unknown, a node that friction holds, or just not, in one hold makes a valley of its own."""
 
 VALLEY_SIGMAS = (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0)
 """Points along the least certain direction, in its standard deviations, at which the objective is looked
 at."""
 WORTH_GOING_ON = 1.0
 """Fall of the objective from which a lower minimum is itself a start."""
-SIMPLEX = (0.1, 0.02, 0.3)
-"""First steps of a simplex: logarithm of friction, of rigidity, scaled values."""
-UNSOLVED = 1e12
-"""Objective where the model cannot be solved."""
 
 
 def lowest_fit(
@@ -70,21 +63,6 @@ def through_valleys(problem: Problem, found: Fit) -> Fit:
             break
         found = again
     return over_forms(problem, found) if excess(problem, found.objective) > 0.0 else found
-
-
-def over_friction(problem: Problem, found: Fit) -> Fit:
-    """A fit that stays above the noise, or the lowest of those from other friction until one reaches it."""
-    best = found
-    for factor in FACTORS:
-        if excess(problem, best.objective) == 0.0:
-            break
-        start = dataclasses.replace(
-            found.vector,
-            log_friction=found.vector.log_friction + float(np.log(factor)),
-            trial_friction=np.zeros_like(found.vector.trial_friction),
-        )
-        best = lowest_fit(problem, found.effects, [start], best, nuisance=found.nuisance) or best
-    return best
 
 
 def over_strength(problem: Problem, effects: Sequence[str], start: ParameterVector) -> Fit | None:
@@ -165,34 +143,3 @@ def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array]
         if value < lowest:
             lowest, lower = value, moved
     return None if lower is None else (objective.unpacked(lower), lower[objective.p + objective.trials :])
-
-
-def fit_without_derivatives(
-    problem: Problem, effects: Sequence[str], start: ParameterVector, evaluations: int = 200
-) -> Fit | None:
-    """A simplex search over friction, rigidity and scaled values, then the usual fit from where it ended."""
-    parameters = problem.parameters(effects)
-    objective = Objective(problem, parameters, start.scaled_values)
-    x = objective.packed(start, np.zeros(objective.q))
-    scale = np.r_[SIMPLEX[:2], np.full(objective.k, SIMPLEX[2])]
-
-    def cost(moved: Array) -> float:
-        full = x.copy()
-        full[: objective.p] = np.clip(
-            x[: objective.p] + scale * moved, objective.low[: objective.p], objective.high[: objective.p]
-        )
-        residuals = objective.residuals(full)
-        return UNSOLVED if residuals is None else sum_of_squares(residuals) + objective.prior(full)
-
-    search: Any = minimize
-    found = search(
-        cost,
-        np.zeros(objective.p),
-        method="Nelder-Mead",
-        options={"maxfev": evaluations},
-    )
-    full = x.copy()
-    full[: objective.p] = np.clip(
-        x[: objective.p] + scale * found.x, objective.low[: objective.p], objective.high[: objective.p]
-    )
-    return fit(problem, effects, objective.unpacked(full))

@@ -170,12 +170,6 @@ def at_strength(parameters: Sequence[FreeParameter], strength: float, turn: floa
     return scaled_values
 
 
-def either_way(parameters: Sequence[FreeParameter], strength: float) -> list[Array]:
-    """The same with either sign, once where there is one alone."""
-    one, other = at_strength(parameters, strength), at_strength(parameters, strength, turn=-1.0)
-    return [one] if np.array_equal(one, other) else [one, other]
-
-
 def constrained_means(parameters: Sequence[FreeParameter]) -> list[Array]:
     """Places of the items whose mean is constrained, an array for each such field."""
     fields: dict[tuple[str, str], list[int]] = {}

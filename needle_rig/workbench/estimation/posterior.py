@@ -8,6 +8,7 @@ random effect.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Container, Sequence
 from functools import partial
 
@@ -18,6 +19,7 @@ from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.parameters import FreeParameter, constrained_means
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.slip_limits import log_slip_limits_change
 from needle_rig.workbench.policy import POLICY
 
 STEP = 0.003
@@ -168,7 +170,9 @@ class Objective:
 
         By the solver's tangent where it reaches, else by solving again. Friction is stepped up and rigidity
         down: the angles depend on their ratio, so both columns are then alike, and truncation error does not
-        pass for information that only the stated rigidity has.
+        pass for information that only the stated rigidity has. An effect is stepped at the same slip limits
+        of each trial, and the share of friction in it is added by friction's own derivative: both are then
+        alike where the effect is nothing but friction.
         """
         moving = np.r_[True, True, ~self.held]
         directions = np.eye(self.p, x.size)[moving]
@@ -177,6 +181,9 @@ class Objective:
             every_trial = np.zeros(x.size)
             every_trial[self.p : self.p + self.trials] = 1.0
             directions, steps = np.vstack([directions, every_trial]), np.r_[steps, STEP]
+
+        shares = self._friction_shares(x)
+        directions[:, self.p : self.p + self.trials] -= directions[:, : self.p] @ shares.T
 
         def left(moved: Array) -> Array | None:
             after = self.residuals(moved)
@@ -187,10 +194,29 @@ class Objective:
         jacobian = directional_derivatives(left, x, here, directions, steps, self.low, self.high, near)
         if jacobian is None:
             return None
+        random_effect = jacobian[:, -1] if self.random_effect_column else jacobian[:, 0]
+        trial_of_row = np.repeat(np.arange(self.trials), [r.size for r in residuals])
+        jacobian[:, : moving.sum()] += random_effect[:, None] * shares[trial_of_row][:, moving]
         if not moving.all():
             # what is held has no column of its own: nothing is known of its slope, and nothing is asked
             jacobian = np.insert(jacobian, np.flatnonzero(~moving) - np.arange((~moving).sum()), 0.0, axis=1)
         return np.split(-jacobian, np.cumsum([r.size for r in residuals])[:-1])
+
+    def _friction_shares(self, x: Array) -> Array:
+        """Change of the logarithm of each trial's slip limits (T, p) with the effects that shape friction."""
+        shares = np.zeros((self.trials, self.p))
+        vector = self.unpacked(x)
+        for i, parameter in enumerate(self.parameters):
+            if parameter.held or not self.problem.library[parameter.effect].has("shape"):
+                continue
+            step = STEP * max(1.0, abs(vector.scaled_values[i]))
+            step = step if vector.scaled_values[i] + step <= parameter.bounds[1] else -step
+            moved = vector.scaled_values.copy()
+            moved[i] += step
+            after = dataclasses.replace(vector, scaled_values=moved)
+            change = log_slip_limits_change(self.problem, (self.parameters, vector), (self.parameters, after))
+            shares[:, 2 + i] = change / step
+        return shares
 
 
 def level(fixed: Container[int]) -> float:

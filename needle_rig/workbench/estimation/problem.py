@@ -23,7 +23,8 @@ from needle_rig.workbench.estimation.parameters import (
 )
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Noise, Places, Whitener, replicate_groups, whitener
+from needle_rig.workbench.observations.noise import Noise, Whitener, replicate_groups, whitener
+from needle_rig.workbench.observations.noise_terms.term import Places
 
 FRICTION_SCALE_N = 1e-3
 EXACT = 1e-4

@@ -28,7 +28,8 @@ from needle_rig.units import deg, rad
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
-from needle_rig.workbench.observations.noise import Noise, covariance, measure_noise, whitener
+from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise import Noise, covariance, whitener
 from needle_rig.workbench.policy import POLICY
 
 LAGS_DEG = (5.0, 12.0, 25.0, 50.0, 100.0, 200.0)

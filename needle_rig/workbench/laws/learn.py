@@ -31,7 +31,7 @@ from needle_rig.workbench.laws.search import (
 )
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.candidates import Candidate, score, try_effect
+from needle_rig.workbench.selection.candidates import Candidate, fitted, score, screened
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
@@ -44,7 +44,6 @@ def learn_laws(
     model: NeedleModel | None = None,
     *,
     origin: Origin,
-    seed: int = 0,
     work: Work | None = None,
     say: Say = lambda _: None,
 ) -> Learnt:
@@ -53,14 +52,14 @@ def learn_laws(
     Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
     """
     with work or Work() as at:
-        diagnosis = diagnose(dataset, library, model, max_effects=1, quick=True, seed=seed, work=at, say=say)
+        diagnosis = diagnose(dataset, library, model, max_effects=1, quick=True, work=at, say=say)
         with LawSearch(diagnosis.search.problem, at, origin, say) as search:
             learning = _Learning(diagnosis, search, dataset.sensor_names, origin)
             learnt = learning.answer()
         if learnt.verdict != "cannot_tell":
             return learnt
         say("no law was found: holding several effects of the library at once against it")
-        whole = diagnose(dataset, library, model, seed=seed, work=at, say=say)
+        whole = diagnose(dataset, library, model, work=at, say=say)
         return learning.answered_by(whole) or learnt
 
 
@@ -74,7 +73,7 @@ def reaches(error: float, commands: int) -> bool:
 
     The error is infinite where a model cannot be solved with a command left out: that is none.
     """
-    return commands <= 1 or error <= POLICY.verdict.reached
+    return commands <= 1 or error <= POLICY.laws.reached
 
 
 def verdict_of(reached: bool, tied_with: int) -> Verdict:
@@ -139,9 +138,8 @@ class _Learning:
         if key == trace.start:
             return library
         search.say("trying pairs of the library's effects")
-        worth = promise_asked(library.score - found.score)
         search.work.share(trace.problem)
-        trace = expand(trace, search.work, key, worth)
+        trace = expand(trace, search.work, key, library.score - found.score)
         return min((_parent(trace, k) for k in _supported(trace)), key=lambda p: p.score)
 
     def _next(self, current: Parent) -> Parent | None:
@@ -151,8 +149,8 @@ class _Learning:
         promised = search.promises(current)
         search.say("fitting the leading laws")
         chosen = self._chosen([search.on_top_of(current, promised)])
-        worth = promise_asked(current.score - chosen[0].score) if chosen else -1.0
-        rival = self._with_library(current, worth)
+        gain = current.score - chosen[0].score if chosen else 0.0
+        rival = self._with_library(current, gain)
         kept_law = self._kept(chosen, rival) if chosen else None
         if kept_law is None and rival is not current:
             return self._beside(current, rival)
@@ -194,7 +192,7 @@ class _Learning:
             if rest is None:
                 continue
             made = self.search.leave(old)
-            rival = self._with_library(rest, promise_asked(rest.score - current.score))
+            rival = self._with_library(rest, rest.score - current.score)
             if rival is not rest and rival.score < current.score + asked_of(self.tried):
                 self.found = [each for each in self.found if each[0] is not old]
                 current = rival
@@ -213,7 +211,7 @@ class _Learning:
                 continue
             self.search.say(f"looking whether {name} is needed beside the law")
             rest = self.search.without_effect(current, name)
-            if rest is None or rest.score > current.score + POLICY.search.fewer_named:
+            if rest is None or rest.score > current.score + POLICY.ties.close:
                 continue
             if self._reached(rest) or not self._reached(current):
                 current = rest
@@ -226,7 +224,7 @@ class _Learning:
             return ()
         best = min(leading, key=lambda found: found[0].score)
         first = leading[0]
-        return first if first[0].score < best[0].score + POLICY.search.fewer_named else best
+        return first if first[0].score < best[0].score + POLICY.ties.close else best
 
     def _kept(self, chosen: Sequence[FoundLaw], rival: Parent) -> Parent | None:
         best = chosen[0]
@@ -235,14 +233,16 @@ class _Learning:
         self.found.append((best, tied(chosen)))
         return self.search.add(best)
 
-    def _with_library(self, current: Parent, worth: float) -> Parent:
-        """The best fit of one library effect on top where screening promises that much, or the fit."""
+    def _with_library(self, current: Parent, gain: float) -> Parent:
+        """The best fit of one library effect on top that may gain that much, or the fit."""
         problem, search = self.search.whole_problem(), self.search
         search.say("trying the library beside the law")
         trace = self.diagnosis.search
         names = [n for n in trace.names if n not in current.fit.effects]
         search.work.share(Shared(search.problem, search.made))
-        tried: list[Candidate] = search.work.run(_try_library, [(current.fit, n, worth) for n in names])
+        tried: list[Candidate] = search.work.run(
+            _try_library, [(current.fit, n, promise_asked(gain)) for n in names]
+        )
         known = current.score - score(problem, current.fit)
         fits = [
             Parent(c.fit, c.validation, score(problem, c.fit) + known)
@@ -359,11 +359,13 @@ class _Learning:
 def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
     """Whether a law alone reaches the noise, and does better than the library."""
     best = met[0].best if met else None
-    return best is not None and best.score < library.score and best.validation.error <= POLICY.verdict.reached
+    return best is not None and best.score < library.score and best.validation.error <= POLICY.laws.reached
 
 
 def _try_library(shared: Shared, parent: Fit, effect: str, worth: float) -> Candidate:
-    return try_effect(shared.with_made(), parent, effect, (), worth)
+    problem = shared.with_made()
+    candidate = screened(problem, parent, effect)
+    return fitted(problem, parent, candidate) if candidate.screening.gain >= worth else candidate
 
 
 def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:

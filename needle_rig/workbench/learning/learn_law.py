@@ -34,7 +34,6 @@ def laws_of(
     library: Mapping[str, type[Effect]],
     model: NeedleModel | None = None,
     *,
-    seed: int = 0,
     work: Work | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Learnt:
@@ -44,7 +43,7 @@ def laws_of(
     """
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     origin = Origin(observed.name, observed.sha256(), today)
-    return learn_laws(observed.data, library, model, origin=origin, seed=seed, work=work, say=say)
+    return learn_laws(observed.data, library, model, origin=origin, work=work, say=say)
 
 
 def learn_law(

@@ -107,7 +107,6 @@ class Observations(Protocol):
         *,
         max_effects: int = 3,
         quick: bool = False,
-        seed: int = 0,
         work: Work | None = None,
         say: Say = lambda _: None,
     ) -> Answer:
@@ -177,14 +176,11 @@ class Traces:
         *,
         max_effects: int = 3,
         quick: bool = False,
-        seed: int = 0,
         work: Work | None = None,
         say: Say = lambda _: None,
     ) -> Answer:
         """Which effect is missing from the model. Raises BadInput, SolverError."""
-        return diagnose(
-            self.data, library, model, max_effects=max_effects, quick=quick, seed=seed, work=work, say=say
-        )
+        return diagnose(self.data, library, model, max_effects=max_effects, quick=quick, work=work, say=say)
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
@@ -251,7 +247,6 @@ class SettledValues:
         *,
         max_effects: int = 3,  # noqa: ARG002 one effect at a time is tried
         quick: bool = False,  # noqa: ARG002 it always is
-        seed: int = 0,  # noqa: ARG002 nothing is drawn
         work: Work | None = None,
         say: Say = lambda _: None,
     ) -> Answer:

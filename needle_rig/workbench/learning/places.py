@@ -12,6 +12,7 @@ from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import direction_of
+from needle_rig.workbench.observations.noise import covariance
 from needle_rig.workbench.selection.documents import PlaceError
 
 WORST, WORST_OF_A_CHANNEL = 8, 2
@@ -98,9 +99,9 @@ def all_places(
     `residuals` are data minus model (C, K) a trial; `spreads` (C, K, m) independent deviations of the
     prediction by one standard deviation each, which count as noise.
     """
-    noise = problem.noise
     groups: dict[tuple[int, str, str, str], list[tuple[float, float, float, float, str]]] = {}
     for binned, left_over, spread in zip(problem.trials, residuals, spreads, strict=True):
+        noise = [covariance(problem.noise, binned, c) for c in range(len(names))]
         for m, motion in enumerate(binned.motions):
             move = binned.last_move_rad[binned.motion == m]
             way = {0.0: "", 1.0: "up", -1.0: "down"}[float(direction_of(move[:1]).sum())]
@@ -123,14 +124,13 @@ def all_places(
                     of_prediction = np.average(moved**2, axis=0, weights=weight)
                     if state == "settled":
                         of_prediction = np.average(moved, axis=0, weights=weight) ** 2
-                    variance = (
-                        noise.white[c] ** 2 / (weight.sum() if state == "settled" else weight.mean())
-                        + noise.correlated[c] ** 2
-                        / max(1.0, binned.duration_s[use].sum() / (2 * noise.correlation_s[c]))
-                        + noise.offset[c] ** 2
-                        + noise.motion[c] ** 2
-                        + (noise.jitter_s * np.abs(binned.base_rate_rad_s[use]).max()) ** 2 * (c > 0)
-                        + float(of_prediction.sum())
+                    share = weight / weight.sum()
+                    known, matrix = noise[c]
+                    at = np.searchsorted(known, np.flatnonzero(use))
+                    of_noise = matrix[np.ix_(at, at)]
+                    variance = float(of_prediction.sum())
+                    variance += float(
+                        share @ of_noise @ share if state == "settled" else share @ np.diag(of_noise)
                     )
                     groups.setdefault((c, motion, state, way), []).append(
                         (measured, modelled, rms, float(np.sqrt(variance)), binned.file)

@@ -4,36 +4,59 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import helmert, solve_triangular
 
 from needle_rig.numerics import Array, lower_root
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Noise, Places, covariance
+from needle_rig.workbench.observations.noise import Noise, covariance
+from needle_rig.workbench.observations.noise_terms.term import Bins, Places
 
 FEWEST_BINS = 8
 """That replicates have in common: fewer show no correlation."""
+TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True)
 class Contrasts:
-    """One channel of R replicates of one command, in K bins, whitened by their mean covariance."""
+    """One channel of R replicates of one command, in K bins, whitened by their mean covariance.
 
-    group: list[int]
-    """The trials; one alone has its residuals themselves, and nothing that it shares."""
-    places: Places
-    """(R, K) bins that stand at the same place of the same motion."""
+    A trial alone has its residuals in the place of contrasts, and shares nothing.
+    """
+
     lower: Array
     """(K, K) Cholesky factor of the covariance."""
     independent: Array
     """(R - 1, K) Helmert contrasts, white under the noise that was given."""
     shared: Array
-    """(2, K) what the replicates share, whose size may differ with their friction, and its rate of change."""
+    """(2, K) what R replicates share, whose size may differ with their friction, and its rate of change."""
 
-    def whitened(self, columns: Array) -> Array:
-        """(K, n) of columns over the bins, whitened."""
-        return np.asarray(solve_triangular(self.lower, columns, lower=True))
+    bins: Bins
+    """Those of the first."""
+
+    @cached_property
+    def basis(self) -> tuple[Array, float]:
+        """Orthonormal columns (K, 2) of what is shared, and the logarithm of the determinant of their Gram
+        matrix."""
+        columns, triangle = np.linalg.qr(self.shared.T)
+        return columns, 2.0 * float(np.log(np.abs(np.diag(triangle)) + TINY).sum())
+
+    def unshared(self, columns: Array) -> Array:
+        """(K, n) of columns over the bins, whitened, off what is shared."""
+        white = solve_triangular(self.lower, columns, lower=True)
+        basis, _ = self.basis
+        return np.asarray(white - basis @ (basis.T @ white))
+
+    @property
+    def log_likelihood(self) -> float:
+        """Restricted log-likelihood (Patterson & Thompson 1971), up to a constant: what is shared has a free
+        size in each contrast."""
+        basis, log_gram = self.basis
+        own = self.independent - (self.independent @ basis) @ basis.T
+        log_det = 2.0 * float(np.log(np.diag(self.lower)).sum()) + log_gram
+        return -0.5 * float(len(own) * log_det + (own**2).sum())
 
 
 def contrasts(
@@ -63,7 +86,8 @@ def contrasts(
             [helmert(len(group)) @ seen, mean, np.gradient(mean, binned[group[0]].time_s[places[0]])]
         )
         whitened = solve_triangular(lower, rows.T, lower=True).T
-        found.append(Contrasts(group, places, lower, whitened[:-2], whitened[-2:]))
+        first = Bins(binned[group[0]], channel, places[0])
+        found.append(Contrasts(lower, whitened[:-2], whitened[-2:], first))
     return found
 
 
@@ -72,13 +96,13 @@ def each_alone(
 ) -> list[Contrasts]:
     """The residuals of every trial that has bins enough, in the place of contrasts."""
     found = []
-    for i, (trial, left) in enumerate(zip(binned, residuals, strict=True)):
+    for trial, left in zip(binned, residuals, strict=True):
         use, matrix = covariance(noise, trial, channel)
         if use.size < FEWEST_BINS:
             continue
         lower = lower_root(matrix)
         independent = solve_triangular(lower, left[channel, use], lower=True)[None]
-        found.append(Contrasts([i], use[None], lower, independent, np.zeros((0, use.size))))
+        found.append(Contrasts(lower, independent, np.zeros((0, use.size)), Bins(trial, channel, use)))
     return found
 
 

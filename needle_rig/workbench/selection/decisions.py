@@ -17,7 +17,7 @@ from needle_rig.workbench.selection.answer import Decision
 from needle_rig.workbench.selection.candidates import Candidate
 from needle_rig.workbench.selection.evidence import adjusted_p, is_negligible
 from needle_rig.workbench.selection.search import SearchTrace
-from needle_rig.workbench.selection.verdict import decisions_stand
+from needle_rig.workbench.selection.verdict import above_noise
 
 
 def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict[str, Decision]:
@@ -38,7 +38,7 @@ def decide(search: SearchTrace, named: list[str], held_out_error: float) -> dict
             decisions[name] = _decision(name, search.negligible[name], "negligible")
         else:
             decisions[name] = _undetected(search, name, parameters, best, by_name.get(name))
-    stand = decisions_stand(named, held_out_error)
+    stand = not above_noise(held_out_error)
     for name, decision in decisions.items():
         if decision.decision != "present" and (not stand or may_snap(search.problem, best, name)):
             decisions[name] = _left_open(decision)

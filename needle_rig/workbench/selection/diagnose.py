@@ -7,8 +7,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
@@ -17,6 +15,7 @@ from needle_rig.workbench.estimation.baseline import (
     Baseline,
     as_baseline,
     fit_baseline,
+    with_starts_of,
 )
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit, fit
@@ -27,7 +26,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.decisions import decide
 from needle_rig.workbench.selection.design import best_experiment
-from needle_rig.workbench.selection.evidence import improves_cross_validation, relieves_pull
+from needle_rig.workbench.selection.evidence import improves_cross_validation
 from needle_rig.workbench.selection.explanation import Explanation, channel_names, explanation
 from needle_rig.workbench.selection.lack_of_fit import lack_of_fit
 from needle_rig.workbench.selection.notes import (
@@ -35,7 +34,6 @@ from needle_rig.workbench.selection.notes import (
     contrived,
     negligible,
     not_refitted,
-    of_no_use,
     partial,
 )
 from needle_rig.workbench.selection.odd_trial import odd_trial, without
@@ -43,13 +41,8 @@ from needle_rig.workbench.selection.ranking import order, rank
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, search
-from needle_rig.workbench.selection.shown_noise import left_to_white, note, renewed
-from needle_rig.workbench.selection.unknown_starts import (
-    FoundStarts,
-    from_found_starts,
-    with_starts_of,
-)
-from needle_rig.workbench.selection.verdict import Findings, decisions_stand, may_be_noise, reasons
+from needle_rig.workbench.selection.shown_noise import renewed
+from needle_rig.workbench.selection.verdict import Findings, above_noise, reasons
 from needle_rig.workbench.selection.verdict import verdict as judge
 
 QUICK = (
@@ -75,9 +68,11 @@ class Diagnosis(Answer):
         """Standard deviation of a reading, by channel, in the unit that its name ends in."""
         noise = self.baseline.problem.noise
         factors = (nmm(1.0), *(deg(1.0) for _ in self.baseline.dataset.sensor_names))
-        spread = np.hypot(noise.white, noise.correlated)
         names = channel_names(self.baseline.dataset)
-        return {name: factor * float(s) for name, factor, s in zip(names, factors, spread, strict=True)}
+        return {
+            name: factor * float(s)
+            for name, factor, s in zip(names, factors, noise.within_trial, strict=True)
+        }
 
     def explanations(self) -> tuple[Explanation, ...]:
         """What can be adopted: the named effects, then each tie in their place; none without an effect.
@@ -109,7 +104,6 @@ def diagnose(
     *,
     max_effects: int = 3,
     quick: bool = False,
-    seed: int = 0,
     work: Work | None = None,
     say: Say = lambda _: None,
 ) -> Diagnosis:
@@ -117,19 +111,13 @@ def diagnose(
 
     Raises BadInput when the dataset cannot be used, SolverError when the current model cannot be solved.
     """
-    known: Fit | None = None
-    starts: FoundStarts | None = None
     with work or Work() as at:
-        baseline = fit_baseline(dataset, model, library, say=say)
-        if any(trial.start_found for trial in baseline.dataset.trials):
-            say("finding the unknown starts with each effect that may hold them")
-            starts = from_found_starts(dataset, model, library, baseline, at, quick)
-            baseline, known = starts.baseline, starts.fit
+        baseline = with_starts_of(fit_baseline(dataset, model, library, say=say), dataset)
         names = baseline.problem.candidates(baseline.current.effects)
         say("trying every effect")
 
-        def competed(of: Baseline, start: Fit | None) -> tuple[Baseline, SearchTrace]:
-            """Effects, then the noise beside them, in turn until neither changes."""
+        def competed(of: Baseline, given: Dataset) -> tuple[Baseline, SearchTrace]:
+            """Effects, then the noise and the initial twists beside them, in turn until none changes."""
             begin: Fit | None = None
             for turn in range(1, MOST_TURNS + 1):
                 trace = search(
@@ -137,43 +125,31 @@ def diagnose(
                     max_effects=max_effects,
                     work=at,
                     quick=quick,
-                    known=start,
                     begin=begin,
-                    say=say,
                 )
-                other = renewed(of, trace) if turn < MOST_TURNS else None
+                other = renewed(of, given, trace) if turn < MOST_TURNS else None
                 if other is None:
                     break
                 of, told = other
                 say(told)
                 best, _ = trace.fits[trace.best]
                 begin = fit(of.problem, best.effects, best.vector)
-                start = start and fit(of.problem, start.effects, start.vector)
             return of, trace
 
         def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
             say("looking for what cannot be told apart")
-            apart, rivals = find_rivals(trace, at, seed, starts)
+            apart, rivals = find_rivals(trace, at)
             say("testing the answer against the discretisation error")
             return _conclude(of, apart, rivals, dataset.sensor_names)
 
-        baseline, trace = competed(baseline, known)
-        if starts is not None and not quick:
-            simpler = starts.simpler(dataset, trace)
-            if simpler is not None and starts.fit is not None and simpler.fit.effects != starts.fit.effects:
-                say(f"trying every effect again, from the starts of {simpler.fit.effects[-1]}")
-                starts = with_starts_of(simpler, starts, dataset, model, library)
-                baseline, trace = competed(starts.baseline, starts.fit)
-                simpler = starts.simpler(dataset, trace)
-            key = frozenset(simpler.fit.effects) if simpler is not None else trace.best
-            if key in trace.fits:
-                trace = dataclasses.replace(trace, best=key)
+        baseline, trace = competed(baseline, dataset)
         found = concluded(baseline, trace)
         odd = odd_trial(*found.concluded[:2]) if found.verdict == "unknown" else None
-        if odd is not None and odd.repeated and starts is None:
+        if odd is not None and odd.repeated:
             say(f"trying every effect again, without {odd.file}")
-            others = fit_baseline(without(dataset, odd), model, library)
-            others, rest = competed(others, None)
+            rest_of = without(dataset, odd)
+            others = with_starts_of(fit_baseline(rest_of, model, library), rest_of)
+            others, rest = competed(others, rest_of)
             anew = concluded(others, rest)
             if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
                 found = dataclasses.replace(anew, notes=(odd.sentence(left_out=True), *anew.notes))
@@ -196,8 +172,6 @@ def _conclude(
     problem, best, validation = search.problem, root, root_validation
     if named and not not_named:
         problem, best, validation = as_baseline(baseline, problem, *search.fits[search.best])
-        if not relieves_pull(root, best):
-            not_named = of_no_use(named, root_validation.error, validation.error)
     if not_named:
         named, problem, best, validation = [], search.problem, root, root_validation
     left = find_residual_patterns(problem, best, sensors)
@@ -208,19 +182,7 @@ def _conclude(
     seen = snaps(baseline.dataset)
     scale = baseline.dataset.torque_scale
     fitted_error = math.sqrt(best.chi2 / problem.size)
-    share = left_to_white(problem, best)
-    why = reasons(
-        Findings(
-            tuple(named),
-            left,
-            lack,
-            validation.error,
-            seen,
-            scale,
-            fitted_error,
-            share,
-        )
-    )
+    why = reasons(Findings(tuple(named), left, validation.error, seen, scale, fitted_error))
     verdict = judge(named, why)
     ordered = order(search, named)
     ranking = rank(search, ordered, rivals, verdict, best, validation)
@@ -251,8 +213,7 @@ def _conclude(
             *baseline.dataset.notes,
             *baseline.notes,
             *baseline.assumed_noise,
-            *(negligible(search) if decisions_stand(named, validation.error) else ()),
-            *([note(share)] if may_be_noise(share) and not decisions_stand(named, validation.error) else ()),
+            *(() if above_noise(validation.error) else negligible(search)),
             *constrained_means(best),
             *(not_refitted(search, named) if verdict == "effect" else []),
             *(partial(named, explained_fraction, validation) if verdict == "unknown" and named else []),

@@ -26,7 +26,8 @@ from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Whitener, floors
+from needle_rig.workbench.observations.measured_noise import floors
+from needle_rig.workbench.observations.noise import Whitener
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.documents import FTest
 

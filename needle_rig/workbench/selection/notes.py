@@ -34,17 +34,6 @@ def contrived(search: SearchTrace, named: list[str], assumed_noise: bool) -> lis
     ]
 
 
-def of_no_use(named: list[str], before: float, after: float) -> list[str]:
-    """What to say of effects that pass, but predict commands left out no better where the noise is reached
-    without."""
-    if before > POLICY.verdict.reached or after < before:
-        return []
-    return [
-        f"{' and '.join(named)} gains more than chance where it was fitted and predicts commands left out no"
-        f" better ({before:.3f} → {after:.3f} × the noise, which is reached without): not named."
-    ]
-
-
 def not_refitted(search: SearchTrace, named: list[str]) -> list[str]:
     """What was not fitted in the place of an effect, since screening promises too little of it."""
     notes = []

@@ -91,8 +91,6 @@ def rank(
                 if rival.tied and rival.effect not in done:
                     found, found_validation = search.fits[rival.key]
                     error = found_validation.error if found_validation else None
-                    if rival.held is not None:
-                        found, error = rival.held.fit, rival.held.error
                     ranked.append(
                         Ranked(
                             rival.effect,
@@ -172,7 +170,6 @@ def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
     tied = [r for r in rivals if r.tied]
     for rival in tied[:TOLD_RIVALS]:
         apart = "" if rival.separation_sigma is None else f" ({rival.separation_sigma:.1f}σ apart)"
-        apart = apart if rival.held is None else " with the unknown starts that it finds itself"
         parts.append(f"{rival.effect} fits as well{apart}")
     if abs(found.pull_rigidity) > TOLD_PULL_SIGMAS:
         parts.append(f"the needle's constants are pulled by {found.pull_rigidity:+.1f}σ")

@@ -16,21 +16,17 @@ from typing import Literal
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.answer import Say
 from needle_rig.workbench.selection.candidates import (
     Candidate,
-    from_finite_strengths,
-    from_limits,
-    from_other_friction,
+    fitted,
     refit,
     score,
+    screened,
     try_effect,
     without,
 )
@@ -43,7 +39,7 @@ from needle_rig.workbench.selection.evidence import (
 )
 
 EffectSet = frozenset[str]
-Move = Literal["forward", "restarted", "set aside", "taken out", "back", "swapped"]
+Move = Literal["forward", "set aside", "taken out", "back", "swapped"]
 
 LIKELY_CHANCE = 0.5
 """p from which a gain is left as it was when a nuisance is added: chance as likely as not."""
@@ -82,8 +78,6 @@ class SearchTrace:
     """The best of each set of effects."""
     children: Mapping[EffectSet, tuple[Candidate, ...]]
     """All effects on top of a set."""
-    asked: Mapping[EffectSet, float]
-    """Screening gain below which `children` of a set were not fitted."""
     negligible: Mapping[str, Fit]
     """Effects that are significant but negligible, with the fit that showed each: they are nuisances."""
     steps: tuple[Step, ...] = ()
@@ -94,7 +88,7 @@ class SearchTrace:
     ) -> SearchTrace:
         """At the current model."""
         start = frozenset(root.effects)
-        return cls(problem, names, root, root_validation, start, {start: (root, root_validation)}, {}, {}, {})
+        return cls(problem, names, root, root_validation, start, {start: (root, root_validation)}, {}, {})
 
     @property
     def start(self) -> EffectSet:
@@ -146,11 +140,6 @@ class SearchTrace:
         return dataclasses.replace(self, steps=(*self.steps, Step(kind, self.best, self.score(self.best))))
 
 
-def related(library: Mapping[str, type[Effect]], one: str, other: str) -> bool:
-    """Whether one of two effects is declared to look like the other."""
-    return one in library[other].relatives or other in library[one].relatives
-
-
 def search(
     problem: Problem,
     names: tuple[str, ...],
@@ -160,55 +149,42 @@ def search(
     max_effects: int,
     work: Work,
     quick: bool = False,
-    known: Fit | None = None,
     begin: Fit | None = None,
-    say: Say = lambda _: None,
 ) -> SearchTrace:
     """Add, drop and swap effects among `names` on top of `root`, until no move passes or more would be named.
 
     `quick` ends with the best single effect that is large enough to matter, and fits those alone of which
-    screening promises more than chance. `known` is a fit to the same problem with one effect more than
-    `root`, in a valley that this one's signature may not lead to. The search begins at the effects of the fit
+    screening promises most. The search begins at the effects of the fit
     `begin`, or at `root`.
     """
     work.share(problem)
     trace = SearchTrace.begin(problem, names, root, root_validation)
-    for fitted in (known, begin):
-        if fitted is not None:
-            trace = trace.keep(fitted, cross_validate(problem, fitted))
+    if begin is not None:
+        trace = trace.keep(begin, cross_validate(problem, begin))
     if quick:
-        trace = expand(trace, work, trace.start, POLICY.search.promising)
+        trace = expand(trace, work, trace.start)
         best = next((key for key in _passing(trace) if trace.named(key)), trace.start)
-        trace = _over_friction(trace, work, best)
         return dataclasses.replace(trace, best=best).stepped("forward")
     if begin is not None:
         trace = dataclasses.replace(trace, best=frozenset(begin.effects))
     while True:
-        trace = _back(_added(trace, work, max_effects, say), work)
+        trace = _back(_added(trace, work, max_effects), work)
         trace, swapped = _swapped(trace, work)
         if swapped == trace.best or any(step.best == swapped for step in trace.steps):
             break
         trace = dataclasses.replace(trace, best=swapped).stepped("swapped")
-    gain = trace.fits[trace.start][0].objective - trace.fits[trace.best][0].objective
-    trace = expand(trace, work, trace.start, promise_asked(gain))
-    return expand(trace, work, trace.best, _least(trace, trace.best))
+    return expand(expand(trace, work, trace.start), work, trace.best)
 
 
-def _added(trace: SearchTrace, work: Work, max_effects: int, say: Say) -> SearchTrace:
+def _added(trace: SearchTrace, work: Work, max_effects: int) -> SearchTrace:
     """The search with effects added, one after the other, until none passes."""
     frontier = [trace.best]
     while True:
         trace, options = _forward(trace, work, frontier)
-        if not options and _restarts(trace, max_effects):
-            say("far from the noise: fitting what is far from linear from other strengths, as long again")
-            trace = _restarted(trace, work)
-            frontier = [trace.best]
-            continue
         if not options:
             return trace
         options = that_matter(trace, options)
-        chosen = _chosen(trace, options)
-        trace = _over_friction(trace, work, chosen)
+        chosen = options[0]
         move, small = next_move(trace, chosen, max_effects)
         if move == "take out":
             trace = take_out(trace, chosen, small)
@@ -221,30 +197,6 @@ def _added(trace: SearchTrace, work: Work, max_effects: int, say: Say) -> Search
         else:
             trace = dataclasses.replace(trace, best=chosen).stepped("forward")
             frontier = _frontier(trace, options, max_effects)
-
-
-def _over_friction(trace: SearchTrace, work: Work, key: EffectSet) -> SearchTrace:
-    """The search with a set of effects that stays above the noise fitted from other friction, too."""
-    found, validation = work.run(from_other_friction, [(trace.fits[key][0],)])[0]
-    return trace if validation is None else trace.keep(found, validation)
-
-
-def _restarts(trace: SearchTrace, max_effects: int) -> bool:
-    """Whether the search ends far from the noise, one more could be named, and no restart was made here."""
-    made = any(step.kind == "restarted" and step.best == trace.best for step in trace.steps)
-    return not made and _far(trace, trace.best) and len(trace.named(trace.best)) < max_effects
-
-
-def _restarted(trace: SearchTrace, work: Work) -> SearchTrace:
-    """The search with effects whose response is far from linear fitted from finite strengths (multistart)."""
-    parent, tried = trace.fits[trace.best][0], trace.children[trace.best]
-    again = [c for c in tried if c.screening.nonlinearity > POLICY.screening.nonlinear]
-    found = work.run(from_finite_strengths, [(parent, candidate) for candidate in again])
-    for candidate in found:
-        trace = trace.keep(candidate.fit, candidate.validation)
-    by_name = {c.effect: c for c in (*tried, *found)}
-    children = {**trace.children, trace.best: tuple(by_name[c.effect] for c in tried)}
-    return dataclasses.replace(trace, children=children).stepped("restarted")
 
 
 def next_move(
@@ -261,42 +213,35 @@ def next_move(
 
 
 def _frontier(trace: SearchTrace, options: Sequence[EffectSet], max_effects: int) -> list[EffectSet]:
-    """Where the search stands, and other sets that come near the best of the `options`."""
-    lowest = trace.score(options[0])
-    near = lowest + POLICY.search.frontier_share * (trace.score(trace.start) - lowest)
-    others = [k for k in options if trace.score(k) < near and k != trace.best]
+    """Where the search stands, and the next best of the `options`."""
+    others = [k for k in options if k != trace.best]
     if len(trace.named(trace.best)) >= max_effects:
         others = []
     return [trace.best, *others[: POLICY.search.frontier - 1]]
 
 
-def expand(trace: SearchTrace, work: Work, key: EffectSet, worth: float = -1.0) -> SearchTrace:
-    """The search with all effects fitted on top of the set `key`; with `worth` only where screening reaches
-    it.
+def promise_asked(gain: float) -> float:
+    """Screening gain that earns an effect a fit where another gains this much.
 
-    Screening saves fits on sets that may come to nothing; on a set that comes near the noise, every effect is
-    fitted.
+    A rival ties within `ties.close`, and gains no more than its promise over `screening.kept`.
     """
+    return POLICY.screening.kept * max(gain - POLICY.ties.close, 0.0)
+
+
+def expand(trace: SearchTrace, work: Work, key: EffectSet, gain: float = 0.0) -> SearchTrace:
+    """The search with all effects screened on top of the set `key`, and those fitted that may come near the
+    one which promises most, and near a `gain`."""
     known = {c.effect: c for c in trace.children.get(key, ())}
-    before = trace.asked.get(key, np.inf)
     parent = trace.fits[key][0]
     names = [n for n in trace.names if n not in key and n not in trace.negligible]
-    wanted = [
-        n
-        for n in names
-        if n not in known or (known[n].fit is None and worth < before and known[n].screening.may_reach(worth))
-    ]
-    if not wanted:
-        return dataclasses.replace(trace, children={**trace.children, key: trace.children.get(key, ())})
-    known |= {c.effect: c for c in work.run(try_effect, [(parent, n, (), worth) for n in wanted])}
-    found = from_limits(trace.problem, work, parent, [known[n] for n in names])
-    for candidate in found:
+    known |= {c.effect: c for c in work.run(screened, [(parent, n) for n in names if n not in known])}
+    asked = promise_asked(max([gain, *(known[n].screening.gain for n in names)]))
+    wanted = [known[n] for n in names if known[n].fit is None and known[n].screening.gain >= asked]
+    new = work.run(fitted, [(parent, c) for c in wanted])
+    for candidate in new:
         trace = trace.keep(candidate.fit, candidate.validation)
-    return dataclasses.replace(
-        trace,
-        children={**trace.children, key: tuple(found)},
-        asked={**trace.asked, key: min(worth, before)},
-    )
+    known |= {c.effect: c for c in new}
+    return dataclasses.replace(trace, children={**trace.children, key: tuple(known[n] for n in names)})
 
 
 def take_out(trace: SearchTrace, key: EffectSet, idle: str) -> SearchTrace:
@@ -330,14 +275,14 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
         trace.start: (trace.root, trace.root_validation),
         trace.best: trace.fits[trace.best],
     }
-    for fitted, (old, old_validation) in fits.items():
+    for key, (old, old_validation) in list(fits.items()):
         new, new_validation = refit(problem, old.effects, old.vector)
         if new is None:
             new, new_validation = (
                 dataclasses.replace(old, nuisance=np.append(old.nuisance, 0.0)),
                 old_validation,
             )
-        fits[fitted] = new, new_validation
+        fits[key] = new, new_validation
     root, root_validation = fits[trace.start]
     parent = fits[trace.best][0]
     redone = {c.effect: c for c in work.run(try_effect, [(parent, n) for n in sorted(again)])}
@@ -349,7 +294,6 @@ def set_aside(trace: SearchTrace, work: Work, key: EffectSet, effect: str) -> Se
         root_validation=root_validation or trace.root_validation,
         fits=fits,
         children={trace.best: kept},
-        asked={trace.best: -1.0},
         negligible={**trace.negligible, effect: found},
     )
     for candidate in kept:
@@ -372,34 +316,14 @@ def _with_direction(problem: Problem, found: Fit, effect: str) -> tuple[Array, .
     )
 
 
-def _least(trace: SearchTrace, key: EffectSet) -> float:
-    """The screening gain that earns a fit on top of `key`: any at the start and where the noise is near.
-
-    While most of the error is not explained, an effect that promises next to nothing of it is not fitted.
-    """
-    left = excess(trace.problem, trace.fits[key][0].objective)
-    return POLICY.search.faint_share * left if key != trace.start and _far(trace, key) else -1.0
-
-
-def _far(trace: SearchTrace, key: EffectSet) -> bool:
-    """Whether what a set leaves beyond the noise is more than the noise."""
-    return excess(trace.problem, trace.fits[key][0].objective) > trace.problem.size
-
-
-def asked_beside(gain: float) -> float:
-    """Screening gain that earns a fit on a set beside the best one, which an effect improves by `gain`."""
-    return max(POLICY.search.beside_gain, POLICY.search.frontier_share * gain)
-
-
 def _forward(
     trace: SearchTrace, work: Work, frontier: Sequence[EffectSet]
 ) -> tuple[SearchTrace, list[EffectSet]]:
     """The search with its frontier expanded, and the sets with one effect more that pass, best first."""
-    trace = expand(trace, work, frontier[0], _least(trace, frontier[0]))
-    fitted = [c.fit.objective for c in trace.children[frontier[0]] if c.fit is not None]
+    trace = expand(trace, work, frontier[0])
+    lowest = min((c.fit.objective for c in trace.children[frontier[0]] if c.fit is not None), default=np.inf)
     for key in frontier[1:]:
-        needed = trace.fits[key][0].objective - min(fitted, default=np.inf)
-        trace = expand(trace, work, key, asked_beside(needed))
+        trace = expand(trace, work, key, trace.fits[key][0].objective - lowest)
     return trace, _passing(trace)
 
 
@@ -426,13 +350,6 @@ def that_matter(trace: SearchTrace, options: list[EffectSet]) -> list[EffectSet]
     return matter or options
 
 
-def _chosen(trace: SearchTrace, options: Sequence[EffectSet]) -> EffectSet:
-    """The best set, or one that comes close with fewer effects to name."""
-    best, *others = options
-    close = (k for k in others if trace.score(k) < trace.score(best) + POLICY.search.fewer_named)
-    return next((k for k in close if len(trace.named(k)) < len(trace.named(best))), best)
-
-
 def clearly_lower(after: float, before: float) -> bool:
     """Whether a score is lower by enough to take another effect in one's place."""
     return after <= before - POLICY.search.relatives_gain
@@ -448,19 +365,11 @@ def _swapped(trace: SearchTrace, work: Work) -> tuple[SearchTrace, EffectSet]:
         if rest not in trace.fits:
             continue
         if rest not in trace.children:
-            trace = expand(trace, work, rest, promise_asked(trace.fits[rest][0].objective - found.objective))
+            trace = expand(trace, work, rest, trace.fits[rest][0].objective - found.objective)
         swaps = (rest | {c.effect} for c in trace.children[rest] if c.effect not in trace.best)
         keys += [key for key in swaps if key in trace.fits and trace.passes(rest, key)]
     best = min(keys, key=trace.by_score)
     return trace, best if clearly_lower(trace.score(best), trace.score(trace.best)) else trace.best
-
-
-def promise_asked(gain: float) -> float:
-    """Screening gain that earns an effect a fit in the place of one with this gain; −1: any.
-
-    Screening says little where little is gained: there every effect is fitted.
-    """
-    return POLICY.search.in_place_share * gain if gain > POLICY.search.in_place_all_up_to else -1.0
 
 
 def _back(trace: SearchTrace, work: Work) -> SearchTrace:

@@ -9,7 +9,6 @@ from typing import Literal
 
 from needle_rig.workbench.observations.snaps import Snap, sentence
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
 
 Verdict = Literal["none", "effect", "unknown"]
@@ -22,15 +21,12 @@ class Findings:
 
     named: tuple[str, ...]
     left: ResidualPatterns
-    lack: LackOfFit | None
     held_out_error: float
     """Root mean square error of cross-validation, in units of the noise."""
     snaps: tuple[Snap, ...] = ()
     torque_scale: float = 1.0
     fitted_error: float = 1.0
     """Root mean square of the residual in the trials that were fitted, in units of the noise."""
-    left_to_white: float = math.inf
-    """`shown_noise.left_to_white`."""
 
 
 @dataclass(frozen=True)
@@ -51,72 +47,45 @@ def pattern_matters(found: Findings) -> str | None:
     return f"the residual is large enough to matter: {matters[0].sentence()}" if matters else None
 
 
-def above_noise(held_out_error: float, limit: float) -> bool:
-    """Whether something is left in commands left out; with one command alone (infinite) nobody knows."""
-    return limit < held_out_error < math.inf
-
-
-def decisions_stand(named: Sequence[str], held_out_error: float) -> bool:
-    """Whether what was not named may be called absent or negligible: nothing is left that could hide it."""
-    policy = POLICY.verdict
-    return not above_noise(held_out_error, policy.reached if named else policy.reached_without_pattern)
-
-
-def may_be_noise(share: float) -> bool:
-    """Whether noise alone may leave `share` times the white noise of a sample."""
-    return share <= POLICY.verdict.wandering
+def above_noise(error: float) -> bool:
+    """Whether an error is above the noise; with one command alone (infinite) nobody knows."""
+    return POLICY.verdict.reached < error < math.inf
 
 
 def noise_not_reached(found: Findings) -> str | None:
     """Commands left out are not predicted to within the noise.
 
-    Effects that are named are held to it where what they leave shows a pattern: without one it is the few
-    commands that leave their sizes open, but then the trials that were fitted are met to within the noise.
-    Where nothing is named and no pattern is seen, the noise itself may be known badly. Where no command was
-    repeated, that holds whatever is seen.
+    Where effects are named and leave no pattern, few commands leave their sizes open: then the trials that
+    were fitted are to be met. A needle that snaps is told by `stick_slip`.
     """
-    if may_be_noise(found.left_to_white):
-        return None
-    policy = POLICY.verdict
-    limit = policy.reached if found.left.significant else policy.reached_without_pattern
-    open_sizes = found.named and not found.left.significant
-    error = found.fitted_error if open_sizes else found.held_out_error
-    if not above_noise(error, limit):
-        return None
-    model = f"with {' and '.join(found.named)}" if found.named else "with no effect named"
-    where = "the trials that were fitted" if open_sizes else "commands left out"
-    return f"{model} the error on {where} is {error:.2f} × the noise, more than {limit:g}"
+    return None if found.snaps else _missed(found)
 
 
 def stick_slip(found: Findings) -> str | None:
-    """The needle snaps, and what is named does not predict commands left out to within the noise."""
-    if not found.snaps or not above_noise(found.held_out_error, POLICY.verdict.reached):
+    """The same of a needle that snaps."""
+    if not found.snaps or not (missed := _missed(found)):
         return None
     return (
-        f"{sentence(found.snaps)}; a model without inertia gives neither the instant of a snap nor where it"
-        " ends, so how friction falls once the needle slips, and what else is missing, cannot be told from"
-        " these data; `compensate --strategy planned --option use_hall=true` turns by the Hall angles all the"
-        " same"
+        f"{sentence(found.snaps)}; {missed}; a model without inertia gives neither the instant of a snap nor"
+        " where it ends, so how friction falls once the needle slips, and what else is missing, cannot be"
+        " told from these data; `compensate --strategy planned --option use_hall=true` turns by the Hall"
+        " angles all the same"
     )
 
 
-def replicates_agree_on_more(found: Findings) -> str | None:
-    """Replicates share a misfit that matters, and no effect is named for it."""
-    lack = found.lack
-    if (
-        found.named
-        or lack is None
-        or not lack.significant
-        or POLICY.size.small(lack.size, lack.unit, found.torque_scale)
-    ):
+def _missed(found: Findings) -> str | None:
+    open_sizes = found.named and not found.left.significant
+    error = found.fitted_error if open_sizes else found.held_out_error
+    if not above_noise(error):
         return None
-    return f"replicates share what the model lacks: {lack.sentence()}"
+    model = f"with {' and '.join(found.named)}" if found.named else "with no effect named"
+    where = "the trials that were fitted" if open_sizes else "commands left out"
+    return f"{model} the error on {where} is {error:.2f} × the noise, more than {POLICY.verdict.reached:g}"
 
 
 RULES: tuple[Callable[[Findings], str | None], ...] = (
     pattern_matters,
     noise_not_reached,
-    replicates_agree_on_more,
     stick_slip,
 )
 """Each gives a sentence, or None where it finds nothing unexplained. Their names stand in the JSON answer."""

@@ -8,6 +8,7 @@ from needle_rig.workbench.estimation.baseline import Baseline, with_noise_at
 from needle_rig.workbench.estimation.discretisation_error import refitted
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.observations.noise_terms.drift import Drift
 from tests.workbench.hidden import null_fit
 
 WANDERS_DEG, WANDERS_S = 0.15, 2.0
@@ -20,11 +21,8 @@ def beside_one_set_aside(request: pytest.FixtureRequest) -> tuple[Baseline, Prob
     the baseline, the problem with that as a nuisance, and the fit to it."""
     baseline = null_fit(seed=request.param)
     problem, random = baseline.problem, np.random.default_rng(request.param)
-    correlated, correlation_s = problem.noise.correlated.copy(), problem.noise.correlation_s.copy()
-    correlated[1:], correlation_s[1:] = rad(WANDERS_DEG), WANDERS_S
-    wandering = problem.with_noise(
-        dataclasses.replace(problem.noise, correlated=correlated, correlation_s=correlation_s)
-    )
+    drift = Drift(np.r_[0.0, np.full(4, rad(WANDERS_DEG))], np.full(5, WANDERS_S))
+    wandering = problem.with_noise(dataclasses.replace(problem.noise, shown=(drift,)))
     drawn = wandering.raw([random.standard_normal(w.channel.size) for w in wandering.whiteners])
     known = problem.predict(baseline.current.parameters, baseline.current.vector)
     shapes = []
@@ -46,7 +44,8 @@ def test_noise_is_told_from_what_is_left_beside_an_effect_set_aside(
     baseline, problem, found = beside_one_set_aside
     assert found.nuisance[-1] == pytest.approx(1.0, abs=0.3)
     noise = with_noise_at(baseline, problem, found).problem.noise
-    rate = noise.correlated[1:] ** 2 / noise.correlation_s[1:]
+    (drift,) = noise.shown
+    rate = drift.sd[1:] ** 2 / drift.form[1:]
     assert np.all(rate > 0.3 * rad(WANDERS_DEG) ** 2 / WANDERS_S)
     assert np.all(rate < 6.0 * rad(WANDERS_DEG) ** 2 / WANDERS_S)
 

@@ -18,14 +18,9 @@ from needle_rig.workbench.estimation.baseline import fit_baseline, judged
 from needle_rig.workbench.estimation.run_in import wound
 from needle_rig.workbench.learning.compare import compare
 from needle_rig.workbench.observations.earlier_path import PHASE
-from needle_rig.workbench.parallel import Processes, Work
-from needle_rig.workbench.selection import unknown_starts
+from needle_rig.workbench.parallel import Processes
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
-from needle_rig.workbench.selection.unknown_starts import (
-    _error,
-    from_found_starts,
-)
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, effect, few
 
@@ -182,35 +177,10 @@ def test_an_effect_is_named_at_its_size_beside_wound_starts_that_it_finds_itself
         trials[place] = begun_late(trials[place], "overshoot", "wound")
     said: list[str] = []
     found = diagnose(dataclasses.replace(whole, trials=tuple(trials)), few(), say=said.append)
-    assert said[:3] == [
-        "measuring the noise",
-        "fitting the model",
-        "finding the unknown starts with each effect that may hold them",
-    ]
+    assert "going on from the initial twists that what was found holds" in said
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     assert found.ranking[0].values[0].value == pytest.approx(0.45, rel=0.01)
     assert found.held_out_error_after < 1.1
-
-
-@pytest.mark.whole
-def test_a_quick_diagnosis_asks_the_most_promising_alone_what_holds_the_shaft(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    whole = dataset(effect("tip_friction", torque_nmm=0.03), seed=23)
-    late = [begun_late(t, "overshoot" if "overshoot" in t.phase else "step_2", "wound") for t in whole.trials]
-    data = dataclasses.replace(whole, trials=tuple(late))
-    library = few(
-        "tip_friction", "platform_friction", "bending_torque", "guide_friction", "tissue_elasticity"
-    )
-    baseline = fit_baseline(data, None, library)
-    asked: list[str] = []
-    monkeypatch.setattr(unknown_starts, "held", lambda _, names, *__: asked.append(names[-1]))
-    for quick, rest in ((True, set()), (False, set(library))):
-        asked.clear()
-        found = from_found_starts(data, None, library, baseline, Work(), quick)
-        assert (found.baseline, found.fit) == (baseline, None)
-        assert len(asked[: unknown_starts.MOST_PROMISING]) >= 1
-        assert set(asked[unknown_starts.MOST_PROMISING :]) == rest
 
 
 @pytest.mark.whole
@@ -221,12 +191,11 @@ def test_a_users_effect_that_holds_the_shaft_is_found_in_processes_of_their_own(
     whole = dataset(effect("tissue_elasticity", stiffness_nmm_per_rad_per_100mm=0.45), seed=4)
     late = begun_late(whole.trials[2], "overshoot", "wound")
     data = dataclasses.replace(whole, trials=(*whole.trials[:2], late))
-    baseline = fit_baseline(data, None, effects)
     with Processes(2) as work:
-        found = from_found_starts(data, None, effects, baseline, work, quick=True)
-    assert found.fit is not None
-    assert found.fit.effects == ("my_elasticity",)
-    assert found.fit.chi2 < 1.3 * found.baseline.problem.size
+        found = diagnose(data, effects, quick=True, work=work)
+    assert found.effects == ("my_elasticity",)
+    problem, best, _ = found.concluded
+    assert best.chi2 < 1.3 * problem.size
 
 
 @pytest.mark.whole
@@ -234,16 +203,4 @@ def test_after_a_run_in_no_starts_are_looked_for(wide_begun_late: Dataset) -> No
     said: list[str] = []
     found = diagnose(wide_begun_late, few("torque_bias"), quick=True, say=said.append)
     assert found.verdict == "none"
-    assert not any("unknown starts" in line for line in said)
-
-
-def test_starts_that_leave_twice_as_much_uncertain_must_leave_half_as_much_of_it(wide: Dataset) -> None:
-    baseline = fit_baseline(wide, None, few("torque_bias"))
-    problem, noise = baseline.problem, baseline.problem.noise
-    parts = ("white", "correlated", "offset", "motion", "jitter_s", "hum")
-    twice = problem.with_noise(dataclasses.replace(noise, **{p: 2.0 * getattr(noise, p) for p in parts}))
-    found = baseline.current
-    assert _error(0.5, found, problem, problem) == pytest.approx(0.5)
-    assert _error(0.5, found, twice, problem) == pytest.approx(1.0, rel=1e-6)
-    # one command alone: what is left of the trials that were fitted
-    assert _error(np.inf, found, problem, problem) == pytest.approx(np.sqrt(found.chi2 / problem.size))
+    assert not any("initial twists" in line for line in said)

@@ -20,7 +20,8 @@ from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.estimation.simulator import CACHE_ENTRIES, Simulator
 from needle_rig.workbench.observations.binning import bin_trial
-from needle_rig.workbench.observations.noise import measure_noise
+from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise_terms.white import White
 from tests.workbench.hidden import dataset, few
 
 
@@ -79,7 +80,7 @@ def test_other_means_and_noise_share_what_was_solved(solved: list[int]) -> None:
     vector = start_vector(problem, np.log(1e-3))
     means = problem.predict((), vector)
     perfect = problem.with_means(means)
-    louder = problem.with_noise(dataclasses.replace(problem.noise, white=2.0 * problem.noise.white))
+    louder = problem.with_noise(problem.noise.having(White(2.0 * problem.noise.white)))
     rows = perfect.residuals(perfect.predict((), vector), range(len(means)))
     louder.predict((), vector)
     assert solved == [len(problem.trials)]

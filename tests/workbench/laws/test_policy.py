@@ -143,8 +143,8 @@ def test_the_formula_is_what_is_added_where_there_is_one() -> None:
 def test_a_model_that_cannot_be_solved_with_commands_left_out_does_not_reach_the_noise() -> None:
     assert not reaches(math.inf, 6)
     assert reaches(math.inf, 1)
-    assert reaches(POLICY.verdict.reached, 6)
-    assert not reaches(1.01 * POLICY.verdict.reached, 6)
+    assert reaches(POLICY.laws.reached, 6)
+    assert not reaches(1.01 * POLICY.laws.reached, 6)
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,10 @@ from needle_rig.physics.effect import Trial
 from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of
-from needle_rig.workbench.observations.noise import (
-    Noise,
-    covariance,
-    measure_noise,
-    replicate_groups,
-    whitener,
-)
+from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise import Noise, covariance, replicate_groups, whitener
+from needle_rig.workbench.observations.noise_terms.drift import Drift
+from needle_rig.workbench.observations.noise_terms.offset import Offset
 from needle_rig.workbench.observations.outliers import set_aside
 from tests.workbench.foreign_friction import Measured
 from tests.workbench.foreign_friction import dataset as swept
@@ -32,7 +29,7 @@ def test_white_noise_is_what_was_put_in() -> None:
     noise, _ = measured(dataset())
     assert noise.white[0] == pytest.approx(nm(0.0008), rel=0.06)
     assert noise.white[1:] == pytest.approx(rad(0.25), rel=0.06)
-    assert not noise.correlated.any()
+    assert not noise.term(Drift).sd.any()
     assert noise.replicates == 2
 
 
@@ -66,9 +63,10 @@ def test_correlated_noise_is_seen_as_correlated() -> None:
             )
         trials.append(dataclasses.replace(given, hall_rad=given.hall_rad + slow))
     noise, _ = measured(dataclasses.replace(data, trials=tuple(trials)))
-    assert noise.correlated[1:] == pytest.approx(rad(0.4), rel=0.3)
-    assert noise.correlation_s[1:] == pytest.approx(0.2, abs=0.21)
-    assert noise.correlated[0] == 0.0
+    drift = noise.term(Drift)
+    assert drift.sd[1:] == pytest.approx(rad(0.4), rel=0.3)
+    assert drift.form[1:] == pytest.approx(0.2, abs=0.21)
+    assert drift.sd[0] == 0.0
 
 
 def test_offsets_from_trial_to_trial_are_seen_at_rest() -> None:
@@ -79,8 +77,9 @@ def test_offsets_from_trial_to_trial_are_seen_at_rest() -> None:
         for t, shift in zip(data.trials, shifts, strict=True)
     )
     noise, _ = measured(dataclasses.replace(data, trials=trials))
-    assert np.all(noise.offset[1:] > rad(0.5))
-    assert np.all(noise.offset[1:] < rad(3.0))
+    offset_rad = noise.term(Offset).sd[1:]
+    assert np.all(offset_rad > rad(0.5))
+    assert np.all(offset_rad < rad(3.0))
 
 
 def test_outliers_and_holes_do_not_move_bin_means() -> None:

@@ -18,16 +18,15 @@ from needle_rig.workbench.observations.binning import (
     direction_of,
     motions_of,
 )
-from needle_rig.workbench.observations.noise import (
-    _rest_offsets,
-    _split,
-    covariance,
-    floors,
-    measure_noise,
-    replicate_groups,
-)
+from needle_rig.workbench.observations.measured_noise import _split, floors, measure_noise
+from needle_rig.workbench.observations.noise import covariance, replicate_groups
+from needle_rig.workbench.observations.noise_terms.drift import Drift
+from needle_rig.workbench.observations.noise_terms.jitter import Jitter
+from needle_rig.workbench.observations.noise_terms.motion_scatter import MotionScatter
+from needle_rig.workbench.observations.noise_terms.offset import Offset, measured_offset
+from needle_rig.workbench.observations.noise_terms.white import White
 from needle_rig.workbench.observations.outliers import set_aside
-from needle_rig.workbench.observations.replicate_noise import with_motion_scatter
+from needle_rig.workbench.observations.shown_terms import with_motion_scatter
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset
 
@@ -78,10 +77,6 @@ def test_a_base_that_holds_for_a_tenth_of_the_time_shows_noise_itself(
     assert deg(found.white[1:]) == pytest.approx(0.4 if from_replicates else 0.1, rel=0.2)
 
 
-def test_with_few_rests_the_offset_is_seven_tenths_of_the_floor(binned: tuple[BinnedTrial, ...]) -> None:
-    assert _rest_offsets(binned[:2], np.tile([1.0, 0.0, 0.1], (5, 1)), np.full(5, 2.0)) == pytest.approx(1.4)
-
-
 @pytest.mark.parametrize(("sigmas", "outlier"), [(7.0, False), (11.0, True)])
 def test_an_outlier_lies_far_from_its_neighbours(sigmas: float, outlier: bool) -> None:
     values = np.random.default_rng(1).standard_normal(400)
@@ -96,7 +91,7 @@ def test_floors_are_what_the_solver_promises() -> None:
 
 def test_what_is_assumed_before_any_replicate(binned: tuple[BinnedTrial, ...]) -> None:
     noise = measure_noise(dataset().trials, binned)
-    assert (noise.jitter_s, noise.scatter, noise.scatter_dof) == (1e-3, 0.025, 4.0)
+    assert (noise.term(Jitter).sd_s, noise.scatter, noise.scatter_dof) == (1e-3, 0.025, 4.0)
 
 
 def _slow_noise(size: float) -> list[np.ndarray]:
@@ -115,12 +110,18 @@ def test_noise_is_correlated_only_at_high_odds(size: float, seen: bool) -> None:
     assert (_split(_slow_noise(size), 0.01)[1] > 0.0) is seen
 
 
+def test_with_few_rests_the_offset_is_the_floor(binned: tuple[BinnedTrial, ...]) -> None:
+    found = measured_offset(binned[:2], [White(np.ones(5))], np.full(5, 1.4))
+    assert found.sd == pytest.approx(1.4)
+    noise = measure_noise(dataset().trials[:2], binned[:2])
+    assert noise.term(Offset).sd == pytest.approx(0.7 * floors(5))
+
+
 @pytest.mark.parametrize(("times", "seen"), [(1.4, False), (2.8, True)])
 def test_offsets_must_stand_out_of_the_scatter_of_the_rests(
     binned: tuple[BinnedTrial, ...], times: float, seen: bool
 ) -> None:
     rests = [b for b in binned if b.motion[0] == 0]
-    parts = np.tile([1.0, 0.0, 0.1], (5, 1))
     each = []
     shifts = np.array([1.0, -1.0, -1.0, 1.0, 0.0])
     for k, b in enumerate(rests):
@@ -131,15 +132,19 @@ def test_offsets_must_stand_out_of_the_scatter_of_the_rests(
         scale = np.sqrt(excess * 3.0 / (shifts**2).sum())
         each.append(dataclasses.replace(b, mean=np.broadcast_to(scale * shifts[k], b.mean.shape)))
     floor = np.full(5, 1e-9)
-    found = _rest_offsets(each, parts, floor)
-    assert bool(np.all(found > 1e-6)) is seen
+    found = measured_offset(each, [White(np.ones(5))], floor)
+    assert bool(np.all(found.sd > 1e-6)) is seen
 
 
 def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial, ...]) -> None:
-    noise = dataclasses.replace(
-        measure_noise(dataset().trials, binned), white=np.full(5, 1e-12), offset=np.zeros(5)
-    )
-    noise = dataclasses.replace(noise, correlated=np.zeros(5))
+    noise = measure_noise(dataset().trials, binned)
+    for silent in (
+        White(np.full(5, 1e-12)),
+        Offset(np.zeros(5)),
+        Drift(np.zeros(5), np.ones(5)),
+        Jitter(0.0),
+    ):
+        noise = noise.having(silent)
     groups = replicate_groups([b.command for b in binned])
     residuals = [np.full(b.mean.shape, float(k)) for k, b in enumerate(binned)]
     found = with_motion_scatter(noise, binned, residuals, groups)
@@ -147,7 +152,7 @@ def test_the_floor_of_motions_is_worth_ten_differences(binned: tuple[BinnedTrial
     motions = min(len(binned[i].motions) for i in group) - 1
     total = motions * (len(group) - 1) * np.var(group, ddof=1)
     dof = motions * (len(group) - 1)
-    assert found.motion[0] ** 2 == pytest.approx(total / (10.0 + dof), rel=1e-3)
+    assert found.term(MotionScatter).sd[0] ** 2 == pytest.approx(total / (10.0 + dof), rel=1e-3)
 
 
 @pytest.mark.parametrize(

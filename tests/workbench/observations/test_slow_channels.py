@@ -13,7 +13,9 @@ from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.units import nm, rad
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial, driven_by_samples
-from needle_rig.workbench.observations.noise import Noise, measure_noise
+from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise import Noise
+from needle_rig.workbench.observations.noise_terms.drift import Drift
 from needle_rig.workbench.observations.outliers import set_aside
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE
@@ -71,7 +73,7 @@ def test_noise_of_a_slow_channel_is_that_of_its_samples(silent: Dataset) -> None
     noise = measured(noisy(silent, lambda n: nm(0.004) * random.standard_normal(n)))
     assert noise.white[3:] == pytest.approx(rad(0.25), rel=0.15)
     assert noise.white[0] == pytest.approx(nm(0.004), rel=0.1)
-    assert not noise.correlated.any()
+    assert not noise.term(Drift).sd.any()
 
 
 def test_noise_of_tenths_of_a_second_is_seen_at_a_thousand_samples_a_second(silent: Dataset) -> None:
@@ -86,8 +88,8 @@ def test_noise_of_tenths_of_a_second_is_seen_at_a_thousand_samples_a_second(sile
 
     noise = measured(noisy(silent, wanders))
     assert noise.white[0] == pytest.approx(nm(0.004), rel=0.1)
-    assert noise.correlated[0] == pytest.approx(nm(0.002), rel=0.4)
-    assert noise.correlation_s[0] == pytest.approx(0.2, abs=0.21)
+    assert noise.term(Drift).sd[0] == pytest.approx(nm(0.002), rel=0.4)
+    assert noise.term(Drift).form[0] == pytest.approx(0.2, abs=0.21)
 
 
 def test_noise_that_is_averaged_over_milliseconds_counts_as_what_is_left_of_it_in_a_bin(

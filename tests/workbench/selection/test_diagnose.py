@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import notes, search
 from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.diagnose import diagnose
-from needle_rig.workbench.selection.notes import of_no_use
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
 from tests.workbench.hidden import dataset, diagnosed, effect, few, null_fit, try_effect
@@ -66,7 +64,7 @@ def test_a_needle_that_snaps_and_that_no_effect_predicts_is_called_stick_slip() 
     snapping = dataset(effect("stribeck", static_excess=1.0, rate_deg_s=11.5, weakening_deg=0.8))
     found = diagnose(snapping, few("torque_bias", "hall_offset"))
     assert found.verdict == "unknown"
-    assert {"noise_not_reached", "stick_slip"} <= {r.rule for r in found.reasons}
+    assert {"pattern_matters", "stick_slip"} <= {r.rule for r in found.reasons}
     assert found.sentence() == "the needle sticks and slips, and no effect of the library predicts it."
     assert {d.decision for d in found.decisions.values()} == {"cannot_tell"}
     assert not any("too small to matter" in note for note in found.notes)
@@ -83,7 +81,7 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     found = diagnosed(creeping, library=("tissue_elasticity", "torque_bias", "hall_offset"))
     assert found.explained_fraction > 0.99
     assert found.verdict == "unknown"
-    assert "tissue_elasticity removes 99.8 % of the error and leaves 2.39 × the noise" in found.notes[-1]
+    assert "tissue_elasticity removes 99.8 % of the error and leaves 2.4" in found.notes[-1]
     assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
 
 
@@ -309,13 +307,13 @@ def test_what_was_not_refitted_is_said() -> None:
 
 
 @pytest.mark.whole
-def test_the_seed_and_the_folder_change_no_verdict(tmp_path: Path) -> None:
+def test_the_folder_changes_no_verdict(tmp_path: Path) -> None:
     data = dataset(effect("torque_bias", bias_nmm=0.02))
     names = few("torque_bias", "tip_friction")
     answers = []
-    for folder, seed in (("one", 0), ("zwei", 7)):
+    for folder in ("one", "zwei"):
         read = read_dataset(write_dataset(data, tmp_path / folder))
-        answers.append(diagnose(dataclasses.replace(read, name="x"), names, seed=seed).as_json())
+        answers.append(diagnose(dataclasses.replace(read, name="x"), names).as_json())
     assert answers[0] == answers[1]
 
 
@@ -371,24 +369,4 @@ def test_noise_that_shows_beside_what_is_named_is_not_named_too() -> None:
     )
     assert (found.verdict, found.effects) == ("effect", ("clock_offset",))
     assert any("under the noise that shows beside what was found" in each for each in said)
-    assert found.baseline.problem.noise.correlated.min() > 0.0
-
-
-@pytest.mark.whole
-@pytest.mark.parametrize(
-    ("before", "after", "said"),
-    [
-        (1.02, 1.03, True),
-        (1.02, 1.02, True),
-        (1.02, 0.99, False),
-        (1.3, 1.31, False),
-        (math.inf, math.inf, False),
-    ],
-)
-def test_what_predicts_commands_left_out_no_better_is_not_named(
-    before: float, after: float, said: bool
-) -> None:
-    """Where the noise is reached without it; far from the noise the verdict has rules of its own."""
-    sentences = of_no_use(["hall_gain"], before, after)
-    assert bool(sentences) == said
-    assert all("hall_gain gains more than chance" in each and "not named" in each for each in sentences)
+    assert found.baseline.problem.noise.shown[0].sd.min() > 0.0

@@ -7,6 +7,9 @@ from scipy.special import fdtrc
 from needle_rig.dataset import Dataset, in_series
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline
+from needle_rig.workbench.observations.noise_terms.motion_scatter import MotionScatter
+from needle_rig.workbench.observations.noise_terms.offset import Offset
+from needle_rig.workbench.observations.noise_terms.white import White
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit, lack_of_fit
@@ -53,7 +56,8 @@ def test_a_wrong_noise_level_passes_for_no_effect() -> None:
     data = dataset(seed=43)
     baseline = fit_baseline(data, None, few())
     problem, noise = baseline.problem, baseline.problem.noise
-    low = dataclasses.replace(noise, white=noise.white / 2, offset=noise.offset / 2, motion=noise.motion / 2)
+    low = noise.having(White(noise.white / 2)).having(Offset(noise.term(Offset).sd / 2))
+    low = low.having(MotionScatter(noise.term(MotionScatter).sd / 2))
     louder = problem.with_noise(low)
 
     found = fit(louder, (), baseline.current.vector)

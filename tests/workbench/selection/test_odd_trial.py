@@ -10,19 +10,25 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.model import load_parameters
+from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.odd_trial import OddTrial, chance_of_largest, odd_trial, without
+from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.workbench.hidden import dataset, few, null_fit
 
 REPEATED, ALONE = 1, 2
 """Places of a trial whose command was repeated, and of one whose was not."""
 
 
+SERIES = Protocol("eight", tuple(compensation(deg) for deg in (45, 45, -60, 45, 30, 30, -45, -45)))
+
+
 def bumped(place: int) -> Dataset:
-    """The practice series with nothing hidden, in one trial of which the table was bumped at 6 s."""
-    given = dataset()
+    """Eight trials with nothing hidden, in one of which the table was bumped at 6 s."""
+    given = simulate_dataset(load_parameters("rig_rigid"), SERIES, 1, name="bumped")
     trial = given.trials[place]
     since = (trial.trial.time_s > 6.0).astype(float)
     hit = dataclasses.replace(
@@ -100,7 +106,7 @@ def test_a_diagnosis_answers_without_it_where_its_command_was_repeated() -> None
     assert found.verdict == "none"
     assert found.notes[0].startswith("trials/02.csv differs from all other trials")
     assert found.notes[0].endswith("It is left out of this answer.")
-    assert len(found.baseline.dataset.trials) == 4
+    assert len(found.baseline.dataset.trials) == 7
 
 
 @pytest.mark.whole

@@ -1,0 +1,1 @@
+"""Terms of the noise, one file each: law, source, what they are measured on."""
