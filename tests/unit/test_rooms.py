@@ -108,5 +108,5 @@ def test_ten_steps_name_functions_that_there_are(page: Path) -> None:
         assert name in defined(place), (path, name)
 
 
-def test_a_tick_and_a_stop_have_a_page() -> None:
-    assert {page.stem for page in FLOWS} >= {"tick", "stop"}
+def test_a_tick_a_diagnosis_and_a_stop_have_a_page() -> None:
+    assert {page.stem for page in FLOWS} >= {"tick", "diagnosis-steps", "stop"}
