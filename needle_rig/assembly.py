@@ -144,7 +144,7 @@ class RigOnBench:
         await self._hardware.open()
 
     def read(self) -> Measurement:
-        """See `Rig.read`; old values of a bench that this machine kept waiting are told as that."""
+        """See `Rig.read`; old values of a bench that this machine kept waiting are reported as that."""
         assert self._hardware is not None
         now = self._hardware.read()
         if max(now.torque_age_s, now.hall_age_s, now.drive_age_s) < _HELD_UP_S:

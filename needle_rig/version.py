@@ -1,6 +1,6 @@
 """The version of this package."""
 
-VERSION = "0.1.0"
+VERSION = "0.2.0"
 
 
 def differs(daemon: str | None) -> str | None:

@@ -1,4 +1,4 @@
-"""How a finished run is told: table, verdict, files."""
+"""How a finished run is shown: table, verdict, files."""
 
 from __future__ import annotations
 

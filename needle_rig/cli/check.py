@@ -108,6 +108,7 @@ def _findings(
     yield from check.check_clocks(_first_line(_CLOCK_SOURCE), _synchronized())
     runs = (HERE.runs_directory() if path == HERE.rig_file else None) or Path(config.recording.directory)
     yield check.check_disk(config, shutil.disk_usage(_that_exists(runs)).free)
+    yield check.check_runs(config, runs)
     running = _running(socket, config, rig_file)
     down = running is None and config.kind == "hardware" and HERE.unit.exists()
     if config.kind == "hardware":

@@ -61,7 +61,7 @@ def command(
     needle-rig identify jg
 
     DATA is a dataset folder or a run file, or several; whether the tip is clamped stands in its layout
-    (rig: tip: clamped). What a recording does not give is told with the experiment that would. With --update
+    (rig: tip: clamped). What a recording does not give is named with the experiment that would. With --update
     a recording that contradicts the model file is refused (exit code 1).
 
     One of the words makes the paper's experiment on the simulated rig (exit code 1: off by more than 2 %):

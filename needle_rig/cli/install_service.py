@@ -70,6 +70,8 @@ def command(
     \b
     Exit codes: 0 done, 2 bad use, nothing was changed, 3 it failed; an upgrade was taken back.
     """
+    from needle_rig.config.loader import load_rig_config
+    from needle_rig.recording.retention import kept_text
     from needle_rig.service.install import (
         another_program,
         install_steps,
@@ -129,6 +131,9 @@ def command(
         click.echo("It runs with what it had; when no run goes on: sudo systemctl restart needle-rig")
     _tell_another(another_program(place, wanted.program))
     click.echo("The service is set up. Look at it: needle-rig status; at the rig: needle-rig check")
+    recording = load_rig_config(place.rig_file).recording
+    kept = kept_text(recording.keep_days, recording.keep_gb)
+    click.echo(f"{kept[0].upper()}{kept[1:]}.")
     for member in wanted.members:
         click.echo(f"{member} may use it after logging in again (group needle-rig).")
 
@@ -153,9 +158,11 @@ def _as_it_is(
 ) -> Wanted:
     """The service of a rig file that is there."""
     from needle_rig.config.loader import load_rig_config
+    from needle_rig.config.schema import NetFtTorque
     from needle_rig.service.install import Wanted
 
-    can = load_rig_config(rig_file).links.can
+    links = load_rig_config(rig_file).links
+    can = links.can
     interface = can.channel if can.interface == "socketcan" else None
     return Wanted(
         rig_file.read_text(encoding="utf-8"),
@@ -164,6 +171,7 @@ def _as_it_is(
         _members(place, members),
         _program(place, dry_run),
         start,
+        links.torque.address if isinstance(links.torque, NetFtTorque) else None,
     )
 
 
@@ -178,7 +186,7 @@ def _asked(
     from needle_rig.config.files import shipped_file
     from needle_rig.config.loader import load_rig_config
     from needle_rig.service.install import Wanted
-    from needle_rig.service.rig_file import Answers, rig_file_text
+    from needle_rig.service.rig_file import Answers, keep_gb, rig_file_text
 
     usual = load_rig_config(shipped_file("rig.hardware.yaml"))
     proposed: dict[str, tuple[str, str | float | None]] = {
@@ -194,7 +202,7 @@ def _asked(
         "shear_modulus_gpa": ("The needle's shear modulus, GPa", usual.needle.shear_modulus_gpa),
     }
     found = {key: _answer(key, text, given[key], default) for key, (text, default) in proposed.items()}
-    answers = Answers(**found)  # type: ignore[arg-type]  # each as click or its default gave it
+    answers = Answers(**found, keep_gb=keep_gb(place.runs))  # type: ignore[arg-type]  # each as click gave it
     text = rig_file_text(answers, Path("/var/lib/needle-rig"))
     interface = answers.network_interface
     return Wanted(

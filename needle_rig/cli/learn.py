@@ -100,6 +100,6 @@ def _show(found: Learnt, others: Sequence[str]) -> None:
         for said in others[place : place + 1]:
             click.echo(f"  {said}")
         for other in law.tied_with:
-            click.echo(f"  cannot be told from: {other.words()}")
+            click.echo(f"  cannot be told apart from: {other.words()}")
         if law.experiment is not None:
             click.echo(f"  next: {law.experiment['sentence']}")

@@ -24,7 +24,7 @@ KINDS: dict[str, tuple[str, str]] = {
 def check_format(data: JsonObject, places: Places, *wanted: str) -> None:
     """Raise BadInput unless `data` says that it is of one of the formats that are `wanted` here.
 
-    One sentence stands alone then: the keys of another format would all be told as mistakes.
+    One sentence stands alone then: the keys of another format would all be listed as mistakes.
     """
     given = data.get("format")
     if given in wanted:

@@ -55,7 +55,7 @@ class Reference:
                 return None
             self.wanted_rad = None
             return self._lost(
-                "the drive does not take the angle that it was told; stop it and look at the bus"
+                "the drive does not take the angle that it was given; stop it and look at the bus"
             )
         jump_rad = abs(now.base_angle_rad - last.base_angle_rad)
         between_s = max((now.time_s - now.drive_age_s) - (last.time_s - last.drive_age_s), 0.0)

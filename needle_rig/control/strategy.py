@@ -146,7 +146,7 @@ class Strategy:
 
 
 def find_strategies() -> Library[type[Strategy]]:
-    """Every strategy by the name of its file: the shipped ones, then one's own; broken ones are told."""
+    """Every strategy by the name of its file: the shipped ones, then one's own; broken ones are named."""
     return library("strategies", shipped_strategies(), folders_of("strategies"), strategy_in)
 
 

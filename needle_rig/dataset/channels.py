@@ -59,7 +59,7 @@ def stuck_runs(values: Array, time_s: Array) -> list[tuple[int, int]]:
 
 
 def white_noise(values: Array) -> float:
-    """Standard deviation of the white part, from third differences; 0 when it cannot be told."""
+    """Standard deviation of the white part, from third differences; 0 when it is unknown."""
     known = values[np.isfinite(values)]
     if len(known) < 8:
         return 0.0

@@ -75,7 +75,7 @@ class RigPart(_Part):
 
 
 class TrialPart(_Part):
-    """One trial: its file and what the rig was told."""
+    """One trial: its file and its command."""
 
     file: str
     start_s: float | None = None
@@ -89,7 +89,7 @@ class TrialPart(_Part):
     steps_deg: tuple[float, ...] = ()
 
     def command(self) -> TrialCommand:
-        """What the rig was told, without what is this trial's own."""
+        """The command, without what is this trial's own."""
         other = tuple(sorted((k, repr(v)) for k, v in (self.model_extra or {}).items()))
         return TrialCommand(
             self.kind, self.target_deg, self.speed_deg_s, self.settle_s, self.steps_deg, other

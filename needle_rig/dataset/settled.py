@@ -99,7 +99,7 @@ class SettledValue:
 
 @dataclass(frozen=True)
 class SettledSequence:
-    """What the rig was told, and the standard errors of what it showed, in the unit of each quantity."""
+    """The command, and the standard errors of what it showed, in the unit of each quantity."""
 
     strategy: str
     options: Mapping[str, float | tuple[float, ...]]

@@ -41,7 +41,7 @@ def check_units(
 
 def guessed_rigidity(trials: Sequence[DatasetTrial], layout: Layout) -> tuple[Needle, str]:
     """The shaft with the rigidity that the torque's span over that of the twist tells, within a factor of
-    about two; and a sentence of what cannot be told."""
+    about two; and a sentence of what cannot be known."""
     known = {s: place for s, place in enumerate(layout.sensor_positions_m) if place > 0}
     found: list[float] = []
     beside = False

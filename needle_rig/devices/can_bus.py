@@ -100,7 +100,7 @@ class CanLink:
             self._terminal.close()
             self._terminal = None
         if self._bus is not None:
-            with contextlib.suppress(can.CanError, OSError):  # a port that is gone cannot be told
+            with contextlib.suppress(can.CanError, OSError):  # a port that is gone cannot be closed in order
                 self._bus.shutdown()
             self._bus = None
         if self._lock_fd is not None:
@@ -172,7 +172,7 @@ class _Slcan(slcanBus):
         super().__init__(channel, bitrate=bitrate, sleep_after_open=0)
 
     def shutdown(self) -> None:
-        """Close the channel and the port; the port also when the adapter cannot be told."""
+        """Close the channel and the port; the port also when the adapter does not hear it."""
         try:
             super().shutdown()
         finally:

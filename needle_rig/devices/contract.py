@@ -279,9 +279,9 @@ async def _follows(bench: Bench) -> None:
 
 async def _refers(bench: Bench) -> None:
     drive = await _awake(bench)
-    _need(not drive.referenced, "it claims to know its zero before it was told")
+    _need(not drive.referenced, "it claims to know its zero before it was given one")
     bench.tick(Command(reference_rad=rad(30.0)), 20)
-    _need(drive.referenced, "it was told its angle, and does not know its zero")
+    _need(drive.referenced, "it was given its angle, and does not know its zero")
     _need(abs(drive.angle_rad - rad(30.0)) < _ANGLE_RAD, f"told 30° it says {deg(drive.angle_rad):.1f}°")
 
 

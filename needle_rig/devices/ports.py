@@ -49,7 +49,8 @@ def network_reason(error: OSError) -> str:
         return "nobody answers; is it on, and this its address?"
     if error.errno in (errno.EAFNOSUPPORT, errno.EACCES, errno.EPERM):
         return (
-            "no right to use the network; a service needs IPAddressAllow= and RestrictAddressFamilies=AF_INET"
+            "no right to use the network; a service gets it from its rig file:"
+            " sudo needle-rig install-service, then: sudo systemctl restart needle-rig"
         )
     if isinstance(error, socket.gaierror):
         return "no such address"

@@ -68,7 +68,7 @@ class SerialLine:
             self._reader.close()
             self._reader = None
         if self._port is not None:
-            with contextlib.suppress(OSError):  # a port that is gone cannot be told
+            with contextlib.suppress(OSError):  # a port that is gone cannot be closed in order
                 self._port.close()
             self._port = None
 

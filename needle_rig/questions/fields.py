@@ -11,7 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from needle_rig.errors import BadInput
 
 SHOWN = 60
-"""Characters of a wrong value that are told."""
+"""Characters of a wrong value that are shown."""
 _NUMBERS: Mapping[type, tuple[type, str]] = {
     bool: (bool, "true or false"),
     int: (Integral, "a whole number"),

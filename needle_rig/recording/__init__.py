@@ -14,7 +14,7 @@ from needle_rig.recording.catalogue import (
 from needle_rig.recording.journal import journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import Event, RunFile
-from needle_rig.recording.retention import mark_read, retain
+from needle_rig.recording.retention import kept_text, mark_read, retain, size_bytes, to_remove
 from needle_rig.recording.tables import run_attributes, run_tables, sample_row
 from needle_rig.recording.writer import NotWritten, RunWriter, new_run
 
@@ -28,6 +28,7 @@ __all__ = [
     "find_run",
     "is_run_file",
     "journal_path",
+    "kept_text",
     "list_runs",
     "mark_read",
     "new_run",
@@ -39,5 +40,7 @@ __all__ = [
     "runs_in",
     "runs_in_journals",
     "sample_row",
+    "size_bytes",
+    "to_remove",
     "unfinished_runs",
 ]

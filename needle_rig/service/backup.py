@@ -149,7 +149,7 @@ def _usable(pack: Packed) -> RigConfig:
 
 
 def _files(top: Path, left_out: list[str]) -> Iterator[Path]:
-    """Every regular file below `top`, links followed; others are told in `left_out`."""
+    """Every regular file below `top`, links followed; others are listed in `left_out`."""
     if not top.is_dir():
         return
     for folder, names, files in os.walk(top, onerror=_unlistable):

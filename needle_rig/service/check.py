@@ -7,12 +7,13 @@ import os
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import torsional_rigidity_nm2
 from needle_rig.control.supervision import BLIND_S
-from needle_rig.recording import run_tables
+from needle_rig.recording import kept_text, run_tables, size_bytes, to_remove
 from needle_rig.service.documents import Sensors, State
 from needle_rig.service.interface import Interface
 from needle_rig.units import deg
@@ -165,6 +166,19 @@ def check_disk(config: RigConfig, free_bytes: int) -> Finding:
     verdict: Verdict = "ok" if fit >= FEW_RUNS else "warn" if fit >= NO_RUNS else "fail"
     text = f"{free_bytes / 1e9:.3g} GB free, {fit} runs of {RUN_S:g} s"
     return Finding("disk", verdict, text, "" if verdict == "ok" else "export runs and remove them")
+
+
+def check_runs(config: RigConfig, directory: Path) -> Finding:
+    """What stays of the runs, and which go when the next one ends."""
+    days, gb = config.recording.keep_days, config.recording.keep_gb
+    text = kept_text(days, gb)
+    going = to_remove(directory, days, gb)
+    if going:
+        size_gb = sum(map(size_bytes, going)) / 1e9
+        text += f"; when the next run ends: {going[0].name}"
+        text += f" to {going[-1].name}, {len(going)} runs" if len(going) > 1 else ""
+        text += f", {size_gb:.3g} GB"
+    return Finding("runs", "ok", text)
 
 
 def bytes_a_second(config: RigConfig) -> float:

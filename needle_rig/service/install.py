@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import ipaddress
 import os
 import re
 import sys
@@ -25,11 +26,13 @@ from needle_rig.service.steps import (
     WriteFile,
     links_to,
 )
-from needle_rig.service.systemd import UNIT
+from needle_rig.service.systemd import FAILED_UNIT, UNIT
 
 ACCOUNT = "needle-rig"
 """The service's user, and the group whose members may use its rig."""
 _IN_UNIT = "/opt/needle-rig/bin"
+_FAMILIES = "RestrictAddressFamilies=AF_UNIX AF_CAN AF_NETLINK"
+_NO_NETWORK = "IPAddressDeny=any"
 
 _UDEV_RULES = """\
 # Serial adapters of the rig's nodes: for the group dialout, and FTDI's do not hold bytes back for 16 ms
@@ -48,6 +51,11 @@ RequiredForOnline=no
 [CAN]
 BitRate={bit_s}
 RestartSec=100ms
+"""
+_UNMANAGED = """\
+# systemd-networkd brings this bus up; NetworkManager leaves it alone
+[keyfile]
+unmanaged-devices+=interface-name:{interface}
 """
 _VIRTUAL_NETWORK = """\
 [Match]
@@ -75,6 +83,8 @@ class Wanted:
     program: Path
     """Of the installed needle-rig."""
     start: bool = True
+    sensor_address: str | None = None
+    """IP address of a sensor on the network; None where there is none."""
 
 
 def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
@@ -95,8 +105,14 @@ def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
     if wanted.network_interface is not None:
         steps += _network_steps(place, wanted.network_interface, wanted.bitrate_kbit_s, live)
     steps.append(MakeLink(place.link, wanted.program, place.program))
-    unit = WriteFile(place.unit, unit_text(wanted.program))
-    steps += _changed(unit, live, ["systemctl", "daemon-reload"])
+    units = (
+        WriteFile(place.failed_unit, _shipped_unit(FAILED_UNIT)),
+        WriteFile(place.unit, unit_text(wanted.program, wanted.sensor_address)),
+    )
+    changed = not all(unit.is_done() for unit in units)
+    steps += units
+    if live and changed:
+        steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
     steps.append(Run(["systemctl", *_at(place), "enable", UNIT], functools.partial(_is_enabled, place, UNIT)))
     if live and wanted.start:
         steps.append(Run(["systemctl", "start", "--no-block", UNIT], is_active))
@@ -104,7 +120,7 @@ def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
 
 
 def stays(place: Installation) -> list[str]:
-    """What is left when the service was taken away, a sentence each."""
+    """What remains when the service was taken away, a sentence each."""
     told = []
     if place.runs.exists():
         told.append(f"The runs stay in {place.runs}; they are root's, and readable for everybody.")
@@ -130,13 +146,15 @@ def removal_steps(place: Installation) -> list[Step]:
     live = place.root == Path("/")
     steps: list[Step] = []
     if live:
-        steps.append(Run(["systemctl", "stop", UNIT], lambda: not is_active()))
+        steps += [
+            Run(["systemctl", "stop", unit], functools.partial(_rests, unit)) for unit in (UNIT, FAILED_UNIT)
+        ]
     enabled = functools.partial(_is_enabled, place, UNIT)
     steps.append(Run(["systemctl", *_at(place), "disable", UNIT], lambda: not enabled()))
     if links_to(place.link, place.program):  # before the unit, which tells that it is ours
         steps.append(Remove(place.link))
     reload = live and place.unit.exists()
-    steps += [Remove(path) for path in (place.unit, *place.networks(), place.udev_rules)]
+    steps += [Remove(path) for path in (place.unit, place.failed_unit, *place.networks(), place.udev_rules)]
     if reload:
         steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
     if live:
@@ -163,10 +181,29 @@ def refuse_unable(user_id: int, systemd: Path = Path("/run/systemd/system")) -> 
         raise BadInput("only root may set up a service: sudo needle-rig install-service")
 
 
-def unit_text(program: Path) -> str:
-    """The shipped unit with the folder of `program` in its PATH."""
-    text = shipped_file(f"service/{UNIT}").read_text(encoding="utf-8")
-    return text.replace(_IN_UNIT, str(program.parent))
+def unit_text(program: Path, sensor_address: str | None = None) -> str:
+    """The shipped unit with the folder of `program` in its PATH; it may reach `sensor_address` alone.
+
+    Raises BadInput for what is no IP address.
+    """
+    text = _shipped_unit(UNIT).replace(_IN_UNIT, str(program.parent))
+    if sensor_address is None:
+        return text
+    try:
+        address = ipaddress.ip_address(sensor_address)
+    except ValueError:
+        raise BadInput(
+            f"links.torque.address is {sensor_address!r}; a service may reach an IP address alone, such as"
+            " 192.168.1.1: ping shows that of a name"
+        ) from None
+    family = "AF_INET" if isinstance(address, ipaddress.IPv4Address) else "AF_INET6"
+    allowed = str(address).partition("%")[0]  # a scope is none of the firewall's
+    text = text.replace(_FAMILIES, f"{_FAMILIES} {family}")
+    return text.replace(_NO_NETWORK, f"{_NO_NETWORK}\nIPAddressAllow={allowed}")
+
+
+def _shipped_unit(name: str) -> str:
+    return shipped_file(f"service/{name}").read_text(encoding="utf-8")
 
 
 def installed_program() -> Path:
@@ -193,6 +230,9 @@ def _network_steps(place: Installation, interface: str, bitrate_kbit_s: int, liv
         text = _VIRTUAL_NETWORK.format(interface=interface)
     else:
         text = _NETWORK.format(interface=interface, bit_s=bitrate_kbit_s * 1000)
+    if place.has_network_manager:
+        unmanaged = WriteFile(place.unmanaged(interface), _UNMANAGED.format(interface=interface))
+        steps += _changed(unmanaged, live, ["systemctl", "try-reload-or-restart", "NetworkManager.service"])
     network = WriteFile(place.network(interface), text)
     on = functools.partial(_is_enabled, place, "systemd-networkd.service")
     steps.append(network)
@@ -212,7 +252,7 @@ def _network_steps(place: Installation, interface: str, bitrate_kbit_s: int, liv
 
 
 def _changed(file: WriteFile, live: bool, *commands: list[str]) -> list[Step]:
-    """The file, and what the system must be told when it is new."""
+    """The file, and what tells the system that it is new."""
     told = live and not file.is_done()
     return [file, *(Run(command, lambda: False) for command in commands if told)]
 
@@ -250,12 +290,16 @@ def _is_enabled(place: Installation, unit: str, target: str = "multi-user.target
     return (place.root / "etc/systemd/system" / target / unit).is_symlink()
 
 
-def is_active() -> bool:
-    """Whether the service runs, or is about to."""
+def is_active(unit: str = UNIT) -> bool:
+    """Whether a unit runs, or is about to."""
     from needle_rig.service.systemd import unit_standing
 
-    standing = unit_standing()
+    standing = unit_standing(unit)
     return standing is not None and standing.state in ("active", "activating", "reloading")
+
+
+def _rests(unit: str) -> bool:
+    return not is_active(unit)
 
 
 def _at(place: Installation) -> list[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.service.endpoint import sockets_for_client
-from needle_rig.service.systemd import UNIT, UnitStanding, unit_standing
+from needle_rig.service.systemd import FAILED_UNIT, UNIT, UnitStanding, unit_standing
 
 _NETWORK_PREFIX = "60-needle-rig-"
 _UNIT_PATH = re.compile(r"(?m)^Environment=PATH=([^:\s]+)")
@@ -26,6 +26,16 @@ class Installation:
     def unit(self) -> Path:
         """The systemd unit."""
         return self.root / "etc/systemd/system" / UNIT
+
+    @property
+    def failed_unit(self) -> Path:
+        """The unit that runs `on_failure`."""
+        return self.unit.with_name(FAILED_UNIT)
+
+    @property
+    def on_failure(self) -> Path:
+        """A program of this computer's own, which is run when the daemon has failed."""
+        return self.root / "etc/needle-rig/on-failure"
 
     @property
     def rig_file(self) -> Path:
@@ -79,9 +89,19 @@ class Installation:
         """What makes a virtual CAN interface."""
         return self.network(interface).with_suffix(".netdev")
 
+    def unmanaged(self, interface: str) -> Path:
+        """What keeps NetworkManager from an interface."""
+        return self.root / f"etc/NetworkManager/conf.d/{_NETWORK_PREFIX}{interface}.conf"
+
+    @property
+    def has_network_manager(self) -> bool:
+        """Whether NetworkManager is installed."""
+        return (self.root / "etc/NetworkManager").is_dir()
+
     def networks(self) -> list[Path]:
         """Every such file that is there."""
-        return sorted((self.root / "etc/systemd/network").glob(f"{_NETWORK_PREFIX}*"))
+        folders = ("etc/systemd/network", "etc/NetworkManager/conf.d")
+        return sorted(path for each in folders for path in (self.root / each).glob(f"{_NETWORK_PREFIX}*"))
 
     def signs(self, environment: Mapping[str, str] = os.environ) -> list[Path]:
         """What shows that a rig is set up here: a unit, a rig file, a socket even when nobody listens."""

@@ -104,7 +104,7 @@ class Recorder:
             self._link.send("event", time_s, kind, text)
 
     async def finish(self, result: Mapping[str, Any], time_s: float) -> None:
-        """Write what is left and the result, and wait until the file is whole; RigFault when it cannot be.
+        """Write the rest and the result, and wait until the file is whole; RigFault when it cannot be.
 
         A run whose process is gone is closed by another one, as far as it came.
         """

@@ -13,7 +13,7 @@ class Repeats:
         self._told: dict[str, tuple[float, int]] = {}
 
     def count(self, key: str, now_s: float) -> int | None:
-        """How often `key` happened since it was told last, this one included; None: tell nothing."""
+        """How often `key` happened since it was reported last, this one included; None: tell nothing."""
         told_s, withheld = self._told.get(key, (-QUIET_S, 0))
         if now_s - told_s < QUIET_S:
             self._told[key] = (told_s, withheld + 1)

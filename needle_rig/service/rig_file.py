@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,16 @@ _HEAD = """\
 # The rig of this computer. After a change: needle-rig check, then sudo systemctl restart needle-rig
 # Units are in the key names; a key that is not known here is refused with its line.
 """
+
+_KEEP = "# beyond it the oldest runs go that were exported or diagnosed; without this line all stay"
+_KEPT_SHARE = 0.5
+"""Of the disk: the rest is for runs that nobody read yet, which never go, and for all else."""
+
+
+def keep_gb(runs: Path) -> float:
+    """What runs may take on the disk of `runs`, there already or not."""
+    there = next(folder for folder in (runs, *runs.parents) if folder.exists())
+    return _KEPT_SHARE * shutil.disk_usage(there).total / 1e9
 
 
 @dataclass(frozen=True)
@@ -27,6 +38,8 @@ class Answers:
     length_mm: float
     diameter_mm: float
     shear_modulus_gpa: float
+    keep_gb: float
+    """What all runs may take before the oldest that were read go."""
 
     @property
     def network_interface(self) -> str | None:
@@ -51,7 +64,7 @@ def rig_file_text(answers: Answers, runs: Path) -> str:
         ("length_mm", f"{answers.length_mm:g}"),
         ("diameter_mm", f"{answers.diameter_mm:g}"),
         ("shear_modulus_gpa", f"{answers.shear_modulus_gpa:g}"),
-        ("directory", _quoted(str(runs))),
+        ("directory", f"{_quoted(str(runs))}\n  keep_gb: {answers.keep_gb:.3g}   {_KEEP}"),
     ):
         text = _with(text, key, value)
     parse_rig_config(text, "the rig file of these answers")

@@ -6,6 +6,8 @@ import subprocess
 from dataclasses import dataclass
 
 UNIT = "needle-rig.service"
+FAILED_UNIT = "needle-rig-failed.service"
+"""What systemd starts when the daemon has failed."""
 LOG = "journalctl -u needle-rig"
 """How a person reads the service's log."""
 _TIMEOUT_S = 3.0

@@ -33,7 +33,7 @@ class Motion:
 def base_path(motions: tuple[Motion, ...], time_s: Array, lag_s: float = LAG_S) -> Array:
     """Angle of the base at `time_s` (samples,): no overshoot, no steady error.
 
-    Response of 1/(1 + s·lag)² to the ramps, each motion's added to what is left of those before.
+    Response of 1/(1 + s·lag)² to the ramps, each motion's added to the remains of those before.
     """
     angle = np.full(len(time_s), motions[0].from_rad if motions else 0.0, dtype=np.float64)
     for motion in motions:

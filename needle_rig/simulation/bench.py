@@ -126,7 +126,7 @@ class Bench:
         self.ports = {name: said[name] for name in ("can", "hall", "torque") if name in said}
 
     def kill(self) -> None:
-        """End it at once, whatever it does; `close` takes away what is left."""
+        """End it at once, whatever it does; `close` takes away the rest."""
         self._process.kill()
 
     @property

@@ -31,7 +31,7 @@ def data_hash(paths: Sequence[str]) -> str:
 
 
 def model_hash(model: str | None, effects: Iterable[str]) -> str:
-    """Of a model file or the name of a parameter set, with the effects that the model can be told from."""
+    """Of a model file, or of the name of a parameter set, and of all effects that can be used."""
     whole = hashlib.sha256(VERSION.encode())
     if model is not None:
         path = Path(model)

@@ -91,7 +91,7 @@ class Job:
         return self.state in ("waiting", "running")
 
     def as_json(self) -> Document:
-        """What the page shows; the time left is that of the present step, None where it cannot be told."""
+        """What the page shows; the time left is that of the present step, None where it is unknown."""
         left_s = None
         if self.state == "running" and 0 < self.done < self.total:
             spent_s = time.monotonic() - self.step_begun_s

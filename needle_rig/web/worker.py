@@ -64,7 +64,7 @@ def main() -> None:
         voice.tell(error=str(error))
     except MemoryError:
         voice.tell(error=too_large())
-    except Exception:  # noqa: BLE001 - a defect is told to the page in a line, and whole on stderr
+    except Exception:  # noqa: BLE001 - the page gets a defect in a line, and whole on stderr
         traceback.print_exc()
         said = traceback.format_exc().strip().splitlines()[-1]
         voice.tell(error=f"a defect of this program: {said}")

@@ -361,7 +361,7 @@ class VerdictPolicy:
     distinct_share: float = _threshold(
         0.1, "share of a pattern that those found before must leave for it to be another", CHOSEN, _RULES
     )
-    patterns: int = _threshold(5, "patterns that are told", CHOSEN, _RULES)
+    patterns: int = _threshold(5, "patterns that are reported", CHOSEN, _RULES)
     lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)
     reached: float = _threshold(
         1.3,

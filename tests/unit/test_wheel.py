@@ -1,17 +1,18 @@
-"""The built wheel works from any folder, with the files that it ships and with a user's own."""
+"""The wheel, built from the sdist, works from any folder, with its shipped files and with a user's own."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-import zipfile
+import tarfile
 from pathlib import Path
 
 import pytest
 
+from needle_rig.version import VERSION
+
 ROOT = Path(__file__).parents[2]
-BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
 LOOK = """
 from needle_rig.config.loader import find_config_file, load_rig_config
 for name in ("rig.yaml", "needle_rig.dbc", "parameters/rig_elastic.yaml", "datasets/reed2008/settled.yaml"):
@@ -21,16 +22,27 @@ print(load_rig_config().name)
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package as a wheel installs it."""
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the sdist, and with the wheel that is built from it, as a release has them."""
+    pytest.importorskip("build")
     pytest.importorskip("hatchling")
-    folder = tmp_path_factory.mktemp("wheel")
-    name = subprocess.run(
-        [sys.executable, "-c", BUILD, str(folder)], cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout.split()[-1]
-    with zipfile.ZipFile(folder / name) as wheel:
-        wheel.extractall(folder / "site")
-    return folder / "site"
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)],
+        check=True,
+        capture_output=True,
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def site(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that the wheel is installed in."""
+    folder = tmp_path_factory.mktemp("site")
+    (wheel,) = built.glob("*.whl")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target"]
+    subprocess.run([*pip, str(folder), str(wheel)], check=True, capture_output=True)
+    return folder
 
 
 def python(site: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -38,6 +50,21 @@ def python(site: Path, folder: Path, *arguments: str) -> subprocess.CompletedPro
     return subprocess.run(
         [sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
+
+
+def test_both_have_the_version_of_the_package(built: Path) -> None:
+    names = {path.name for path in built.iterdir()}
+    assert names == {f"needle_rig-{VERSION}.tar.gz", f"needle_rig-{VERSION}-py3-none-any.whl"}
+    with tarfile.open(built / f"needle_rig-{VERSION}.tar.gz") as sdist:
+        held = {name.split("/", 1)[1] for name in sdist.getnames() if "/" in name}
+    assert {"CITATION.cff", "LICENSE", "tests/unit/test_wheel.py", "requirements.lock"} <= held
+
+
+def test_the_installed_program_tells_its_version(site: Path, tmp_path: Path) -> None:
+    told = python(site, tmp_path, str(site / "bin/needle-rig"), "--version")
+    assert told.stdout == f"needle-rig, version {VERSION}\n", told.stderr
+    listed = python(site, tmp_path, "-c", "import importlib.metadata as m; print(m.version('needle-rig'))")
+    assert listed.stdout.strip() == VERSION
 
 
 def test_shipped_files_are_found_from_any_folder(site: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ class Effort:
         self._whole = whole
 
     def part(self, share: float) -> Effort:
-        """A share of what is left; what it does not spend stays with the whole."""
+        """A share of the rest; what it does not spend stays with the whole."""
         return Effort(share * self.left, self)
 
     def truth(self, model: NeedleModel, trial: Trial, state: RodState) -> Solution:

@@ -9,7 +9,7 @@ Budynas, Nisbett, "Shigley's Mechanical Engineering Design", 10th ed. (2015), ch
 ch. 16-10.
 
 Shows best: any series with the base at one angle before and after: all sensors jump by the same angle and
-stay. Angles of sensors that are told in one trial alone cannot tell it from their zeros.
+stay. Angles of sensors in one trial alone cannot tell it from their zeros.
 """
 
 from collections.abc import Sequence

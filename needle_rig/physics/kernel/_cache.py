@@ -26,7 +26,7 @@ from numba.core.caching import (
 
 FOLDER = Path(__file__).parent
 TOLD = "NEEDLE_RIG_TOLD_OF_NO_CACHE"
-"""Variable of the environment that is set when a person was told."""
+"""Variable of the environment that is set when a person was warned."""
 
 
 def _stamp() -> str:

@@ -19,7 +19,7 @@ function LearntLaw({ law, busy, add }) {
   return html`<section class="law" aria-label=${law.words}><h4>${law.words}</h4>
     <p>${law.formula ? html`As a formula: <strong>${law.formula}</strong>. ` : null}Error on commands left out ${number(law.held_out_before, 2)} → <strong>${number(law.held_out_after, 2)}</strong> times the noise.</p>
     <ul>${law.parameters.map((/** @type {any} */ p) => html`<li>${parameter(p.name)} = ${measured(p.value, p.uncertainty)} ${p.unit === "1" ? "" : p.unit}</li>`)}
-      ${law.tied_with.map((/** @type {string} */ other) => html`<li>cannot be told from: ${other}</li>`)}
+      ${law.tied_with.map((/** @type {string} */ other) => html`<li>cannot be told apart from: ${other}</li>`)}
       ${law.experiment ? html`<li><strong>Would tell them apart:</strong> ${law.experiment}</li>` : null}</ul>
     <${Plot} label=${`${law.words}: the curve with its 95 % band`} unit=${`curve${unit}`} time=${along} height=${240} band=${true}
       series=${[line("curve where data are", "--model", { width: 2 }), line("beyond the data", "--quiet", { dash: [4, 4] }), line("95 %", "--band", { width: 0.5 }), line("95 % (low)", "--band", { width: 0.5 }),

@@ -27,7 +27,7 @@ SETTLE_S = 3.0
 ANGLE_LIMIT_DEG = 720.0
 STARTS = ("relaxed", "wound")
 NEEDS_OTHERS = ("protocol",)
-"""Strategies that only carry out what they are told."""
+"""Strategies that only carry out a given sequence."""
 MUCH_BETTER = 3.0
 """Ratio of worst errors below which the reason is given why planning gains no more."""
 FARTHEST_TARGET_DEG = 360.0

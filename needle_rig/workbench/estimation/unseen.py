@@ -15,7 +15,7 @@ from needle_rig.workbench.estimation.problem import Problem
 def unseen_names(problem: Problem, found: Fit) -> list[str]:
     """The shared parameters that all readings together see less than `UNSEEN`, as files call them.
 
-    Parameters are told in e-folds or typical sizes: the readings would know one to 30 of them at best.
+    Parameters are given in e-folds or typical sizes: the readings would know one to 30 of them at best.
     """
     names = (FRICTION, TORSIONAL_RIGIDITY, *(f"{p.effect}.{p.name}" for p in found.parameters))
     linear = LinearisedFit.of(problem, found)

@@ -71,7 +71,7 @@ _VARIABLE_WORDS: dict[str, str] = {
 class Law:
     """A place in one of the four hooks of an effect, and a variable; its curve stands apart.
 
-    In the JSON answer laws are told by hook, place and variable; the kind stands in words and formula.
+    In the JSON answer laws are given by hook, place and variable; the kind stands in words and formula.
     """
 
     hook: Hook

@@ -332,12 +332,12 @@ def changes_matter(changes: Sequence[Array], torque_scale: float) -> bool:
 
 
 def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:
-    """The laws that cannot be told from the first."""
+    """The laws that cannot be told apart from the first."""
     if not found:
         return ()
     ties, known = [], [found[0].law]
     for each in found[1:]:
-        # two kinds of one law, as two widths of a play, are told alike
+        # two kinds of one law, as two widths of a play, are reported alike
         if each.score < found[0].score + POLICY.ties.close and not any(each.law.same(k) for k in known):
             ties.append(each)
             known.append(each.law)

@@ -16,7 +16,7 @@ from needle_rig.workbench.observations.noise import covariance
 from needle_rig.workbench.selection.documents import PlaceError
 
 WORST, WORST_OF_A_CHANNEL = 8, 2
-"""Places that are told, and those of one channel."""
+"""Places that are reported, and those of one channel."""
 NOISE_LIMIT = 3.0
 """Error in units of the noise above which a place is reported."""
 FEWEST_DEPTHS = 3

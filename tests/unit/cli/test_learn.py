@@ -92,7 +92,7 @@ def test_a_law_is_told_with_its_numbers_its_ties_and_the_next_step(
     told = capsys.readouterr()
     assert "times = 2 ± 0.001\n" in told.out
     assert "sine_nmm_per_100mm = 0.05 ± 0.002 N·mm per 100 mm\n" in told.out
-    assert "cannot be told from: a torque along the tissue" in told.out
+    assert "cannot be told apart from: a torque along the tissue" in told.out
     assert "next: a trial would tell." in told.out
     assert f"adopt it: needle-rig adopt {answered} found --effects {tmp_path} --out MODEL.yaml\n" in told.out
     assert f"wrote {draft}\n" in told.err

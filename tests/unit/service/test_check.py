@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +14,7 @@ from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.bus_watch import frame_bits
+from needle_rig.recording import mark_read, retain
 from needle_rig.service import check
 from needle_rig.service.interface import Interface, parse
 from needle_rig.service.rates import Rates
@@ -115,6 +118,23 @@ def test_the_disk_is_judged_by_the_runs_that_fit(runs: float, verdict: str) -> N
     # a run of the bench took 4.6 MB in 23 s
     assert 0.1e6 < check.bytes_a_second(RIG) < 0.4e6
     assert check.check_disk(RIG, int(runs * run_bytes)).verdict == verdict
+
+
+def test_check_says_which_runs_go_next(tmp_path: Path) -> None:
+    limited = changed(recording={"keep_gb": 0.05})
+    assert check.check_runs(RIG, tmp_path / "none").text.startswith("every run stays")
+    retain(tmp_path, None, 1.0)
+    for number in range(3):
+        run_file = tmp_path / f"run_{number}.h5"
+        with run_file.open("wb") as file:
+            file.truncate(40_000_000)
+        os.utime(run_file, (number, number))
+        mark_read(run_file)
+    found = check.check_runs(limited, tmp_path)
+    assert found.verdict == "ok"
+    assert found.text.endswith("when the next run ends: run_0.h5 to run_1.h5, 2 runs, 0.08 GB")
+    assert retain(tmp_path, None, 0.05).removed == (tmp_path / "run_0.h5", tmp_path / "run_1.h5")
+    assert "when the next" not in check.check_runs(limited, tmp_path).text
 
 
 SENSORS: Any = {

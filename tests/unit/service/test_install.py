@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -61,6 +62,8 @@ def test_all_that_a_service_needs_is_there(place: Installation) -> None:
         HALL,
     )
     assert rig.recording.directory == "/var/lib/needle-rig"
+    half_gb = shutil.disk_usage(place.root).total / 2e9
+    assert rig.recording.keep_gb == pytest.approx(half_gb, rel=0.01)
     network = place.network("can0").read_text()
     assert "Name=can0" in network
     assert "BitRate=500000" in network
@@ -99,7 +102,8 @@ def test_a_dry_run_shows_every_file_and_makes_none(
     assert put_in_place(place, "--hall", HALL, "--dry-run") == 0
     shown = capsys.readouterr().out
     assert files(place) == before
-    for path in (place.rig_file, place.unit, place.udev_rules, place.network("can0"), place.sysusers):
+    units = (place.unit, place.failed_unit)
+    for path in (place.rig_file, *units, place.udev_rules, place.network("can0"), place.sysusers):
         assert f"write {path}\n" in shown
     assert HALL in shown
     assert "systemd-sysusers" in shown
@@ -238,7 +242,7 @@ def test_what_cannot_be_used_is_refused_before_anything_is_done(
 
 
 def test_an_answer_is_text_whatever_it_looks_like() -> None:
-    answers = Answers("it's: {a} # rig", "can0", 1000, "/dev/tty'x: 1", 397, 0.39, 27.2)
+    answers = Answers("it's: {a} # rig", "can0", 1000, "/dev/tty'x: 1", 397, 0.39, 27.2, 50.0)
     text = rig_file_text(answers, Path("/a b/c"))
     assert "'it''s: {a} # rig'" in text
     assert "/dev/tty''x: 1" in text
@@ -246,6 +250,97 @@ def test_an_answer_is_text_whatever_it_looks_like() -> None:
 
 def test_the_unit_runs_the_needle_rig_that_installed_it() -> None:
     assert "Environment=PATH=/srv/venv/bin:/usr/bin:/bin" in unit_text(Path("/srv/venv/bin/needle-rig"))
+
+
+def test_what_runs_stay_is_said(place: Installation, capsys: pytest.CaptureFixture[str]) -> None:
+    put_in_place(place, "--hall", HALL)
+    said = capsys.readouterr().out
+    assert (
+        "Runs that were exported or diagnosed are removed: the oldest while all runs take more than" in said
+    )
+    lines = place.rig_file.read_text().splitlines(keepends=True)
+    place.rig_file.write_text("".join(line for line in lines if "keep_gb" not in line))
+    put_in_place(place, "--member", "anna")
+    assert "Every run stays, until the disk is full" in capsys.readouterr().out
+
+
+def named(place: Installation, tmp_path: Path, torque: str) -> int:
+    """The exit code for the shipped rig file with another torque sensor."""
+    text = shipped_file("rig.hardware.yaml").read_text(encoding="utf-8")
+    rig_file = tmp_path / "rig.yaml"
+    units = "position_units_per_turn: 409600, velocity_units_per_rpm: 100"
+    others = f"  drive: {{device: cia402, node_id: 5, {units}}}\n  torque: {torque}\n"
+    rig_file.write_text(text.replace("links:\n", f"links:\n{others}", 1))
+    return put_in_place(place, "--rig-file", str(rig_file))
+
+
+@pytest.mark.parametrize(
+    ("address", "family"), [("192.168.1.1", "AF_INET"), ("fe80::1", "AF_INET6")], ids=["IPv4", "IPv6"]
+)
+def test_a_sensor_on_the_network_may_be_reached_and_nothing_else(
+    place: Installation, tmp_path: Path, address: str, family: str
+) -> None:
+    assert named(place, tmp_path, f"{{device: netft, address: '{address}'}}") == 0
+    unit = place.unit.read_text()
+    assert f"RestrictAddressFamilies=AF_UNIX AF_CAN AF_NETLINK {family}\n" in unit
+    assert f"IPAddressDeny=any\nIPAddressAllow={address}\n" in unit
+    before = files(place)
+    assert put_in_place(place) == 0
+    assert files(place) == before
+
+
+def test_a_sensor_that_leaves_the_rig_file_leaves_the_unit(place: Installation, tmp_path: Path) -> None:
+    named(place, tmp_path, "{device: netft, address: 192.168.1.1}")
+    text = place.rig_file.read_text()
+    lines = text.splitlines(keepends=True)
+    devices = ("  torque: {device", "  drive: {device")
+    place.rig_file.write_text("".join(line for line in lines if not line.startswith(devices)))
+    assert put_in_place(place) == 0
+    assert "IPAddressAllow" not in place.unit.read_text()
+
+
+def test_a_sensor_by_its_name_is_refused_with_what_to_do(
+    place: Installation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files(place)
+    assert named(place, tmp_path, "{device: netft, address: sensor.lab}") == 2
+    assert (
+        "links.torque.address is 'sensor.lab'; a service may reach an IP address" in capsys.readouterr().err
+    )
+    assert files(place) == before
+
+
+def test_networkmanager_leaves_the_bus_alone_where_it_is_installed(place: Installation) -> None:
+    put_in_place(place, "--hall", HALL)
+    assert not (place.root / "etc/NetworkManager").exists()
+    (place.root / "etc/NetworkManager").mkdir()
+    assert put_in_place(place) == 0
+    told = place.unmanaged("can0").read_text().splitlines()
+    assert told[-2:] == ["[keyfile]", "unmanaged-devices+=interface-name:can0"]
+    assert put_in_place(place, "--remove") == 0
+    assert not place.unmanaged("can0").exists()
+
+
+def test_a_failure_runs_a_program_of_this_computer(place: Installation) -> None:
+    put_in_place(place, "--hall", HALL)
+    assert f"OnFailure={place.failed_unit.name}\n" in place.unit.read_text()
+    hook = place.failed_unit.read_text()
+    program = f"/{place.on_failure.relative_to(place.root)}"
+    assert f"ConditionFileIsExecutable={program}\n" in hook
+    assert f"timeout 60 {program} {place.unit.name}\n" in hook
+    put_in_place(place, "--remove")
+    assert not place.failed_unit.exists()
+
+
+def test_systemd_takes_both_units(place: Installation, tmp_path: Path) -> None:
+    if not shutil.which("systemd-analyze"):
+        pytest.skip("no systemd-analyze here")
+    put_in_place(place, "--hall", HALL)
+    for unit in (place.unit, place.failed_unit):
+        (tmp_path / unit.name).write_text(unit.read_text())
+    names = [str(tmp_path / unit.name) for unit in (place.unit, place.failed_unit)]
+    done = subprocess.run(["systemd-analyze", "verify", *names], capture_output=True, text=True)
+    assert not [line for line in done.stderr.splitlines() if str(tmp_path) in line], done.stderr
 
 
 def test_nothing_is_begun_without_systemd_or_without_root(tmp_path: Path) -> None:
