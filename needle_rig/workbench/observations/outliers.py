@@ -10,7 +10,7 @@ from needle_rig.numerics import Array
 from needle_rig.workbench.policy import POLICY
 
 NEIGHBOURS = 5
-"""Window of the median that outliers are told by."""
+"""Window of the median that outliers are compared with."""
 MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 ALLOWANCE = 1.3

@@ -33,7 +33,7 @@ class OddTrial:
     """Its place in the series."""
     file: str
     left: float
-    """Root mean square of what is left in it, in units of the noise."""
+    """Root mean square of the residual in it, in units of the noise."""
     others: float
     """The same of all others together."""
     p: float

@@ -18,7 +18,7 @@ from needle_rig.workbench.selection.search import SearchTrace
 TOLD_PULL_SIGMAS = 3.0
 """Pull of the stated rigidity from which it is reported against an effect."""
 TOLD_RIVALS = 2
-"""Ties that are told against an effect, the closest first."""
+"""Ties that are reported against an effect, the closest first."""
 
 
 def order(search: SearchTrace, named: list[str]) -> list[str]:

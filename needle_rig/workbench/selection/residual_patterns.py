@@ -134,7 +134,7 @@ def testable(left: Array, whole: Array) -> npt.NDArray[np.bool_]:
 
 
 def distinct(left: Array) -> npt.NDArray[np.bool_]:
-    """Which functions of unit length still differ from the patterns picked before, by what is left of
+    """Which functions of unit length still differ from the patterns picked before, by what remains of
     them."""
     return np.asarray(left > POLICY.verdict.distinct_share)
 

@@ -56,7 +56,7 @@ def noise_not_reached(found: Findings) -> str | None:
     """Commands left out are not predicted to within the noise.
 
     Where effects are named and leave no pattern, few commands leave their sizes open: then the trials that
-    were fitted are to be met. A needle that snaps is told by `stick_slip`.
+    were fitted are to be met. `stick_slip` reports a needle that snaps.
     """
     return None if found.snaps else _missed(found)
 
