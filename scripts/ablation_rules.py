@@ -47,7 +47,7 @@ Off = Callable[[], list[Undo]]
 REMEMBERED: tuple[tuple[Any, str], ...] = (
     (map_fit, "fit"),
     (multistart, "lowest_fit"),
-    (multistart, "through_valleys"),
+    (multistart, "over_forms"),
     (multistart, "over_strength"),
     (cross_validation, "cross_validate"),
     (screening, "screen"),
@@ -283,7 +283,7 @@ RULES: tuple[Rule, ...] = (
     Rule("cross-validation must improve", gives(search, "improves_cross_validation", _always)),
     Rule("pull of the rigidity stands in for it", gives(evidence, "relieves_pull", _never)),
     # fits
-    Rule("fit along valleys", gives(candidates, "through_valleys", _as_fitted)),
+    Rule("fit from other forms", gives(candidates, "over_forms", _as_fitted)),
     # the verdict
     *(Rule(f"verdict: {rule.__name__}", without_verdict(rule)) for rule in verdict.RULES),
     Rule("verdict: values beyond what is plausible", gives(diagnose, "contrived", _none)),

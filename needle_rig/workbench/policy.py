@@ -162,7 +162,7 @@ class ScreeningPolicy:
     """Which starts are tried before an effect is fitted."""
 
     strengths: tuple[float, ...] = _threshold(
-        (0.1, 0.5, 1.5, 5.0),
+        (0.1, 0.5, 1.5),
         "sizes, in typical ones, at which an effect is simulated: dry friction answers differently to each",
         "derivatives at 0 miss slip",
         _RULES,

@@ -272,21 +272,6 @@ class LinearisedFit:
             1, int((np.linalg.eigvalsh(free.T @ left @ free) > POLICY.evidence.seen_information).sum())
         )
 
-    def loosest(self) -> Array | None:
-        """One standard deviation (P,) along the least certain direction of the scaled values, all others
-        profiled.
-
-        None where there is no such direction.
-        """
-        places = np.arange(2, self.p)
-        spread = self._inverse[np.ix_(places, places)]
-        size = np.sqrt(np.diag(spread))
-        if not places.size or not np.all(size > 0.0):
-            return None
-        variances, directions = np.linalg.eigh(spread / np.outer(size, size))
-        along = np.sqrt(max(variances[-1], 0.0)) * size * directions[:, -1]
-        return np.asarray(self._inverse[:, places] @ np.linalg.lstsq(spread, along, rcond=1e-12)[0])
-
     @cached_property
     def information(self) -> tuple[Array, ...]:
         """Each trial's information on the shared parameters (s, s), its random effect profiled out."""

@@ -48,8 +48,6 @@ class Fit:
     """−2 log posterior with its log-determinants, up to a constant shared by all fits of a problem."""
     chi2: float
     """Sum of squared whitened residuals."""
-    trial_loss: Array
-    """Each trial's contribution to the objective (T,)."""
     pull_rigidity: float
     """Rigidity's distance from its stated value in prior standard deviations."""
     scatter: float
@@ -223,14 +221,8 @@ def _finish(
     linear = LinearisedFit.at(
         problem, objective.parameters, x, residuals, jacobians, objective.random_effect_precision(x)
     )
-    recorded, blocks = objective.recorded, objective.blocks
-    random_effects = objective.random_effects(x)
-    room = noise.scatter_dof * noise.scatter**2
-    seen = np.bincount(recorded, [t.random_effect @ t.random_effect for t in linear.trials])
+    seen = np.bincount(objective.recorded, [t.random_effect @ t.random_effect for t in linear.trials])
     log_det = np.log1p(seen * noise.scatter**2)
-    share = np.log1p((random_effects**2).sum() / room) * (noise.scatter_dof + random_effects.size)
-    part = random_effects**2 / max((random_effects**2).sum(), 1e-30)
-    loss = np.array([r @ r for r in residuals]) + ((log_det + share * part) / blocks)[recorded]
     return Fit(
         effects=effects,
         parameters=objective.parameters,
@@ -238,10 +230,9 @@ def _finish(
         nuisance=x[p + trials :].copy(),
         objective=value + float(log_det.sum()),
         chi2=sum_of_squares(residuals),
-        trial_loss=loss,
         pull_rigidity=float((x[1] - objective.stated) / problem.rigidity_prior),
         scatter=objective.random_effect_precision(x) ** -0.5,
-        scatter_dof=noise.scatter_dof + random_effects.size,
+        scatter_dof=noise.scatter_dof + seen.size,
         covariance=linear.covariance,
         residuals=tuple(residuals),
         jacobians=tuple(t.columns[:, : p + 1] for t in linear.trials),

@@ -1,4 +1,4 @@
-"""Searches among the minima of a jagged objective: valleys that bend, shapes that lie close together."""
+"""Searches among the minima of a jagged objective: strengths, and shapes that lie close together."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
-from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 
 MOST_WALKS = 4
@@ -23,9 +21,6 @@ FACTORS = (1.4, 0.7, 2.0, 0.5)
 """Strength of an effect, in that of a fit, from which it is restarted, by half octaves: where initial twists
 are unknown, a node that friction holds, or just not, in one hold makes a valley of its own."""
 
-VALLEY_SIGMAS = (3.0, -3.0, 10.0, -10.0, 30.0, -30.0, 100.0, -100.0)
-"""Points along the least certain direction, in its standard deviations, at which the objective is looked
-at."""
 WORTH_GOING_ON = 1.0
 """Fall of the objective from which a lower minimum is itself a start."""
 
@@ -45,24 +40,6 @@ def lowest_fit(
         if found is not None and (best is None or found.objective < best.objective - OBJECTIVE_TOLERANCE):
             best = found
     return best
-
-
-def through_valleys(problem: Problem, found: Fit) -> Fit:
-    """A fit, restarted from lower points along the direction that the data determine least.
-
-    Along that valley the objective changes by less than the error of its finite-difference derivatives, so a
-    fit may stop far from the minimum. Form parameters make the valley curved, which a straight line leaves: a
-    fit that stays above the noise is also restarted from other forms.
-    """
-    for _ in range(MOST_WALKS):
-        lower = _along_valley(problem, found)
-        if lower is None:
-            break
-        again = fit(problem, found.effects, lower[0], nuisance=lower[1])
-        if again is None or again.objective >= found.objective - OBJECTIVE_TOLERANCE:
-            break
-        found = again
-    return over_forms(problem, found) if excess(problem, found.objective) > 0.0 else found
 
 
 def over_strength(problem: Problem, effects: Sequence[str], start: ParameterVector) -> Fit | None:
@@ -123,23 +100,3 @@ def _from_other_forms(problem: Problem, found: Fit) -> list[Fit]:
                 start = dataclasses.replace(found.vector, scaled_values=scaled_values)
                 fits.append(fit(problem, found.effects, start, nuisance=found.nuisance))
     return [f for f in fits if f is not None]
-
-
-def _along_valley(problem: Problem, found: Fit) -> tuple[ParameterVector, Array] | None:
-    """The lowest point along the least certain direction of a fit, with its nuisances; None if none is lower.
-
-    All other parameters follow as the linearised fit says.
-    """
-    objective = Objective(problem, found.parameters, found.vector.scaled_values)
-    at = objective.packed(found.vector, found.nuisance)
-    move = LinearisedFit.of(problem, found).loosest()
-    if move is None:
-        return None
-    lowest, lower = found.chi2 + objective.prior(at) - OBJECTIVE_TOLERANCE, None
-    for sigmas in VALLEY_SIGMAS:
-        moved = np.clip(at + sigmas * move, objective.low, objective.high)
-        residuals = objective.residuals(moved)
-        value = np.inf if residuals is None else sum_of_squares(residuals) + objective.prior(moved)
-        if value < lowest:
-            lowest, lower = value, moved
-    return None if lower is None else (objective.unpacked(lower), lower[objective.p + objective.trials :])

@@ -8,7 +8,7 @@ import numpy as np
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit, fit
-from needle_rig.workbench.estimation.multistart import lowest_fit, through_valleys
+from needle_rig.workbench.estimation.multistart import lowest_fit, over_forms
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
@@ -72,7 +72,8 @@ def fitted(problem: Problem, parent: Fit, candidate: Candidate) -> Candidate:
     if best is not None and refinable(problem, best):
         if parent.objective - best.objective > POLICY.search.promising:
             best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
-        best = through_valleys(problem, best)
+        if excess(problem, best.objective) > 0.0:
+            best = over_forms(problem, best)
     room = 1.0 + WORSE_FITS * EXCESS_TOLERANCE * excess(problem, parent.objective)
     if starts and (best is None or best.objective > parent.objective + room):
         # from the parent's optimum with the effect off nothing can become worse

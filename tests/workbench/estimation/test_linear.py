@@ -172,18 +172,6 @@ def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_
     assert toy(blind=True).rank == 3
 
 
-def test_the_loosest_direction_is_the_one_in_which_two_parameters_stand_for_each_other() -> None:
-    linear = toy(alike=True)
-    move = linear.loosest()
-    assert move is not None
-    rows, _ = dense(linear, mean_of_trials=True)
-    assert move[3] == pytest.approx(-move[4], rel=0.01)
-    assert np.abs(move[[2, 5]]).max() < 0.02 * abs(move[3])
-    assert np.linalg.norm(rows @ move) == pytest.approx(1.0, rel=0.01)
-    others = np.r_[0, 1, P : P + T + Q]
-    assert np.abs((rows.T @ rows @ move)[others]).max() < 1e-3 * np.abs(rows.T @ rows)[others].max()
-
-
 def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it() -> None:
     random = np.random.default_rng(7)
     covariance = np.diag([0.1, 0.2, 0.05]) + 0.02
