@@ -196,28 +196,58 @@ def with_starts_of(baseline: Baseline, given: Dataset, found: Fit | None = None)
     `given` are the trials as recorded. Twists and fit are found in turn, while −2 log density falls by more
     than a fit's tolerance.
     """
-    if not any(trial.start_found for trial in baseline.dataset.trials):
-        return baseline
-    problem, found, best = baseline.problem, found or baseline.current, None
-    lowest = _deviance(problem, found)
-    for _ in range(ROUNDS):
+    taken = starts_beside(baseline, given, found or baseline.current)
+    return baseline if taken is None else under_starts(baseline, taken)
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Initial twists of a dataset, with the fit that they were found beside and its −2 log density."""
+
+    dataset: Dataset
+    problem: Problem
+    fit: Fit
+    deviance: float
+
+
+def under_starts(baseline: Baseline, starts: Starts) -> Baseline:
+    """The baseline from these initial twists; itself where the model cannot be solved there."""
+    return _fitted(dataclasses.replace(baseline, dataset=starts.dataset), starts.problem)
+
+
+def starts_are_unknown(baseline: Baseline) -> bool:
+    """Whether initial twists were found beside the model, instead of recorded."""
+    return any(trial.start_found for trial in baseline.dataset.trials)
+
+
+def starts_beside(baseline: Baseline, given: Dataset, found: Fit, *, at_once: bool = False) -> Starts | None:
+    """The initial twists that the fit `found` holds; None where those that are known do as well.
+
+    `at_once`: those of its present values, which lie at no minimum, and one fit from there.
+    """
+    if not starts_are_unknown(baseline):
+        return None
+    problem, best = baseline.problem, None
+    lowest = np.inf if at_once else deviance(problem, found)
+    for _ in range(1 if at_once else ROUNDS):
         try:
             shaft = problem.model(found.parameters, found.vector)
             dataset = judged(given, shaft)
             here = problem.over([bin_trial(t) for t in dataset.trials])
-            again = over_strength(here, found.effects, found.vector)
+            again = (fit if at_once else over_strength)(here, found.effects, found.vector)
         except (BadInput, SolverError):
             break
         if again is None:
             break
-        reached = _deviance(here, again)
+        reached = deviance(here, again)
         if reached > lowest - SAME * here.size:
             break
-        problem, found, best, lowest = here, again, dataset, reached
-    return baseline if best is None else _fitted(dataclasses.replace(baseline, dataset=best), problem)
+        problem, found, lowest = here, again, reached
+        best = Starts(dataset, here, again, reached)
+    return best
 
 
-def _deviance(problem: Problem, found: Fit) -> float:
+def deviance(problem: Problem, found: Fit) -> float:
     """−2 log density of a fit, with that of the noise."""
     return found.objective + sum(w.log_det for w in problem.whiteners)
 

@@ -14,11 +14,14 @@ from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import (
     Baseline,
     as_baseline,
+    deviance,
     fit_baseline,
+    starts_are_unknown,
     with_starts_of,
 )
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
@@ -37,6 +40,7 @@ from needle_rig.workbench.selection.notes import (
     partial,
 )
 from needle_rig.workbench.selection.odd_trial import odd_trial, without
+from needle_rig.workbench.selection.own_starts import with_own_starts
 from needle_rig.workbench.selection.ranking import order, rank
 from needle_rig.workbench.selection.residual_patterns import find_residual_patterns
 from needle_rig.workbench.selection.rivals import Rival, find_rivals
@@ -50,7 +54,7 @@ QUICK = (
     " chance; whether a second is missing, and what else could stand beside it, was not asked. Without"
     " quick it is."
 )
-MOST_TURNS = 4
+MOST_TURNS = 6
 """Searches, each under the noise that shows beside what the last one found. Two are enough, as a rule."""
 
 
@@ -116,25 +120,41 @@ def diagnose(
         names = baseline.problem.candidates(baseline.current.effects)
         say("trying every effect")
 
-        def competed(of: Baseline, given: Dataset) -> tuple[Baseline, SearchTrace]:
-            """Effects, then the noise and the initial twists beside them, in turn until none changes."""
-            begin: Fit | None = None
-            for turn in range(1, MOST_TURNS + 1):
+        def in_turns(of: Baseline, given: Dataset, begin: Fit | None) -> tuple[Baseline, SearchTrace]:
+            """Effects, then the noise and the initial twists beside them, in turn until none changes.
+
+            Where initial twists are unknown, each turn adds one effect: under those of a model that lacks
+            something, a second one would stand for them.
+            """
+            most = 1 if starts_are_unknown(of) else max_effects
+            for turn in range(MOST_TURNS):
                 trace = search(
                     *(of.problem, names, of.current, of.validation),
-                    max_effects=max_effects,
+                    max_effects=most,
                     work=at,
                     quick=quick,
                     begin=begin,
                 )
-                other = renewed(of, given, trace) if turn < MOST_TURNS else None
-                if other is None:
+                other = renewed(of, given, trace) if turn + 1 < MOST_TURNS else None
+                if other is None and (most == max_effects or len(trace.named(trace.best)) < most):
                     break
-                of, told = other
-                say(told)
+                if other is not None:
+                    of, told = other
+                    say(told)
+                most = min(most + 1, max_effects)
                 best, _ = trace.fits[trace.best]
                 begin = fit(of.problem, best.effects, best.vector)
             return of, trace
+
+        def competed(of: Baseline, given: Dataset) -> tuple[Baseline, SearchTrace]:
+            """In turns, and anew from the twists of another effect where what was found misses something."""
+            of, trace = in_turns(of, given, None)
+            found, _ = trace.fits[trace.best]
+            if not starts_are_unknown(of) or excess(trace.problem, found.objective) <= 0.0:
+                return of, trace
+            say("trying every effect with initial twists of its own")
+            own = with_own_starts(of, given, names, deviance(trace.problem, found))
+            return (of, trace) if own is None else in_turns(own[0], given, own[1])
 
         def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
             say("looking for what cannot be told apart")

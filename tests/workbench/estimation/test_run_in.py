@@ -157,6 +157,7 @@ def test_where_every_trial_is_wound_the_starts_are_found_with_what_is_missing(se
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("start", ["wound", "zeroed"])
 def test_friction_at_the_tip_is_not_taken_for_less_wound_starts(start: Start) -> None:
     whole = dataset(effect("tip_friction", torque_nmm=0.03), seed=23)
