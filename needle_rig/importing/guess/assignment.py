@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 from needle_rig.importing import names
 from needle_rig.importing.guess.generic_shaft import Driver
@@ -23,8 +23,8 @@ WRONG = 0.05
 value below 1 − ASKED_BELOW decides alike: either suffices where the other is silent, and is asked against it.
 """
 CLEAR = -math.log(WRONG)
-MOST_DRIVERS = 30
-"""Columns that are tried as the driver: beyond, those whose names speak least for it are not."""
+MOST_TRIED = 16
+"""Columns that are tried as the driver, and as the torque: those whose names speak most for it."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,10 @@ def assign(angles: Sequence[Series], torques: Sequence[Series], unnamed: Sequenc
 
 class _Columns:
     def __init__(self, moving: list[Series], torques: Sequence[Series], unnamed: Sequence[Series]) -> None:
-        self.moving, self.torques, self.unnamed = moving, list(torques) or list(unnamed), unnamed
+        self.moving, self.unnamed = moving, unnamed
+        self.torques = sorted(torques or unnamed, key=_torque_rank)[:MOST_TRIED]
         self.gains: dict[tuple[int, int], float] = {}
+        self._followers = cache(self._grown)
         self.resisted: dict[tuple[int, int], float] = {}
         longest = sorted(moving, key=lambda s: -len(s.column.values))
         copies = [
@@ -90,7 +92,7 @@ class _Columns:
             if any(o.clock != s.clock and names.is_base(o.column.name) and is_copy(o, s) for o in longest[:k])
         ]
         wide = sorted(moving, key=lambda s: (_base_rank(s), -s.span))
-        self.tried = [s for s in wide if not any(s is c for c in copies)][:MOST_DRIVERS]
+        self.tried = [s for s in wide if not any(s is c for c in copies)][:MOST_TRIED]
         self.base_odds, self.torque_odds = (
             CLEAR + math.log(max(1, len(found) - 1)) for found in (self.tried, self.torques)
         )
@@ -138,16 +140,20 @@ class _Columns:
     def _assignment(self, base: Series, torque: Series | None, named: float) -> Assignment:
         """What follows the base or a follower before it, each by the one that explains it best."""
         root = self._place(base)
-        found: dict[int, float] = {}
-        for k in self.order:
-            if k != root and self.moving[k] is not torque:
-                gain = max(self._follows(before, k) for before in (root, *found) if before in self.drivers)
-                if gain > (0.0 if _is_angle(self.moving[k]) else CLEAR):
-                    found[k] = gain
+        found = self._followers(root, next((k for k, s in enumerate(self.moving) if s is torque), -1))
         resisted = 0.0
         if torque is not None:
             resisted = max(self._resists(k, torque) for k in (root, *found) if k in self.drivers)
         return Assignment(base, torque, found, resisted, named)
+
+    def _grown(self, root: int, torque: int) -> dict[int, float]:
+        found: dict[int, float] = {}
+        for k in self.order:
+            if k not in (root, torque):
+                gain = max(self._follows(before, k) for before in (root, *found) if before in self.drivers)
+                if gain > (0.0 if _is_angle(self.moving[k]) else CLEAR):
+                    found[k] = gain
+        return found
 
     @cached_property
     def order(self) -> list[int]:

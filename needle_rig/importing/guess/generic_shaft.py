@@ -38,6 +38,7 @@ class Driver:
     def __init__(self, series: Series) -> None:
         self.series = series
         self.block = max(1, len(series.values) // ROWS)
+        self._terms, self._factors = lru_cache(2)(self._design), lru_cache(4)(self._factored)
 
     @cached_property
     def angle(self) -> Array:
@@ -59,8 +60,7 @@ class Driver:
         back = np.flatnonzero(home[1:] & ~home[:-1]) + 1
         return (frozenset(), frozenset(back.tolist())) if len(back) else (frozenset(),)
 
-    @lru_cache(maxsize=2)  # noqa: B019 - a driver lives as long as a guess
-    def _terms(self, let_go: frozenset[int]) -> tuple[Array, Array]:
+    def _design(self, let_go: frozenset[int]) -> tuple[Array, Array]:
         """Design of a follower and of a torque, both (rows, weights)."""
         x = self._path
         rate = np.gradient(x) * len(x)
@@ -99,8 +99,7 @@ class Driver:
         count = _independent(left)
         return max(0.0, -0.5 * count * math.log(unexplained) - 0.5 * best * math.log(count))
 
-    @lru_cache(maxsize=4)  # noqa: B019 - a driver lives as long as a guess
-    def _factors(self, torque: bool, known: bytes, let_go: frozenset[int]) -> tuple[Array, Array, Array]:
+    def _factored(self, torque: bool, known: bytes, let_go: frozenset[int]) -> tuple[Array, Array, Array]:
         """The design at the `known` rows, centred, over its norms, with its two factors."""
         x = self._terms(let_go)[torque][np.frombuffer(known, dtype=bool)]
         x = x - x.mean(axis=0)
