@@ -62,11 +62,15 @@ def campaign_in(folder: Path, recordings: Recordings, dbc: Path | None = None) -
 def _candidates(folder: Path) -> list[Path]:
     """Files that may be recordings, by their names, numbers in which count as such; no dataset's."""
     found: list[Path] = []
-    for entry in sorted(folder.iterdir(), key=lambda p: (names.numbers_in(p.name), p.name)):
+    try:
+        entries = sorted(folder.iterdir(), key=lambda p: (names.numbers_in(p.name), p.name))
+    except OSError as error:
+        raise BadInput(f"{show_path(folder)}: cannot be read: {error.strerror}; check its rights") from None
+    for entry in entries:
         if entry.name.startswith(".") or entry.suffix.lower() in NO_RECORDINGS:
             continue
         if is_campaign(entry):
-            if not (entry / "dataset.yaml").exists():
+            if not (entry.is_symlink() or (entry / "dataset.yaml").exists()):  # a link may lead round
                 found += _candidates(entry)
         else:
             found.append(entry)

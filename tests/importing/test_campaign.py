@@ -74,6 +74,7 @@ def test_what_does_not_belong_to_a_folder_is_left_aside_with_its_reason(
     (folder / "plot.png").write_bytes(b"\x89PNG")
     saved(folder / "calibration.csv", 4, ("t [s]", "a [deg]", "b [mNm]", *NAMES[3:]))
     saved(folder / "day 2/run_1.csv", 4)
+    (folder / "day 2/round").symlink_to(folder)
     assert imported(folder, "first", "--layout", str(PRACTICE)) == 0
     told = capsys.readouterr()
     assert "first: 4 trials" in told.out
