@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,13 @@ class Truth:
     askable: bool = False
     """What only a person knows is missing: the guess must ask, and cannot be right."""
     offset_s: dict[str, float] = field(default_factory=dict)
+    places: tuple[int, ...] = ()
+    """Column of each role in the file, where they do not follow the time in the order of `channels`."""
+
+    def place(self, role: str) -> int:
+        """Column of a role in the file, the first is 0."""
+        k = list(self.channels).index(role)
+        return self.places[k] if self.places else k + 1
 
 
 @dataclass(frozen=True)
@@ -941,6 +948,75 @@ def torque_and_base_alone(source: Source, folder: Path) -> Truth:
 
 
 @case
+def two_joints_of_which_one_moves(source: Source, folder: Path) -> Truth:
+    """Joint 1 holds: its angle trembles, and its torque is the weight that joint 2 moves."""
+    names = ("Time [s]", "joint_2.pos [deg]", "joint_2.torque [mNm]")
+    rows = columns(source, names, ("s", "deg", "nmm"))
+    time_s, angle, torque = rows.values.T
+    noise = np.random.default_rng(1).standard_normal((2, len(time_s)))
+    still = 0.004 * np.sin(3.0 * time_s) + 0.003 * noise[0]
+    weight = 0.4 * np.ptp(torque) * np.cos(np.radians(angle)) + 0.01 * np.ptp(torque) * noise[1]
+    told = np.column_stack((time_s, still, angle, weight, torque))
+    order = ("Time [s]", "joint_1.pos [deg]", names[1], "joint_1.torque [mNm]", names[2])
+    truth = text(folder / "arm.csv", Columns(order, told, rows.channels, rows.step_s))
+    return replace(truth, places=(2, 4))
+
+
+@case
+def two_actuators_back_to_back(source: Source, folder: Path) -> Truth:
+    """The second is not powered and follows by gear and play; each tells a torque of its own."""
+    names = ("t [s]", "c1 position [deg]", "c1 torque [mNm]", "c2 position [deg]")
+    rows = columns(source, names, ("s", "deg", "nmm", "deg"))
+    idle = 0.05 * np.ptp(rows.values[:, 2]) * np.random.default_rng(2).standard_normal(len(rows.values))
+    told = np.column_stack((rows.values, idle))
+    truth = text(
+        folder / "bench.csv", Columns((*rows.names, "c2 torque [mNm]"), told, rows.channels, rows.step_s)
+    )
+    # one angle where the layout has four sensors: which one it is only a person knows
+    return Truth(truth.files, truth.channels, truth.step_s, askable=True)
+
+
+@case
+def replicates_in_sheets(source: Source, folder: Path) -> Truth:
+    import pandas
+
+    rows = columns(source, PLAIN, PLAIN_UNITS)
+    with pandas.ExcelWriter(folder / "series.xlsx") as book:
+        for sheet in ("current 60", "current 80", "current 80 again"):
+            _frame(rows).to_excel(book, sheet_name=sheet, index=False)
+    return rows.truth(folder / "series.xlsx")
+
+
+@case
+def replicates_in_groups(source: Source, folder: Path) -> Truth:
+    import h5py
+
+    rows = columns(source, PLAIN, PLAIN_UNITS)
+    with h5py.File(folder / "runs.h5", "w") as file:
+        for run in ("run_1", "run_2"):
+            for name, values in zip(rows.names, rows.values.T, strict=True):
+                file[f"{run}/{name}"] = values
+    return rows.truth(folder / "runs.h5")
+
+
+@case
+def a_follower_of_the_other_sign(source: Source, folder: Path) -> Truth:
+    rows = columns(source, PLAIN, PLAIN_UNITS, (1, 1, -1, 1, -1, 1))
+    return text(folder / "log.csv", rows)
+
+
+@case
+def neutral_names(source: Source, folder: Path) -> Truth:
+    """Units are written, names say nothing: the angles' order in the file is that of the alphabet."""
+    names = ("time [s]", "F [deg]", "A [mNm]", "D [deg]", "B [deg]", "E [deg]", "C [deg]")
+    rows = columns(source, names, PLAIN_UNITS)
+    order = [0, 2, 4, 6, 3, 5, 1]
+    told = Columns(tuple(rows.names[k] for k in order), rows.values[:, order], rows.channels, rows.step_s)
+    places = tuple(order.index(k + 1) for k in range(6))
+    return replace(text(folder / "log.csv", told), places=places)
+
+
+@case
 def encoder_and_camera_files(source: Source, folder: Path) -> Truth:
     rows = columns(source, ("time_s", "motor_deg", "torque_nmm", "h1", "h2", "h3", "h4"), PLAIN_UNITS)
     first = Columns(rows.names[:3], rows.values[:, :3], {}, rows.step_s)
@@ -955,7 +1031,20 @@ def encoder_and_camera_files(source: Source, folder: Path) -> Truth:
     return Truth((folder / "daq.csv", folder / "camera.csv"), channels, rows.step_s, offset_s={"camera": 1.5})
 
 
-# What only a person knows is missing in these two: the guess must ask.
+# What only a person knows is missing in these: the guess must ask.
+
+
+@case
+def columns_without_names(source: Source, folder: Path) -> Truth:
+    rows = columns(source, PLAIN, PLAIN_UNITS)
+    order = [0, 6, 2, 4, 3, 1, 5]
+    told = Columns(tuple(rows.names[k] for k in order), rows.values[:, order], {}, rows.step_s)
+    channels = {
+        r: (f"column_{order.index(k + 1) + 1}", f, s)
+        for k, (r, (_, f, s)) in enumerate(rows.channels.items())
+    }
+    truth = text(folder / "log.txt", told, " ", names=False)
+    return Truth(truth.files, channels, truth.step_s, askable=True)
 
 
 @case

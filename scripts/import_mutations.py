@@ -133,6 +133,7 @@ def _scaled(path: Path, truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     if place < 1 or place - 1 >= len(names) or by not in lines[body]:
         return UNCHANGED, truth
     role = names[place - 1]
+    place = truth.place(role)
     old, factor, sign = truth.channels[role]
     if role == "base_torque":
         by_factor = rng.choice([1e3, 1e-3])
@@ -215,7 +216,7 @@ def _changed(path: Path, truth: Truth, kind: str, low: float | None, rng: random
     width = lines[body].count(by) + 1
     comma = by != b"," and b"," in lines[body]
     roles = list(truth.channels)
-    angles = [k for k, role in enumerate(roles, 1) if truth.channels[role][1] == FACTORS["deg"]]
+    angles = [truth.place(role) for role in roles if truth.channels[role][1] == FACTORS["deg"]]
     if width != len(roles) + 1 or (by == b"," and low is None) or (low is not None and not angles):
         return UNCHANGED, truth
     begin = 350.0 if low == 0.0 else 170.0
@@ -289,11 +290,12 @@ def _swapped_names(path: Path, truth: Truth, rng: random.Random) -> tuple[str, T
         at -= 1
     outside_quotes = re.escape(by) + rb'(?=(?:[^"]*"[^"]*")*[^"]*$)'
     cells = re.split(outside_quotes, lines[at])
-    one, other = rng.sample(range(1, min(len(cells), 1 + len(roles))), 2)
+    first, second = rng.sample(range(1, min(len(cells), 1 + len(roles))), 2)
+    a, b = roles[first - 1], roles[second - 1]
+    one, other = truth.place(a), truth.place(b)
     cells[one], cells[other] = cells[other], cells[one]
     lines[at] = by.join(cells)
     path.write_bytes(end.join(lines))
-    a, b = roles[one - 1], roles[other - 1]
     channels = dict(truth.channels)
     channels[a] = (truth.channels[b][0], truth.channels[a][1], truth.channels[a][2])
     channels[b] = (truth.channels[a][0], truth.channels[b][1], truth.channels[b][2])

@@ -43,22 +43,34 @@ def command(
     it writes OUT.yaml and OUT.png and says which lines to confirm. The mapping that was used is kept in the
     dataset as import.yaml, with the files' hashes; with it the import can be repeated.
 
+    A folder among FILE stands for the recordings in it, in the order of their names. What was confirmed of
+    them is kept there as import.yaml, so that later files of the same kind need no question.
+
     \b
+    needle-rig import campaign/ --layout shaft.yaml --out data/campaign
     needle-rig import log.csv --guess --layout shaft.yaml --out data/mine
     needle-rig import data/mine.yaml --out data/mine
     """
     from needle_rig.errors import BadInput
     from needle_rig.importing.asked import is_mapping
+    from needle_rig.importing.campaign import MAPPING, is_campaign
     from needle_rig.questions.recordings import Understand
 
     if os.path.lexists(out):
         raise BadInput(f"{out}: exists already; name another folder with --out or remove it first")
-    named = next((file for file in files if is_mapping(file)), None)
+    folder = next((file for file in files if is_campaign(file)), None)
+    said = [file for file in files if is_mapping(file)]
+    if folder is not None and not said and os.path.isfile(folder / MAPPING):
+        said = [folder / MAPPING]
+    named = next(iter(said), None)
     if named and guessing:
-        raise BadInput(f"{named}: is a mapping already; leave --guess out")
+        raise BadInput(f"{named}: is a mapping already; leave --guess out, or remove it")
+    guessing = guessing or (folder is not None and not named)
     if not named and not guessing:
         raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
     found = Understand(files=files, name=out.resolve().name, layout=layout, dbc=dbc).answer()
+    for sentence in found.left:
+        click.echo(sentence, err=True)
     if guessing:
         _tell(found.mapping)
     waiting = found.doubts()
@@ -78,6 +90,8 @@ def command(
         raise BadInput(
             f"{error}\nThe mapping is in {_keep(found, out)}; correct it there and import it"
         ) from None
+    if folder is not None and not found.given:
+        _keep_in(found, folder / MAPPING)
     dataset = imported.dataset
     samples = sum(len(trial.trial.time_s) for trial in dataset.trials)
     for note in imported.notes:
@@ -122,6 +136,16 @@ def _keep(found: Understood, out: Path) -> Path:
     write_mapping(found.mapping, place, found.folder)
     _draw(found, out.with_name(out.name + ".png"))
     return place
+
+
+def _keep_in(found: Understood, place: Path) -> None:
+    """Write the mapping beside the recordings, for those that come later; say so where that fails."""
+    from needle_rig.importing import write_mapping
+
+    try:
+        write_mapping(found.mapping, place, found.folder)
+    except OSError as error:
+        click.echo(f"{place}: cannot be written ({error.strerror}); give the dataset's import.yaml", err=True)
 
 
 def _draw(found: Understood, path: Path) -> bool:

@@ -6,9 +6,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from needle_rig.errors import BadInput
+from needle_rig.importing.campaign import with_files
 from needle_rig.importing.guess import guess
-from needle_rig.importing.mapping import FilePart, Mapping, read_mapping
+from needle_rig.importing.mapping import Mapping, read_mapping
 from needle_rig.importing.reader import Recordings
 from needle_rig.importing.shaft import read_rig
 
@@ -19,7 +19,11 @@ def is_mapping(file: Path) -> bool:
 
 
 def given_mapping(
-    path: Path, others: Sequence[Path], layout: Path | None, dbc: Path | None = None
+    path: Path,
+    others: Sequence[Path],
+    layout: Path | None,
+    recordings: Recordings,
+    dbc: Path | None = None,
 ) -> tuple[Mapping, Path]:
     """The mapping in a file, and the folder that its files are relative to; `others` take their place.
 
@@ -31,11 +35,8 @@ def given_mapping(
     if dbc is not None:
         mapping = mapping.model_copy(update={"dbc": os.path.relpath(dbc, path.parent)})
     if others:
-        if len({f.path for clock in mapping.clocks.values() for f in clock.files[:1]}) > 1:
-            raise BadInput(f"{path}: has files of several kinds; write the others into a copy of it")
-        parts = tuple(FilePart(path=os.path.relpath(file, path.parent)) for file in others)
-        clocks = {name: clock.model_copy(update={"files": parts}) for name, clock in mapping.clocks.items()}
-        mapping = mapping.model_copy(update={"clocks": clocks})
+        of = mapping.database(path.parent)
+        mapping = with_files(mapping, [recordings.read(file, of) for file in others], path.parent)
     return mapping, path.parent
 
 

@@ -75,15 +75,16 @@ def _recording(
     notes: list[str],
 ) -> tuple[list[DatasetTrial], float]:
     """The trials of the n-th recording, and its length in s."""
-    read: dict[str, Recording] = {}
+    of: dict[str, Recording] = {}
     for name, clock in mapping.clocks.items():
         file = clock.files[number]
-        if file.path not in read:
-            read[file.path] = recordings.read(folder / file.path, mapping.database(folder))
-        found_file(file, read[file.path].sha256, f"clocks.{name}.files")
-    of = {name: read[clock.files[number].path] for name, clock in mapping.clocks.items()}
+        same = (of[o] for o in of if mapping.clocks[o].files[number].is_same(file))
+        of[name] = next(same, None) or recordings.read(
+            folder / file.path, mapping.database(folder), file.table
+        )
+        found_file(file, of[name].sha256, f"clocks.{name}.files")
     base_part = next(c for c in mapping.channels if c.role == BASE)
-    source = show_path(of[base_part.clock].path)
+    source = ", ".join(filter(None, (show_path(of[base_part.clock].path), of[base_part.clock].table)))
     times: dict[tuple[str, str], Array] = {}
 
     def times_of(channel: ChannelPart) -> Array:

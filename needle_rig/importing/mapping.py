@@ -25,11 +25,16 @@ class _Part(BaseModel):
 
 
 class FilePart(_Part):
-    """One file; `offset_s` is added to its clock."""
+    """One file, or one `table` of it that is a recording of its own; `offset_s` is added to its clock."""
 
     path: str
+    table: str = ""
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
     offset_s: float = 0.0
+
+    def is_same(self, other: FilePart) -> bool:
+        """Whether both are one recording."""
+        return (self.path, self.table) == (other.path, other.table)
 
 
 class ClockPart(_Part):

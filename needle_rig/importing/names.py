@@ -17,7 +17,7 @@ ANGLE = re.compile(
 )
 BASE = re.compile(
     r".*(base|motor|drive|driven|proximal|\bprox|encoder|enc\b|input|spindle|stage|hub|chuck|collet|"
-    r"back.?end|antrieb|\bq1?\b|q_?1\b|joint_?1|actuator|theta_?[0mb]?\b).*"
+    r"back.?end|antrieb|\bq_?0\b|actuator|theta_?[0mb]\b).*"
 )
 SENSOR = re.compile(
     r".*(hall|tip|distal|\bdist|camera|cam\b|marker|needle|sensor|output|front.?end|shaft|imu|spitze|track|probe|"

@@ -33,7 +33,7 @@ def preview(
     for part in mapping.channels:
         clock = mapping.clocks[part.clock]
         file = clock.files[0]
-        recording = recordings.read(folder / file.path, mapping.database(folder))
+        recording = recordings.read(folder / file.path, mapping.database(folder), file.table)
         column = recording.column(part.source)
         if column is None:
             continue

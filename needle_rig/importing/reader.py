@@ -35,17 +35,20 @@ class Recordings:
         self._kept: dict[str, Recording] = {}
         self._bytes = 0
 
-    def read(self, path: Path, dbc: Path | None = None) -> Recording:
-        """The file at `path`, as it was when it was first read; `dbc`: of its bus. Raises BadInput."""
+    def read(self, path: Path, dbc: Path | None = None, table: str = "") -> Recording:
+        """The file at `path`, as it was when it was first read; `dbc`: of its bus; `table`: that alone.
+
+        Raises BadInput.
+        """
         place = f"{os.path.abspath(path)}\0{dbc and os.path.abspath(dbc)}"
         if place in self._kept:
-            return dataclasses.replace(self._kept[place], path=path)
+            return dataclasses.replace(self._kept[place], path=path).alone(table)
         found = read_recording(path, dbc)
         size = sum(column.values.nbytes for column in found.columns)
         if self._bytes + size <= KEPT_BYTES:
             self._kept[place] = found
             self._bytes += size
-        return found
+        return found.alone(table)
 
 
 def read_recording(path: Path, dbc: Path | None = None) -> Recording:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from needle_rig.config.places import show_path
+from needle_rig.errors import BadInput
+from needle_rig.importing import names
 from needle_rig.numerics import Array
 
 LIMIT_BYTES = 4_000_000_000
@@ -13,6 +17,8 @@ LIMIT_BYTES = 4_000_000_000
 MAX_COLUMNS = 1000
 """As in datasets: far above any rig's sensors, and columns are compared with each other."""
 HASH_BYTES = 1 << 22
+SHEETS = "spreadsheet"
+"""First word of the dialect of a file whose tables are sheets."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,31 @@ class Recording:
     columns: tuple[Column, ...]
     rates_hz: dict[str, float] = field(default_factory=dict)
     """Samples a second by table, where the file says so."""
+
+    table: str = ""
+    """Of several tables that each hold the same columns: the one that this recording is."""
+
+    def repeats(self) -> list[Recording]:
+        """One recording a table, where the tables are trials: sheets, or called so, with the same columns."""
+        tables = list(dict.fromkeys(c.table for c in self.columns))
+        alone = [self.alone(table) for table in tables]
+        same = len({tuple((c.name, c.unit) for c in r.columns) for r in alone}) == 1
+        called = all(names.TRIAL.fullmatch(re.sub(r"\W*\d+$", "", names.plain(t))) for t in tables)
+        trials = len(tables) > 1 and same and (self.dialect.startswith(SHEETS) or called)
+        return alone if trials else [self]
+
+    def alone(self, table: str) -> Recording:
+        """That table of the recording, its columns called without it; all where none is named."""
+        if not table:
+            return self
+        own = [c for c in self.columns if c.table == table]
+        columns = tuple(replace(c, name=c.name.removeprefix(f"{table}/"), table="") for c in own)
+        if not own:
+            told = ", ".join(dict.fromkeys(c.table for c in self.columns))
+            raise BadInput(f"{show_path(self.path)}: has no table {table}; it has {told}")
+        rate_hz = self.rates_hz.get(table, self.rates_hz.get(""))
+        rates_hz = {} if rate_hz is None else {"": rate_hz}
+        return replace(self, columns=columns, rates_hz=rates_hz, table=table)
 
     def column(self, name: str) -> Column | None:
         """The column of that name, None without one."""

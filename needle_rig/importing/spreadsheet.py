@@ -14,7 +14,7 @@ from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.delimited import SIGNS, ambiguous
 from needle_rig.importing.header import read_header
-from needle_rig.importing.recording import Column
+from needle_rig.importing.recording import SHEETS, Column
 from needle_rig.importing.text_rows import number_form, value_of
 from needle_rig.importing.words import words_column
 
@@ -47,7 +47,7 @@ def read_spreadsheet(path: Path, shown: str) -> tuple[str, tuple[Column, ...], d
         )
     if len(tables) > 1:
         columns = [Column(f"{c.table}/{c.name}", c.unit, c.values, c.table, fault=c.fault) for c in columns]
-    return f"spreadsheet, {', '.join(sorted(tables))}", tuple(columns), rates
+    return f"{SHEETS}, {', '.join(sorted(tables))}", tuple(columns), rates
 
 
 def _table(rows: list[list[object]], sheet: str, shown: str) -> tuple[list[Column], float | None]:

@@ -36,6 +36,8 @@ class Understood:
     given: bool
     """A mapping file said it; else the recordings themselves."""
     recordings: Recordings = field(repr=False)
+    left: tuple[str, ...] = ()
+    """A sentence for each file of a folder that is left aside."""
 
     def lacks(self) -> list[str]:
         """What has to be said first, a sentence each."""
@@ -78,21 +80,31 @@ class Understand(Request):
         """Raises BadInput."""
         from needle_rig.importing import Recordings
         from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
+        from needle_rig.importing.campaign import MAPPING, campaign_in, is_campaign
 
         root, layout = Path(self.folder), None if self.layout is None else Path(self.layout)
         files = [root / file for file in self.files]
         named = [file for file in files if is_mapping(file)]
-        others = [file for file in files if file not in named]
+        folders = [file for file in files if is_campaign(file)]
+        if not named:
+            named = [kept for kept in (folder / MAPPING for folder in folders) if os.path.isfile(kept)]
+        others = [file for file in files if file not in named and file not in folders]
         if len(named) > 1:
             raise BadInput(f"{os.path.relpath(named[1], root)}: a second mapping; give one")
         if not files:
             raise BadInput("there is no recording; give one, or a mapping")
         dbc = None if self.dbc is None else Path(self.dbc)
         recordings = Recordings()
+        left: tuple[str, ...] = ()
+        for folder in folders:
+            doing.say("reading the folder")
+            found = campaign_in(folder, recordings, dbc)
+            others += found.files
+            left += found.left
         if named:
             doing.say("reading the mapping")
-            mapping, folder = given_mapping(named[0], others, layout, dbc)
-            return Understood(mapping, folder, True, recordings)
+            mapping, folder = given_mapping(named[0], others, layout, recordings, dbc)
+            return Understood(mapping, folder, True, recordings, left)
         doing.say("reading the recordings")
         mapping = guessed_mapping(others, self.name, layout, recordings, root, dbc)
-        return Understood(mapping, root, False, recordings)
+        return Understood(mapping, root, False, recordings, left)

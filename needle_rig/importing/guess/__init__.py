@@ -13,7 +13,8 @@ from needle_rig.dataset.description import RigPart
 from needle_rig.errors import BadInput
 from needle_rig.importing import names
 from needle_rig.importing.guess.channels import channels_of
-from needle_rig.importing.guess.clocks import clock_of, doubt_speed, on_one_clock
+from needle_rig.importing.guess.clocks import clock_of, doubt_speed, is_even, on_one_clock
+from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import Series, series_of
 from needle_rig.importing.guess.trials import AT_RESTS, rate_of_dataset, trials_of
 from needle_rig.importing.mapping import ClockPart, FilePart, Mapping, NotUsedPart, TrialsPart
@@ -26,6 +27,7 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
     `rig` says what the shaft looks like, where it is known; paths are written relative to `folder`. Raises
     BadInput when there is nothing that could be the base's angle.
     """
+    recordings = [part for recording in recordings for part in recording.repeats()]
     if not any(r.tables() for r in recordings):
         told = "; ".join(f"{c.name}: {c.fault}" for r in recordings for c in r.columns)
         raise BadInput(
@@ -41,7 +43,9 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
     """Of columns by clock and name: why they are not used, should nothing take them."""
     for files in kinds.values():
         first = files[0]
-        parts = tuple(FilePart(path=os.path.relpath(r.path, folder), sha256=r.sha256) for r in files)
+        parts = tuple(
+            FilePart(path=os.path.relpath(r.path, folder), sha256=r.sha256, table=r.table) for r in files
+        )
         tables = first.tables()
         for column in first.columns:
             if column.fault:
@@ -63,6 +67,8 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
                     why[key] = f"holds words, as {column.labels[0][:30]!r}"
                 elif names.says(column.name, names.TIME):
                     why[key] = _other_time(column, source)
+                elif not kind_of(column)[0] and is_even(column.values):
+                    why[key] = "counts up evenly, as rows or a clock do"
                 else:
                     series.append(series_of(column, label, time_s))
     if len({len(c.files) for c in clocks.values()}) > 1:

@@ -11,14 +11,8 @@ from needle_rig.config.places import show_path
 from needle_rig.dataset.description import RigPart
 from needle_rig.errors import BadInput
 from needle_rig.importing import names, signals
-from needle_rig.importing.guess.roles import (
-    base_among,
-    follows,
-    kind_of,
-    sensor_roles,
-    split_unnamed,
-    torque_among,
-)
+from needle_rig.importing.guess.assignment import Choice, assign
+from needle_rig.importing.guess.kinds import kind_of, sensor_roles
 from needle_rig.importing.guess.series import (
     FEWEST,
     Series,
@@ -68,16 +62,16 @@ def channels_of(
             f"{', '.join(show_path(r.path) for r in recordings)}: no column can be the base's angle "
             f"({told[:600]}); record the angle of what turns the base beside them"
         )
-    base, base_why, base_doubt = base_among(angles or unnamed, unnamed if angles else [])
-    rest = [s for s in (angles or unnamed) if s is not base]
-    if not angles:
-        rest, torques = split_unnamed(base, rest, torques)
+    found = assign(angles, torques, unnamed)
+    base, torque = found.base.series, found.torque
     sensors = []
     expected = {names.plain(sensor.name) for sensor in (rig.hall_sensors if rig else ())}
-    for s in rest:
+    for s in [*angles, *unnamed]:
+        if s is base or (torque is not None and s is torque.series):
+            continue
         if is_copy(base, s):
             why[key_of(s)] = f"{base.column.name} once more"
-        elif follows(base, s) or names.plain(s.column.name) in expected:
+        elif any(s is f for f in found.followers) or names.plain(s.column.name) in expected:
             # one that the layout names is asked, not dropped
             sensors.append(s)
         else:
@@ -91,8 +85,8 @@ def channels_of(
             source=base.column.name,
             unit=None if unit.unit is None else unit.unit.text,
             zero="start",
-            why="; ".join(filter(None, (base_why, unit.why))),
-            doubt="; ".join(filter(None, (base_doubt, unit.doubt))),
+            why="; ".join(filter(None, (found.base.told, unit.why))),
+            doubt="; ".join(filter(None, (found.base.doubt, _against_its_name(base), unit.doubt))),
         )
     ]
     roles = sensor_roles(sensors, base, rig)
@@ -102,16 +96,25 @@ def channels_of(
             channels.append(_sensor(s, role, base, base_si, said, doubt))
         else:
             why[key_of(s)] = "the layout has no sensor for it"
-    others = [] if angles else [s for s in unnamed if s is not base]
-    torque = torque_among(base, torques or others, bool(torques))
-    if torque is not None and not any(torque is s for s in sensors):
-        for s in torques:
-            why[key_of(s)] = f"a torque, and {torque.column.name} is taken for that of the base"
-        channels.append(_torque_channel(torque, torques, base, base_si, sensors, channels, rig))
-        at_tip = [s for s in torques if s is not torque and names.says(s.column.name, names.TIP)]
+    if torque is not None:
+        rest = [s for s in torques if s is not torque.series]
+        for s in rest:
+            why[key_of(s)] = f"a torque, and {torque.series.column.name} is taken for that of the base"
+        channels.append(_torque_channel(torque, base, base_si, sensors, channels, rig))
+        at_tip = [s for s in rest if names.says(s.column.name, names.TIP)]
         if len(at_tip) == 1:
             channels.append(_tip_torque_channel(at_tip[0]))
     return channels, why
+
+
+def _against_its_name(base: Series) -> str:
+    """What is asked of a base whose name and unit do not say that it is one."""
+    name = base.column.name
+    if kind_of(base.column)[0] != "angle":
+        return "neither its name nor its unit says that it is an angle"
+    if names.says(name, names.SENSOR) and not names.is_base(name):
+        return "its name is that of a sensor on the needle; is it the base's encoder?"
+    return ""
 
 
 def key_of(s: Series) -> tuple[str, str]:
@@ -154,14 +157,14 @@ def _tip_torque_channel(s: Series) -> ChannelPart:
 
 
 def _torque_channel(
-    s: Series,
-    torques: Sequence[Series],
+    choice: Choice,
     base: Series,
     base_si: Array | None,
     sensors: Sequence[Series],
     channels: Sequence[ChannelPart],
     rig: RigPart | None,
 ) -> ChannelPart:
+    s = choice.series
     work = signals.work_share(from_start(base), torque_from_start(base, s))
     doubts = []
     shared = int((np.isfinite(base.values) & np.isfinite(values_at(base, s))).sum())
@@ -174,15 +177,13 @@ def _torque_channel(
     named = names.says(s.column.name, names.TORQUE) or written_dimension(s.column) == "torque"
     if not named:
         doubts.append("neither name nor unit says that it is a torque")
-    if len(torques) > 1 and not names.says(s.column.name, names.BASE):
-        rest = ", ".join(o.column.name for o in torques if o is not s)
-        doubts.append(f"{rest} could be it as well")
+    if choice.doubt:
+        doubts.append(choice.doubt)
     unit = torque_unit(s, base_si, sensors, base, channels, rig)
     if unit.doubt:
         doubts.append(unit.doubt)
-    way = "it rises" if work > 0 else "it falls, so its sign is turned:"
     agreed = (
-        f"{way} while the base winds up ({abs(work):.0%} of the work)"
+        f"it rises while the base winds up ({abs(work):.0%} of the work)"
         if work > 0
         else (f"it falls while the base winds up ({abs(work):.0%} of the work), so its sign is turned")
     )
@@ -193,6 +194,6 @@ def _torque_channel(
         unit=None if unit.unit is None else unit.unit.text,
         sign=1 if work >= 0 else -1,
         zero="start",
-        why="; ".join(filter(None, ("name" if named else "", unit.why, agreed))),
+        why="; ".join(filter(None, (choice.told, unit.why, agreed))),
         doubt="; ".join(doubts),
     )

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from needle_rig.importing import names, signals
-from needle_rig.importing.guess.roles import kind_of
+from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import COMMON, Series, UnitGuess, written_dimension
 from needle_rig.importing.mapping import ChannelPart, ClockPart, FilePart
 from needle_rig.importing.messages import STAMP
@@ -36,7 +36,7 @@ def clock_of(
     named.sort(key=lambda c: ("stamp" not in c.name, "recorded at" in c.name))
     column = named[0] if named else None
     if column is None and stated_hz is None:
-        even = [c for c in found if _is_even(c.values) and not names.says(c.name, names.OTHER)]
+        even = [c for c in found if is_even(c.values) and not names.says(c.name, names.OTHER)]
         column = even[0] if even else None
     if column is None:
         if stated_hz is not None:
@@ -64,9 +64,10 @@ def _is_clock(values: Array) -> bool:
     return len(known) >= 10 and bool(np.mean(steps >= 0) > 0.999) and bool(np.mean(steps > 0) > 0.5)
 
 
-def _is_even(values: Array) -> bool:
+def is_even(values: Array) -> bool:
+    """Whether a column counts up by equal steps."""
     steps = np.diff(values[np.isfinite(values)])
-    usual = float(np.median(steps))
+    usual = float(np.median(steps)) if len(steps) else 0.0
     return usual > 0 and bool(np.mean(np.abs(steps - usual) < 0.2 * usual) > 0.9)
 
 

@@ -22,6 +22,7 @@ def at_same_slip_limits(problem: Problem, before: Point, after: Point) -> Parame
     return dataclasses.replace(vector, trial_friction=vector.trial_friction - change)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def log_slip_limits_change(problem: Problem, before: Point, after: Point) -> Array:
     """Logarithm of each trial's slip limits (T,) over those `before`; 0 where no effect shapes friction.
 
@@ -33,7 +34,7 @@ def log_slip_limits_change(problem: Problem, before: Point, after: Point) -> Arr
         old_nm, new_nm = _slip_limits(problem, *before), _slip_limits(problem, *after)
     except BadInput:
         return np.zeros(len(problem.trials))
-    both = (old_nm > 0) & (new_nm > 0)
+    both = (old_nm > 0) & (new_nm > 0) & np.isfinite(old_nm) & np.isfinite(new_nm)
     return np.log(np.where(both, new_nm, 1.0) / np.where(both, old_nm, 1.0))
 
 

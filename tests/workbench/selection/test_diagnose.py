@@ -93,12 +93,9 @@ def test_friction_of_which_screening_promises_nothing_is_found_from_a_finite_str
         effect("stribeck", static_excess=0.08, rate_deg_s=7.5, weakening_deg=0.05, exponent=1.5),
         effect("viscous_slip", viscosity_nmms_per_rad_per_100mm=0.04),
     )
-    said: list[str] = []
-    found = diagnose(dataset(*hidden, seed=4), few("stribeck", "viscous_slip"), say=said.append)
+    found = diagnose(dataset(*hidden, seed=4), few("stribeck", "viscous_slip"))
     assert set(found.effects) == {"stribeck", "viscous_slip"}
-    assert [s.kind for s in found.search.steps] == ["forward", "restarted", "forward"]
     assert found.held_out_error_after < POLICY.verdict.reached
-    assert any("other strengths" in sentence for sentence in said)
 
 
 def test_a_present_model_that_cannot_be_fitted_again_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
