@@ -96,8 +96,11 @@ def test_what_is_no_page_is_one_sentence(answer: bytes, told: str) -> None:
 @pytest.mark.parametrize(
     ("error", "told"),
     [
-        (OSError(errno.EPERM, "x"), "a service needs IPAddressAllow= and RestrictAddressFamilies=AF_INET"),
-        (OSError(errno.EAFNOSUPPORT, "x"), "a service needs IPAddressAllow="),
+        (
+            OSError(errno.EPERM, "x"),
+            "sudo needle-rig install-service, then: sudo systemctl restart needle-rig",
+        ),
+        (OSError(errno.EAFNOSUPPORT, "x"), "sudo needle-rig install-service"),
         (OSError(errno.EHOSTUNREACH, "x"), "no route to host; is it on, and this its address?"),
         (TimeoutError("timed out"), "nobody answers; is it on"),
         (socket.gaierror(-2, "x"), "no such address"),
