@@ -94,9 +94,12 @@ class Driver:
             weights, _ = nnls(triangle, sign * target)
             rest = y - sign * (x @ weights)
             if rest @ rest < left @ left:
-                best, left = int((weights > 0).sum()), rest
-        unexplained = max(float(left @ left) / float(y @ y), LEAST_LEFT)
-        count = _independent(left)
+                least = math.sqrt(LEAST_LEFT) * float(weights.max(initial=0.0))
+                best, left = int((weights > least).sum()), rest
+        unexplained = float(left @ left) / float(y @ y)
+        # rounding has neither a correlation nor a size that says anything
+        count = _independent(left) if unexplained > LEAST_LEFT else float(len(left))
+        unexplained = max(unexplained, LEAST_LEFT)
         return max(0.0, -0.5 * count * math.log(unexplained) - 0.5 * best * math.log(count))
 
     def _factored(self, torque: bool, known: bytes, let_go: frozenset[int]) -> tuple[Array, Array, Array]:
