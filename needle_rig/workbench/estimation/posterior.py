@@ -19,7 +19,7 @@ from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.parameters import FreeParameter, constrained_means
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
-from needle_rig.workbench.estimation.slip_limits import log_slip_limits_change
+from needle_rig.workbench.estimation.slip_limits import log_slip_limits
 from needle_rig.workbench.policy import POLICY
 
 STEP = 0.003
@@ -205,17 +205,19 @@ class Objective:
     def _friction_shares(self, x: Array) -> Array:
         """Change of the logarithm of each trial's slip limits (T, p) with the effects that shape friction."""
         shares = np.zeros((self.trials, self.p))
-        vector = self.unpacked(x)
-        for i, parameter in enumerate(self.parameters):
-            if parameter.held or not self.problem.library[parameter.effect].has("shape"):
-                continue
+        library, vector = self.problem.library, self.unpacked(x)
+        shaping = [i for i, a in enumerate(self.parameters) if not a.held and library[a.effect].has("shape")]
+        if not shaping:
+            return shares
+        before = log_slip_limits(self.problem, self.parameters, vector)
+        for i in shaping:
             step = STEP * max(1.0, abs(vector.scaled_values[i]))
-            step = step if vector.scaled_values[i] + step <= parameter.bounds[1] else -step
+            step = step if vector.scaled_values[i] + step <= self.parameters[i].bounds[1] else -step
             moved = vector.scaled_values.copy()
             moved[i] += step
             after = dataclasses.replace(vector, scaled_values=moved)
-            change = log_slip_limits_change(self.problem, (self.parameters, vector), (self.parameters, after))
-            shares[:, 2 + i] = change / step
+            change = log_slip_limits(self.problem, self.parameters, after) - before
+            shares[:, 2 + i] = np.nan_to_num(change) / step
         return shares
 
 

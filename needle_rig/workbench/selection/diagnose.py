@@ -126,7 +126,8 @@ def diagnose(
             Where initial twists are unknown, each turn adds one effect: under those of a model that lacks
             something, a second one would stand for them.
             """
-            most = 1 if starts_are_unknown(of) else max_effects
+            limit = 1 if quick else max_effects
+            most = 1 if starts_are_unknown(of) else limit
             for turn in range(MOST_TURNS):
                 trace = search(
                     *(of.problem, names, of.current, of.validation),
@@ -136,12 +137,12 @@ def diagnose(
                     begin=begin,
                 )
                 other = renewed(of, given, trace) if turn + 1 < MOST_TURNS else None
-                if other is None and (most == max_effects or len(trace.named(trace.best)) < most):
+                if other is None and (most == limit or len(trace.named(trace.best)) < most):
                     break
                 if other is not None:
                     of, told = other
                     say(told)
-                most = min(most + 1, max_effects)
+                most = min(most + 1, limit)
                 best, _ = trace.fits[trace.best]
                 begin = fit(of.problem, best.effects, best.vector)
             return of, trace

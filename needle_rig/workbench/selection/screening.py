@@ -20,7 +20,7 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, against_mean
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
-from needle_rig.workbench.estimation.slip_limits import at_same_slip_limits
+from needle_rig.workbench.estimation.slip_limits import log_slip_limits
 from needle_rig.workbench.policy import POLICY
 
 LEAST_SCALE, MOST_SCALE = 0.02, 4.0
@@ -121,7 +121,12 @@ def beside(
     """
     every = against_mean(parameters, np.r_[parent.vector.scaled_values, scaled_values])
     vector = dataclasses.replace(parent.vector, scaled_values=every)
-    return at_same_slip_limits(problem, (parent.parameters, parent.vector), (parameters, vector))
+    added = {p.effect for p in parameters[len(parent.parameters) :]}
+    if not any(problem.library[effect].has("shape") for effect in added):
+        return vector
+    before = log_slip_limits(problem, parent.parameters, parent.vector)
+    change = np.nan_to_num(log_slip_limits(problem, parameters, vector) - before)
+    return dataclasses.replace(vector, trial_friction=vector.trial_friction - change)
 
 
 def signature(
