@@ -7,7 +7,7 @@ import os
 import pickle
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from functools import partial
@@ -116,7 +116,9 @@ class _Afresh(SpawnProcess):
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
         try:
-            super().start()
+            # Ctrl-C is raised here, and not in the thread: a child that waits for its data gets them first
+            with ThreadPoolExecutor(1) as starter:
+                starter.submit(super().start).result()
         finally:
             sys.modules["__main__"] = main
 
