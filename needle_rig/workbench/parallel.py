@@ -5,11 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import pickle
+import signal
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
@@ -116,11 +118,27 @@ class _Afresh(SpawnProcess):
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
         try:
-            # Ctrl-C is raised here, and not in the thread: a child that waits for its data gets them first
-            with ThreadPoolExecutor(1) as starter:
-                starter.submit(super().start).result()
+            with _signals_at_the_end():
+                super().start()
         finally:
             sys.modules["__main__"] = main
+
+
+@contextmanager
+def _signals_at_the_end() -> Iterator[None]:
+    """What would raise here is handled when this is done: a child would wait for data that never come."""
+    came: list[int] = []
+    here = threading.current_thread() is threading.main_thread()
+    try:
+        with ExitStack() as afterwards:
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if here else ():
+                if callable(before := signal.getsignal(number)):
+                    signal.signal(number, lambda caught, _: came.append(caught))
+                    afterwards.callback(signal.signal, number, before)
+            yield
+    finally:
+        for caught in came:
+            signal.raise_signal(caught)
 
 
 class _AfreshContext(SpawnContext):

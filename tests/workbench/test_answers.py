@@ -272,7 +272,7 @@ def test_a_command_that_is_stopped_three_times_says_what_one_says_that_is_not(
         _, said = process.communicate()
         assert process.returncode == code, said
         if code != -signal.SIGKILL:  # a child that was just begun says that its parent is gone
-            assert "Traceback" not in said
+            assert "Traceback" not in said, said
         kept = kept_whole()
     last = begun("e.yaml")
     again, said = last.communicate()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,26 @@ def test_a_process_that_dies_is_told_in_a_sentence() -> None:
         work.share(9)
         with pytest.raises(NeedleRigError, match=r"ended from outside.*try again with fewer"):
             work.run(os._exit, [()])
+
+
+def test_a_process_that_is_begun_is_begun_whole_before_ctrl_c_is_raised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done: list[str] = []
+    start = SpawnProcess.start
+
+    def interrupted(process: SpawnProcess) -> None:
+        signal.raise_signal(signal.SIGINT)
+        start(process)
+        done.append(process.name)
+
+    monkeypatch.setattr(SpawnProcess, "start", interrupted)
+    with Processes(2) as work:
+        work.share(0.0)
+        with pytest.raises(KeyboardInterrupt):
+            work.run(time.sleep, [()])
+    assert len(done) == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("interrupt", [os.kill, os.killpg])
