@@ -86,7 +86,7 @@ def _show(effect: type[Effect]) -> None:
     for other, values in effect.limits.items():
         at = ", ".join(f"{field} = {value:g}" for field, value in values.items())
         click.echo(f"  becomes {other} at {at}")
-    click.echo(f"  hooks: {', '.join(_hooks(effect))}")
+    click.echo(f"  hooks: {', '.join(effect.hooks())}")
     click.echo(f"  file: {inspect.getsourcefile(effect)}")
 
 
@@ -95,7 +95,7 @@ def _described(effect: type[Effect], *, own: bool) -> JsonObject:
         "name": effect.name(),
         "text": _text(effect),
         "parameters": [_parameter(field, info) for field, info in effect.parameters().items()],
-        "hooks": _hooks(effect),
+        "hooks": effect.hooks(),
         "relatives": list(effect.relatives),
         "redundant_with": list(effect.redundant_with),
         "limits": effect.limits,
@@ -114,10 +114,6 @@ def _parameter(field: str, info: ParameterInfo) -> JsonObject:
         key: value if not isinstance(value, float) or isfinite(value) else str(value)
         for key, value in told.items()
     }
-
-
-def _hooks(effect: type[Effect]) -> list[str]:
-    return [hook for hook in ("drive", "shape", "torque", "observe") if effect.has(hook)]
 
 
 def _text(effect: type[Effect]) -> str:

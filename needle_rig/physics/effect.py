@@ -236,6 +236,11 @@ class Effect:
         return getattr(cls, hook) is not getattr(Effect, hook)
 
     @classmethod
+    def hooks(cls) -> list[str]:
+        """The hooks that this effect defines itself."""
+        return [hook for hook in ("drive", "shape", "torque", "observe") if cls.has(hook)]
+
+    @classmethod
     def is_placed(cls) -> bool:
         """Whether one of its parameters is a place that is looked for (`ParameterInfo.places`)."""
         return any(info.places is not None for info in cls.parameters().values())

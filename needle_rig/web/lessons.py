@@ -61,7 +61,7 @@ def effects_document(directories: Sequence[Path]) -> Document:
                 "parameters": [_parameter(field, info) for field, info in effect.parameters().items()],
                 "relatives": list(effect.relatives),
                 "redundant_with": list(effect.redundant_with),
-                "hooks": [hook for hook in ("drive", "shape", "torque", "observe") if effect.has(hook)],
+                "hooks": effect.hooks(),
             }
             for name, effect in library.items()
         ],

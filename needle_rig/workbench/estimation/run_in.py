@@ -29,7 +29,7 @@ from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
 from needle_rig.workbench.observations.measured_noise import measure_noise
-from needle_rig.workbench.observations.noise import Noise, covariance, whitener
+from needle_rig.workbench.observations.noise import Noise, Whitener, covariance, whitener
 from needle_rig.workbench.policy import POLICY
 
 LAGS_DEG = (5.0, 12.0, 25.0, 50.0, 100.0, 200.0)
@@ -50,6 +50,8 @@ EXACT = 0.01
 BEYOND = 1.5
 """Of the guessed friction, which the extreme starts have: effects that are not in the model yet hold a shaft
 harder. An elastic tissue of 0.35 N·mm/rad per 100 mm lets the tip lag 1.6 times as far before all slips."""
+SEEN_RAD = 10.0
+"""Turn and lag with which a path before a trial is divided into motions: of the smallest, 0.2 rad, too."""
 REVERSALS, SHRINK = 20, 0.8
 """Turns to and fro that relax a shaft, the last a hundredth of the first; the slower they shrink, the less is
 left."""
@@ -67,21 +69,21 @@ def after_run_in(dataset: Dataset, model: NeedleModel, *, friction_known: bool) 
     """
     if all(t.start == "relaxed" for t in dataset.trials):
         return dataset
+    recorded = [Wound.of(t) for t in dataset.trials]
     # with a path before it an unknown twist is no rest, whose scatter would count as noise
-    rests = [t if t.start == "relaxed" else wound(t, 0.0, rad(1.0)) for t in dataset.trials]
-    noise = measure_noise(rests, [bin_trial(t) for t in rests], dataset.torque_scale)
-    shaft = _shaft_of(dataset, noise, model, friction_known)
+    noise = measure_noise([r.seen for r in recorded], [r.binned for r in recorded], dataset.torque_scale)
+    shaft = _shaft_of(recorded, dataset, noise, model, friction_known)
     trials: list[DatasetTrial] = []
     notes: list[str] = []
     run_ins: dict[Start, list[_RunIn]] = {}
-    for given in dataset.trials:
-        if given.start == "relaxed":
-            trials.append(given)
+    for each in recorded:
+        if each.given.start == "relaxed":
+            trials.append(each.given)
             continue
-        trial, found = shaft.judged(given)
+        trial, found = shaft.judged(each)
         trials.append(trial)
         if isinstance(found, _RunIn):
-            run_ins.setdefault(given.start, []).append(found)
+            run_ins.setdefault(each.given.start, []).append(found)
         else:
             notes.append(found)
     notes += [_note(start, each) for start, each in run_ins.items()]
@@ -94,6 +96,50 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     relaxed_rad = base_rad - turn_rad
     ends = [relaxed_rad + 2.0 * lag_rad * (-SHRINK) ** k for k in range(REVERSALS)]
     return with_path_before(trial, [*ends, relaxed_rad])
+
+
+@dataclass(frozen=True)
+class Wound:
+    """A trial in bins, after any turn from a relaxed shaft: that moves the base before it alone.
+
+    One that begins relaxed stays as it is.
+    """
+
+    given: DatasetTrial
+    seen: DatasetTrial
+    """After turns large enough to be motions of their own: its bins are those after any turn."""
+    binned: BinnedTrial
+    of_turn: Array
+    """Change of the base angle at each grid point (m,) by a turn of 1 rad,"""
+    of_lag: Array
+    """and by a lag of 1 rad."""
+
+    @classmethod
+    def of(cls, given: DatasetTrial) -> Wound:
+        """A trial of a dataset."""
+        if given.start == "relaxed":
+            binned = bin_trial(given)
+            return cls(given, given, binned, *np.zeros((2, binned.trial.time_s.size)))
+        seen = wound(given, SEEN_RAD, SEEN_RAD)
+        binned = bin_trial(seen)
+        grid_s = binned.trial.time_s
+
+        def base_rad(turn_rad: float, lag_rad: float) -> Array:
+            trial = wound(given, turn_rad, lag_rad).trial
+            return np.interp(grid_s, trial.time_s, trial.base_angle_rad)
+
+        none = base_rad(0.0, 0.0)
+        before = grid_s < given.trial.time_s[0]
+        path = np.where(before, none, binned.trial.base_angle_rad)
+        of_turn, of_lag = (np.where(before, base_rad(*by) - none, 0.0) for by in ((1.0, 0.0), (0.0, 1.0)))
+        begun = dataclasses.replace(binned, trial=dataclasses.replace(binned.trial, base_angle_rad=path))
+        return cls(given, seen, begun, of_turn, of_lag)
+
+    def after(self, turn_rad: float, lag_rad: float) -> BinnedTrial:
+        """After a turn to its start, of a shaft whose tip lags by this much when all of it slips."""
+        trial = self.binned.trial
+        path = trial.base_angle_rad + turn_rad * self.of_turn + lag_rad * self.of_lag
+        return dataclasses.replace(self.binned, trial=dataclasses.replace(trial, base_angle_rad=path))
 
 
 @dataclass(frozen=True)
@@ -131,7 +177,9 @@ def _from_to(values: Sequence[float], spelt: str, unit: str) -> str:
     return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"
 
 
-def _shaft_of(dataset: Dataset, noise: Noise, given: NeedleModel, friction_known: bool) -> _Shaft:
+def _shaft_of(
+    recorded: Sequence[Wound], dataset: Dataset, noise: Noise, given: NeedleModel, friction_known: bool
+) -> _Shaft:
     """The shaft of the model's friction where that is known; else of the friction that fits the trials best,
     each from the start that fits it best."""
     rod = build_rod(dataset.layout, given.torsional_rigidity_nm2, 1.0, given.element_length_m)
@@ -144,8 +192,8 @@ def _shaft_of(dataset: Dataset, noise: Noise, given: NeedleModel, friction_known
 
     if friction_known:
         return of(given.friction_n * lag_of_newton)
-    travelled = sorted(dataset.trials, key=lambda t: -float(np.abs(np.diff(t.trial.base_angle_rad)).sum()))
-    told = travelled[:GUESSED_FROM]
+    travelled_rad = [float(np.abs(np.diff(r.given.trial.base_angle_rad)).sum()) for r in recorded]
+    told = [recorded[k] for k in np.argsort(-np.array(travelled_rad), kind="stable")[:GUESSED_FROM]]
 
     def misfit(lag_rad: float) -> float:
         return sum(of(lag_rad).start(t, FEW_TURNS)[1] for t in told)
@@ -164,41 +212,45 @@ class _Shaft:
     sensor_names: tuple[str, ...]
     simulator: Simulator = field(default_factory=Simulator)
 
-    def start(self, given: DatasetTrial, turns: Sequence[float] = TURNS) -> tuple[float, float]:
+    def start(self, given: Wound, turns: Sequence[float] = TURNS) -> tuple[float, float]:
         """(turn from a relaxed shaft to the start that fits best of some, χ² with it)."""
-        if given.start == "relaxed":
-            return 0.0, self._chi2(bin_trial(given))
-        tried = {turn: self._chi2(self._from(given, turn * self.lag_rad)) for turn in turns}
-        least = min(tried.values())
-        best = max((turn for turn in tried if tried[turn] <= least + BETTER), key=abs)
-        return best * self.lag_rad, tried[best]
+        tried_rad = [0.0] if given.given.start == "relaxed" else [turn * self.lag_rad for turn in turns]
+        chi2 = self._chi2(given, self._whitener(given), tried_rad)
+        likely = [
+            turn_rad for turn_rad, each in zip(tried_rad, chi2, strict=True) if each <= min(chi2) + BETTER
+        ]
+        best_rad = max(likely, key=abs)
+        return best_rad, chi2[tried_rad.index(best_rad)]
 
-    def _finer(self, given: DatasetTrial) -> float:
+    def _finer(self, given: Wound) -> float:
         """The turn that fits best, between those beside the best of `start`."""
         best_rad, least = self.start(given)
         place = int(np.argmin(np.abs(np.array(TURNS) * self.lag_rad - best_rad)))
         if place in (0, len(TURNS) - 1):
             return best_rad
         ends = (TURNS[place - 1] * self.lag_rad, TURNS[place + 1] * self.lag_rad)
+        whiten = self._whitener(given)
         found = minimize_scalar(
-            lambda turn_rad: self._chi2(self._from(given, float(turn_rad))),
+            lambda turn_rad: self._chi2(given, whiten, [float(turn_rad)])[0],
             bounds=ends,
             method="bounded",
             options={"xatol": EXACT * self.lag_rad},
         )
         return float(found.x) if found.fun < least else best_rad
 
-    def judged(self, given: DatasetTrial) -> tuple[DatasetTrial, _RunIn | str]:
+    def judged(self, recorded: Wound) -> tuple[DatasetTrial, _RunIn | str]:
         """The trial without readings that depend on its start, and what is judged then; or with these
         uncertain, and a sentence on the start that was fitted."""
-        turn_rad = self._finer(given)
+        given = recorded.given
+        turn_rad = self._finer(recorded)
         trial = wound(given, turn_rad, self.lag_rad)
-        binned = bin_trial(trial)
+        binned = recorded.binned
         before = ((0, 0), (0, 0), (int((binned.time_s < given.trial.time_s[0]).sum()), 0))
         turns_rad = [turn * self.lag_rad for turn in TURNS]
-        seen = self._recorded(given, [turn_rad, *turns_rad], 1.0)
+        seen = self._recorded(recorded, [turn_rad, *turns_rad], 1.0)
         others = np.pad(seen, before)
-        harder = np.pad(self._recorded(given, [turn_rad, *(BEYOND * t for t in turns_rad)], BEYOND), before)
+        beyond_rad = [turn_rad, *(BEYOND * turn for turn in turns_rad)]
+        harder = np.pad(self._recorded(recorded, beyond_rad, BEYOND), before)
         half = 0.5 * (harder[-1] - harder[1])
         away = np.concatenate([others[1:] - others[0], harder[1:] - harder[0]])
         free = np.zeros(half.shape, dtype=np.bool_)
@@ -207,7 +259,7 @@ class _Shaft:
             free[c, use] = np.abs(half[c, use]) < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
         known = np.isfinite(binned.mean)
         share = float(free[known].mean())
-        of_sample = bins_of_samples(trial)
+        of_sample = bins_of_samples(recorded.seen)
         changes = list(away / math.sqrt(len(away)))
         if given.start == "zeroed":
             first = of_sample[np.flatnonzero(trial.phase != PHASE)[0]]
@@ -236,12 +288,12 @@ class _Shaft:
         )
         return trial, self._run_in(given.file, binned, free & known, known, share)
 
-    def _recorded(self, given: DatasetTrial, turns_rad: Sequence[float], harder: float) -> Array:
+    def _recorded(self, given: Wound, turns_rad: Sequence[float], harder: float) -> Array:
         """Means of the recorded bins (turns, C, K) from each start, of a shaft that is held `harder`."""
         model = dataclasses.replace(self.model, friction_n=harder * self.model.friction_n)
-        starts = [bin_trial(wound(given, turn_rad, harder * self.lag_rad)) for turn_rad in turns_rad]
+        starts = [given.after(turn_rad, harder * self.lag_rad) for turn_rad in turns_rad]
         readings = self.simulator.readings([model] * len(starts), starts)
-        begin_s = float(given.trial.time_s[0])
+        begin_s = float(given.given.trial.time_s[0])
         return np.array([r[:, b.time_s >= begin_s] for r, b in zip(readings, starts, strict=True)])
 
     def _run_in(
@@ -259,19 +311,20 @@ class _Shaft:
         }
         return _RunIn(file, share, since_s)
 
-    def _from(self, given: DatasetTrial, turn_rad: float) -> BinnedTrial:
-        """In bins, with `turn_rad` before it; what is counted from the start may be off by any lag."""
-        binned = bin_trial(wound(given, turn_rad, self.lag_rad))
-        if given.start != "zeroed":
-            return binned
-        channels, bins = binned.mean.shape
-        most_rad = rad(
-            LAGS_DEG[-1]
-        )  # of any shaft that is tried: a width of its own would favour the loosest
-        most_nm = most_rad * self.model.torsional_rigidity_nm2 / self.model.layout.needle_length_m
-        offsets = np.diag([most_nm, *[most_rad] * (channels - 1)])
-        return dataclasses.replace(binned, from_start=np.repeat(offsets[:, None, :], bins, axis=1))
+    def _whitener(self, given: Wound) -> Whitener:
+        """Of a trial after any turn; what is counted from the start may be off by any lag."""
+        binned = given.binned
+        if given.given.start == "zeroed":
+            channels, bins = binned.mean.shape
+            # of any shaft that is tried: a width of its own would favour the loosest
+            most_rad = rad(LAGS_DEG[-1])
+            most_nm = most_rad * self.model.torsional_rigidity_nm2 / self.model.layout.needle_length_m
+            offsets = np.diag([most_nm, *[most_rad] * (channels - 1)])
+            binned = dataclasses.replace(binned, from_start=np.repeat(offsets[:, None, :], bins, axis=1))
+        return whitener(self.noise, binned)
 
-    def _chi2(self, binned: BinnedTrial) -> float:
-        (reading,) = self.simulator.readings([self.model], [binned])
-        return float((whitener(self.noise, binned)(binned.mean - reading) ** 2).sum())
+    def _chi2(self, given: Wound, whiten: Whitener, turns_rad: Sequence[float]) -> list[float]:
+        """χ² of a trial after each turn."""
+        starts = [given.after(turn_rad, self.lag_rad) for turn_rad in turns_rad]
+        readings = self.simulator.readings([self.model] * len(starts), starts)
+        return [float((whiten(given.binned.mean - reading) ** 2).sum()) for reading in readings]

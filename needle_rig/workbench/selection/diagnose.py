@@ -154,7 +154,7 @@ def diagnose(
             if not starts_are_unknown(of) or excess(trace.problem, found.objective) <= 0.0:
                 return of, trace
             say("trying every effect with initial twists of its own")
-            own = with_own_starts(of, given, names, deviance(trace.problem, found))
+            own = with_own_starts(of, given, names, deviance(trace.problem, found), at)
             return (of, trace) if own is None else in_turns(own[0], given, own[1])
 
         def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:

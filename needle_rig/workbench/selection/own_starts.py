@@ -7,7 +7,9 @@ are compared.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,23 +22,37 @@ from needle_rig.workbench.estimation.baseline import (
 )
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.parameters import at_strength
+from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.screening import beside
 
 
+@dataclass(frozen=True)
+class _Shared:
+    """What every task needs; `given` are the trials as recorded."""
+
+    baseline: Baseline
+    given: Dataset
+
+
 def with_own_starts(
-    baseline: Baseline, given: Dataset, names: Sequence[str], lowest: float
+    baseline: Baseline, given: Dataset, names: Sequence[str], lowest: float, work: Work
 ) -> tuple[Baseline, Fit] | None:
     """The baseline from the twists of the likeliest effect, with its fit; None where none is likelier.
 
     `given` are the trials as recorded, `lowest` the −2 log density that it must be below.
     """
-    best: Starts | None = None
-    for found in _begun(baseline, names):
-        taken = starts_beside(baseline, given, found, at_once=True)
-        if taken is not None and taken.deviance < lowest:
-            lowest, best = taken.deviance, taken
-    if best is None:
+    tasks = []
+    for name in names:
+        added = baseline.problem.parameters([name])
+        every: Iterator[tuple[float, float]] = itertools.product(POLICY.screening.strengths, (1.0, -1.0))
+        if set(baseline.problem.library[name].hooks()) <= {"observe"}:
+            every = itertools.islice(every, 1)  # what changes readings alone has one minimum, from anywhere
+        tasks += [(name, way) for way in dict.fromkeys(tuple(at_strength(added, *each)) for each in every)]
+    work.share(_Shared(baseline, given))
+    found: list[Starts] = [each for each in work.run(_own_starts, tasks) if each is not None]
+    best = min(found, key=lambda starts: starts.deviance, default=None)
+    if best is None or best.deviance >= lowest:
         return None
     further = starts_beside(under_starts(baseline, best), given, best.fit) or best
     other = under_starts(baseline, further)
@@ -44,16 +60,10 @@ def with_own_starts(
     return None if other is baseline or begin is None else (other, begin)
 
 
-def _begun(baseline: Baseline, names: Sequence[str]) -> Iterator[Fit]:
-    """Each effect at the sizes of screening, either way, with all else as it is."""
-    problem, parent = baseline.problem, baseline.current
-    for name in names:
-        effects = (*parent.effects, name)
-        added = problem.parameters([name])
-        for size in POLICY.screening.strengths:
-            ways = {tuple(at_strength(added, size, turn)) for turn in (1.0, -1.0)}
-            for scaled_values in ways:
-                vector = beside(problem, parent, problem.parameters(effects), np.array(scaled_values))
-                found = fit(problem, effects, vector, nuisance=parent.nuisance, iterations=0)
-                if found is not None:
-                    yield found
+def _own_starts(shared: _Shared, name: str, scaled_values: Sequence[float]) -> Starts | None:
+    """Initial twists beside an effect of this size, all else as it is."""
+    problem, parent = shared.baseline.problem, shared.baseline.current
+    effects = (*parent.effects, name)
+    vector = beside(problem, parent, problem.parameters(effects), np.array(scaled_values))
+    found = fit(problem, effects, vector, nuisance=parent.nuisance, iterations=0)
+    return None if found is None else starts_beside(shared.baseline, shared.given, found, at_once=True)

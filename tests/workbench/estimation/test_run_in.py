@@ -10,13 +10,16 @@ import pytest
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.dataset.records import Start
 from needle_rig.model import load_parameters
+from needle_rig.numerics import Array
 from needle_rig.physics import effects as built_in
+from needle_rig.physics.effect import Reading
 from needle_rig.physics.library import load_effect
 from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
-from needle_rig.workbench.estimation.baseline import fit_baseline, judged
-from needle_rig.workbench.estimation.run_in import wound
+from needle_rig.workbench.estimation.baseline import fit_baseline, judged, null_model
+from needle_rig.workbench.estimation.run_in import Wound, wound
 from needle_rig.workbench.learning.compare import compare
+from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.earlier_path import PHASE
 from needle_rig.workbench.parallel import Processes
 from needle_rig.workbench.selection.diagnose import diagnose
@@ -154,6 +157,25 @@ def test_where_every_trial_is_wound_the_starts_are_found_with_what_is_missing(se
     assert (found.verdict, found.effects) == ("effect", ("tissue_elasticity",))
     value = found.ranking[0].values[0]
     assert value.low < 0.45 < value.high
+
+
+@pytest.mark.parametrize(("turn_rad", "lag_rad"), [(0.3, 0.4), (-2.0, 1.5), (0.0, 0.4), (1e-3, 0.01)])
+def test_a_trial_after_any_turn_is_that_in_bins_after_its_whole_path(turn_rad: float, lag_rad: float) -> None:
+    given = begun_late(dataset(seed=23).trials[3], "step_2", "wound")
+    binned, quick = bin_trial(wound(given, turn_rad, lag_rad)), Wound.of(given).after(turn_rad, lag_rad)
+    model, begin_s = null_model(dataset(seed=23)), given.trial.time_s[0]
+    whole, again = (model.predict(b.trial) for b in (binned, quick))
+    for one, other in (
+        (binned.mean, quick.mean),
+        (binned.averaged(_rows(whole)), quick.averaged(_rows(again))),
+    ):
+        seen, same = one[:, binned.time_s >= begin_s], other[:, quick.time_s >= begin_s]
+        assert np.isfinite(seen).all()
+        np.testing.assert_allclose(seen, same, rtol=0.0, atol=1e-9)
+
+
+def _rows(reading: Reading) -> Array:
+    return np.vstack([reading.torque_nm, reading.hall_rad.T])
 
 
 @pytest.mark.slow

@@ -11,7 +11,15 @@ from needle_rig.model import load_parameters
 from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.estimation.baseline import null_model
-from needle_rig.workbench.estimation.run_in import TURNS, _RunIn, _Shaft, _shaft_of, after_run_in, wound
+from needle_rig.workbench.estimation.run_in import (
+    TURNS,
+    Wound,
+    _RunIn,
+    _Shaft,
+    _shaft_of,
+    after_run_in,
+    wound,
+)
 from needle_rig.workbench.observations.binning import (
     BinnedTrial,
     bin_trial,
@@ -178,12 +186,13 @@ def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_sta
         ends = np.linspace(-sigmas, sigmas, len(TURNS))
         seen = np.array([turn * one_sigma for turn in (0.0, *ends)])
         monkeypatch.setattr(_Shaft, "_recorded", lambda *_: seen)
-        judged, found = shaft.judged(trial)
+        judged, found = shaft.judged(Wound.of(trial))
         return not judged.start_found and isinstance(found, _RunIn) and found.share == 1.0
 
     noise = measure_noise(data.trials, [bin_trial(t) for t in data.trials])
-    shaft = _shaft_of(data, noise, null_model(data), friction_known=False)
-    binned = bin_trial(wound(trial, shaft._finer(trial), shaft.lag_rad))
+    recorded = [Wound.of(t) for t in data.trials]
+    shaft = _shaft_of(recorded, data, noise, null_model(data), friction_known=False)
+    binned = bin_trial(wound(trial, shaft._finer(Wound.of(trial)), shaft.lag_rad))
     one_sigma = np.full(binned.mean.shape, np.nan)
     for c in range(len(one_sigma)):
         use, matrix = covariance(noise, binned, c)
