@@ -165,6 +165,7 @@ def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iter
     state = client.state()
     yield from check.check_ticks(state)
     yield from check.check_links(config, state)
+    yield from check.check_firmware(state)
     quiet = state["phase"] != "moving" and seen
     if quiet:
         residual_nmm, residuals_deg = _calibrated(calibration)

@@ -27,7 +27,7 @@ _NEEDED: Mapping[str, tuple[str, ...]] = {
 """Columns that readers of runs count on; files of other versions may have more and less beside them."""
 
 _LINES = ("format", "strategy", "parameters", "rig", "kind", "started_utc")
-_TEXTS = ("config", "versions", "options")
+_TEXTS = ("config", "versions", "options", "firmware")
 _NUMBERS = ("target_deg", "speed_deg_s", "settle_s", "lag_left_deg")
 
 
