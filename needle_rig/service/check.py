@@ -241,11 +241,14 @@ def check_links(config: RigConfig, state: State) -> list[Finding]:
 def check_firmware(state: State) -> list[Finding]:
     """What each node is; whether it can be worked with, and is of this version."""
     found = []
+    ages = {} if state["sensors"] is None else {**state["sensors"]["age_ms"]}
     for link, node in state.get("firmware", {}).items():
         name, flash = f"{link} firmware", "flash it: needle-rig firmware build"
         if node["refusal"] is not None:
             text, _, todo = node["refusal"].partition("; ")
             found.append(Finding(name, "fail", text, todo))
+        elif node["protocol"] is None and ages.get(link) is None:
+            continue  # it is not heard at all, which is told of its link
         elif node["protocol"] is None:
             found.append(Finding(name, "warn", f"{node['text']}: older than 0.2.0", flash))
         elif node["version"] not in (None, VERSION):
