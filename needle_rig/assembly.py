@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from needle_rig.control.strategy import Trust
     from needle_rig.devices.hardware_rig import HardwareRig
     from needle_rig.physics.needle_model import NeedleModel
-    from needle_rig.records import Command, Measurement
+    from needle_rig.records import Command, Firmware, Measurement
     from needle_rig.rig import RawReadings, Rig
     from needle_rig.simulation.bench import Bench
     from needle_rig.simulation.firmware_rig import FirmwareRig
@@ -166,6 +166,10 @@ class RigOnBench:
         """See `Rig.write`."""
         if self._hardware is not None:
             self._hardware.write(command)
+
+    def firmware(self) -> dict[str, Firmware]:
+        """See `Rig.firmware`."""
+        return {} if self._hardware is None else self._hardware.firmware()
 
     async def close(self) -> None:
         """Stop the drive, release the ports and end the bench."""

@@ -93,6 +93,23 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
+class Firmware:
+    """What a node says of itself; None for each thing that it did not tell.
+
+    `protocol` is what its frames mean, `build` the first 24 bits of its sources' SHA-256 (0 where there are
+    none), `calibration_serial` that of the page that it calibrates with.
+    """
+
+    protocol: int | None = None
+    version: str | None = None
+    build: int | None = None
+    calibrated: bool | None = None
+    calibration_serial: int | None = None
+    refusal: str = ""
+    """Why the host does not work with it, for a person; empty when it does."""
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """What the drive is sent each tick. `enable` False stops.
 

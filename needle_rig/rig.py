@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from needle_rig.records import Command, Measurement
+from needle_rig.records import Command, Firmware, Measurement
 
 RawReadings = Callable[[str, tuple[float, ...]], None]
 """Receives every raw reading as (source, row), for the record. Rows:
@@ -24,6 +24,9 @@ class Rig(Protocol):
 
     def write(self, command: Command) -> None:
         """Send one command; never blocks. A dead link shows in the ages of later readings."""
+
+    def firmware(self) -> dict[str, Firmware]:
+        """What each node says of itself, by link; one that cannot tell is not among them. Never blocks."""
 
     async def close(self) -> None:
         """Stop the drive and release every port; safe to call twice."""

@@ -4,7 +4,7 @@
 
 #include <string.h>
 
-bool nr_page_read(const void *page, uint32_t magic, void *content, size_t length)
+bool nr_page_read(const void *page, uint32_t magic, void *content, size_t length, uint32_t *serial)
 {
     struct nr_page_header header;
     memcpy(&header, page, sizeof header);
@@ -13,5 +13,6 @@ bool nr_page_read(const void *page, uint32_t magic, void *content, size_t length
         return false;
     }
     memcpy(content, bytes, length);
+    *serial = header.serial;
     return true;
 }

@@ -46,7 +46,7 @@ struct nr_page_header {
 
 enum { NR_MAGIC_HALL = 0x314C4148, NR_MAGIC_TORQUE = 0x31515254, NR_MAGIC_DRIVE = 0x31565244 };
 
-/* Copies the content of `page` to `content` when magic, length and CRC are right. */
-bool nr_page_read(const void *page, uint32_t magic, void *content, size_t length);
+/* Copies the content of `page` to `content`, and its serial number, when magic, length and CRC are right. */
+bool nr_page_read(const void *page, uint32_t magic, void *content, size_t length, uint32_t *serial);
 
 #endif

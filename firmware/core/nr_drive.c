@@ -60,10 +60,16 @@ static const int64_t MOST_VELOCITY = INT64_MAX / 512;  /* 1e-4 deg/s, of which t
 
 void nr_drive_init(struct nr_drive_node *node, const struct nr_drive_config *config, const void *page)
 {
-    *node = (struct nr_drive_node){.config = *config};
+    *node = (struct nr_drive_node){
+        .config = *config,
+        .identity = {.firmware_id = NEEDLE_RIG_DRIVE_FIRMWARE_FRAME_ID},
+    };
+    uint32_t serial;
     struct nr_drive_calibration calibration;
-    if (nr_page_read(page, NR_MAGIC_DRIVE, &calibration, sizeof calibration) && calibration.counts_per_turn != 0) {
-        node->calibrated = true;
+    if (nr_page_read(page, NR_MAGIC_DRIVE, &calibration, sizeof calibration, &serial) &&
+        calibration.counts_per_turn != 0) {
+        node->identity.calibrated = true;
+        node->identity.serial = serial;
         node->config.counts_per_turn = calibration.counts_per_turn;
         node->config.duty_per_velocity = calibration.duty_per_velocity;
     }

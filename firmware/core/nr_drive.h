@@ -10,6 +10,7 @@
 
 #include "nr_calibration.h"
 #include "nr_guard.h"
+#include "nr_identity.h"
 
 #include <stddef.h>
 
@@ -47,7 +48,7 @@ struct nr_drive_outputs {
 struct nr_drive_node {
     struct nr_drive_config config;
     struct nr_guard guard;
-    bool calibrated;
+    struct nr_identity identity;
     bool started;
     uint32_t last_us;
     uint64_t uptime_us;

@@ -7,7 +7,8 @@ enum { MID_SCALE = 2048, UNIT_GAIN_Q14 = 16384, FRAME_TYPE_HALL = 1, LSB_PER_COU
 void nr_hall_init(struct nr_hall_node *node, const void *page)
 {
     *node = (struct nr_hall_node){0};
-    node->calibrated = nr_page_read(page, NR_MAGIC_HALL, node->calibration, sizeof node->calibration);
+    uint32_t serial; /* nobody asks for it on this line */
+    node->calibrated = nr_page_read(page, NR_MAGIC_HALL, node->calibration, sizeof node->calibration, &serial);
     if (!node->calibrated) {
         for (int i = 0; i < NR_HALL_SENSORS; i++) {
             node->calibration[i] = (struct nr_hall_calibration){

@@ -13,6 +13,16 @@ static bool due(uint32_t now_us, uint32_t *next_us)
     return true;
 }
 
+/* After what the host waits for: where the controller has no room left, this one is lost. */
+static void introduce(struct nr_identity *identity, const struct nr_board *board, uint32_t now_us)
+{
+    uint32_t id;
+    uint8_t data[8] = {0};
+    if (nr_identity_tick(identity, now_us, &id, data)) {
+        board->can_send(board->context, id, data);
+    }
+}
+
 void nr_torque_start(struct nr_torque_app *app, const struct nr_board *board)
 {
     nr_torque_init(&app->node, board->calibration(board->context));
@@ -30,6 +40,7 @@ bool nr_torque_poll(struct nr_torque_app *app, const struct nr_board *board)
     const bool converted = board->load_cell(board->context, &counts);
     const uint32_t id = nr_torque_tick(&app->node, now_us, counts, converted, data);
     board->can_send(board->context, id, data);
+    introduce(&app->node.identity, board, now_us);
     return true;
 }
 
@@ -88,5 +99,6 @@ bool nr_drive_poll(struct nr_drive_app *app, const struct nr_board *board)
         board->can_send(board->context, NEEDLE_RIG_DRIVE_HEALTH_FRAME_ID, out.health);
     }
     board->can_send(board->context, NEEDLE_RIG_DRIVE_STATUS_FRAME_ID, out.status);
+    introduce(&app->node.identity, board, now_us);
     return true;
 }

@@ -8,9 +8,10 @@ enum { FULL_SCALE = 8388607, STUCK_TICKS = 1000, TORQUE_RAW_MAX = 8000000 };
 
 void nr_torque_init(struct nr_torque_node *node, const void *page)
 {
-    *node = (struct nr_torque_node){0};
-    node->calibrated = nr_page_read(page, NR_MAGIC_TORQUE, &node->calibration, sizeof node->calibration);
-    if (!node->calibrated) {
+    *node = (struct nr_torque_node){.identity = {.firmware_id = NEEDLE_RIG_TORQUE_FIRMWARE_FRAME_ID}};
+    node->identity.calibrated = nr_page_read(page, NR_MAGIC_TORQUE, &node->calibration, sizeof node->calibration,
+                                             &node->identity.serial);
+    if (!node->identity.calibrated) {
         node->calibration = (struct nr_torque_calibration){.offset_counts = 0, .gain_q24 = 1 << 24};
     }
 }

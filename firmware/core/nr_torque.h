@@ -3,6 +3,7 @@
 #define NR_TORQUE_H
 
 #include "nr_calibration.h"
+#include "nr_identity.h"
 
 enum { NR_TORQUE_OK = 0, NR_TORQUE_STARTING = 1, NR_TORQUE_SATURATED = 2, NR_TORQUE_SENSOR_FAULT = 3 };
 
@@ -12,7 +13,7 @@ enum { NR_TORQUE_FILTER_SHIFT = 2, NR_TORQUE_STARTING_TICKS = 32 };
 
 struct nr_torque_node {
     struct nr_torque_calibration calibration;
-    bool calibrated;
+    struct nr_identity identity;
     int64_t filtered_q8; /* counts in 1/256 */
     uint32_t ticks;
     uint16_t same_counts; /* conversions in a row with the very same counts */

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.calibration.fits import HallFit, fit_hall, fit_line
+from needle_rig.calibration.kept import FORMAT
 from needle_rig.calibration.stand import Stand, collect, jog, make_ready
 from needle_rig.config.places import write_yaml
 from needle_rig.errors import RigFault
@@ -25,6 +26,7 @@ from needle_rig.firmware.pages import (
 )
 from needle_rig.records import JsonObject
 from needle_rig.units import deg
+from needle_rig.version import VERSION
 
 NMM_PER_COUNT = 1e-5
 """Of a neutral torque node."""
@@ -58,7 +60,7 @@ class Target:
         """Write page and calibration file beside the picture."""
         hex_file, text_file = self.folder / f"{kind}.hex", self.folder / f"{kind}.yaml"
         write_page(hex_file, page)
-        head = {"format": "needle-rig-calibration/1", "node": kind, "serial": self.serial}
+        head = {"format": FORMAT, "written_by": VERSION, "node": kind, "serial": self.serial}
         document = {**head, "date": self.date.isoformat(), **values, "applied_by": "the node, from its page"}
         text_file.write_text(write_yaml(document), encoding="utf-8")
         return Calibration(page, values, tuple(lines), (text_file, hex_file, png))

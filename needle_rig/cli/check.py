@@ -165,9 +165,15 @@ def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iter
     state = client.state()
     yield from check.check_ticks(state)
     yield from check.check_links(config, state)
+    yield from check.check_firmware(state)
     quiet = state["phase"] != "moving" and seen
     if quiet:
-        residual_nmm, residuals_deg = _calibrated(calibration)
+        residual_nmm: float | None = None
+        residuals_deg: list[float] = []
+        try:
+            residual_nmm, residuals_deg = _calibrated(calibration)
+        except BadInput as error:
+            yield check.Finding("calibration", "warn", str(error), "needle-rig calibrate")
         yield from check.check_noise(config, seen, residual_nmm, residuals_deg)
     yield from check.check_drive(state)
 
@@ -242,11 +248,11 @@ def _daemon(running: DaemonClient | None, rig_file: Path) -> Iterator[DaemonClie
 
 
 def _calibrated(folder: Path) -> tuple[float | None, list[float]]:
-    """What calibration left: of the torque in N·mm, of each Hall sensor in degrees."""
-    from needle_rig.config.loader import read_yaml
+    """What calibration left: of the torque in N·mm, of each Hall sensor in degrees. Raises BadInput."""
+    from needle_rig.calibration.kept import read_calibration
 
     torque, hall = (
-        read_yaml(file)[0] if (file := folder / name).is_file() else {}
+        read_calibration(file) if (file := folder / name).is_file() else {}
         for name in ("torque.yaml", "hall.yaml")
     )
     residual = torque.get("worst_residual_nmm")

@@ -27,7 +27,10 @@ def command() -> None:
 def build(out: Path, measure: bool) -> None:
     """Build torque, hall and drive (.elf, .hex) for the STM32F405, and the same nodes as a library."""
     from needle_rig.firmware.build import build as build_images
+    from needle_rig.firmware.sources import firmware_folder, source_build
+    from needle_rig.version import VERSION
 
+    click.echo(f"The nodes say: {VERSION}, build {source_build(firmware_folder()):06x}.")
     click.echo(f"{'image':<14}{'text':>8}{'data':>8}{'bss':>8}{'flash':>8}{'RAM':>8}  bytes")
     images: list[Image] = []
     for image in build_images(out):

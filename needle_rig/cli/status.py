@@ -39,6 +39,7 @@ def _text(state: State, path: str) -> str:
     lines = [
         f"rig:     {rig['name']}{simulated}, on {path}",
         f"version: {state.get('version') or 'not told'}",
+        *(f"node:    {link} {node['text']}" for link, node in state.get("firmware", {}).items()),
         f"since:   {state['since_utc']}",
         f"phase:   {phase}",
     ]

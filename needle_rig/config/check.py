@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from needle_rig.config.file_kinds import check_format
+from needle_rig.config.file_kinds import as_read_here
 from needle_rig.config.hints import meant_key, meant_value, number, number_from_text, symbol
 from needle_rig.config.places import DataPath, Places, dotted, kind_of
 from needle_rig.errors import BadInput
@@ -26,12 +26,12 @@ Model = TypeVar("Model", bound=BaseModel)
 def validate(model: type[Model], data: JsonObject, places: Places) -> Model:
     """`data` as a `model`, nothing converted silently (text is no number, `yes` is not true).
 
-    Raises BadInput with one line for every error, in the order of the file; one line alone for a file of
-    another format.
+    An older format is migrated first. Raises BadInput with one line for every error, in the order of the
+    file; one line alone for a file of another format.
     """
     stated = model.model_fields.get("format")
     if stated is not None and "format" in data:
-        check_format(data, places, *get_args(stated.annotation))
+        data = as_read_here(data, places, *get_args(stated.annotation))
     try:
         return model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as failed:

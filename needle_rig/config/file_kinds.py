@@ -1,6 +1,12 @@
-"""Which kind of file a file is, by its key `format`: the kind, a slash, and the version."""
+"""The one judge of formats: which kind of file a file is, and of which number, by its key `format`.
+
+It is KIND/NUMBER. A newer number is refused in a sentence, an older one is migrated.
+"""
 
 from __future__ import annotations
+
+import copy
+from collections.abc import Callable
 
 from needle_rig.config.places import Places
 from needle_rig.records import JsonObject
@@ -16,37 +22,80 @@ KINDS: dict[str, tuple[str, str]] = {
     "needle-rig-protocol": ("a protocol", "name it as protocol"),
     "needle-rig-diagnosis": ("a diagnosis", "give it to needle-rig adopt"),
     "needle-rig-watch": ("what a watch keeps of a run", "needle-rig watch reads it from beside the runs"),
-    "needle-rig-calibration": ("a calibration", "needle-rig calibrate wrote it, and no command reads it"),
+    "needle-rig-calibration": ("a calibration", "needle-rig check reads it from its folder"),
+    "needle-rig-run": ("a run", "name it as RUN"),
+    "needle-rig-backup": ("a backup", "give it to needle-rig restore"),
+    "needle-rig-report": ("a report", "unpack it with unzip"),
 }
 """Each kind in words, and where a file of it is to be named."""
 
 
-def check_format(data: JsonObject, places: Places, *wanted: str) -> None:
-    """Raise BadInput unless `data` says that it is of one of the formats that are `wanted` here.
+Migration = Callable[[JsonObject], JsonObject]
+MIGRATIONS: dict[str, Migration] = {}
+"""From a format that was, `needle-rig-model/1`, to the content of the next number of its kind.
 
-    One sentence stands alone then: the keys of another format would all be listed as mistakes.
+The key `format` follows by itself. Empty: no format has changed yet. A run's content is its attributes."""
+
+_DIGITS = 6
+"""Of a number that is believed; what is longer came from no needle-rig."""
+_SHOWN_LETTERS = 40
+
+
+def as_read_here(data: JsonObject, places: Places, *wanted: str, writer: object = None) -> JsonObject:
+    """`data` in the one of the formats `wanted` that is of its kind; older ones are migrated, `data` is kept.
+
+    Raises what `judge_format` raises.
+    """
+    for given in judge_format(data, places, *wanted, writer=writer):
+        kind, number = _parts(given)
+        data = {**MIGRATIONS[given](copy.deepcopy(data)), "format": f"{kind}/{number + 1}"}
+    return data
+
+
+def judge_format(data: JsonObject, places: Places, *wanted: str, writer: object = None) -> list[str]:
+    """The formats from which `data` must be migrated, one by one, to one of those `wanted`.
+
+    `writer` is the version of needle-rig that wrote it, where that is known. Raises BadInput where no way
+    leads there. One sentence stands alone then: the keys of another format would all be listed as mistakes.
     """
     given = data.get("format")
+    way: list[str] = []
+    while given not in wanted and isinstance(given, str) and given in MIGRATIONS:
+        way.append(given)
+        kind, number = _parts(given)
+        given = f"{kind}/{number + 1}"
     if given in wanted:
-        return
-    kind, _, version = given.partition("/") if isinstance(given, str) else ("", "", "")
-    same = next((w for w in wanted if w.partition("/")[0] == kind), None)
-    here = " or ".join(f"{KINDS[w.partition('/')[0]][0]} ({w})" for w in wanted)
-    if same is not None and version.isdecimal() and int(version) > int(same.partition("/")[2]):
-        sentence = (
-            f"{given} was written by a newer needle-rig than this {VERSION}, which reads {same};"
-            " upgrade needle-rig, or restore a backup from before"
+        return way
+    who = writer or data.get("written_by") or data.get("program")
+    raise places.error(("format",), _refusal(data.get("format"), wanted, who))
+
+
+def _parts(form: str) -> tuple[str, int]:
+    """Kind and number of a format; the number is -1 where there is none."""
+    kind, _, number = form.partition("/")
+    return kind, int(number) if number.isdecimal() and len(number) <= _DIGITS else -1
+
+
+def _refusal(given: object, wanted: tuple[str, ...], writer: object) -> str:
+    """Why a file of the format `given` is not read where `wanted` are, and what to do."""
+    here = " or ".join(f"{KINDS[_parts(w)[0]][0]} ({w})" for w in wanted)
+    if given is None:
+        return f"is missing; {here} is read here: write format: {wanted[0]}"
+    kind, number = _parts(given) if isinstance(given, str) else ("", -1)
+    same = next((w for w in wanted if _parts(w)[0] == kind), None)
+    shown = str(given)[:_SHOWN_LETTERS]
+    if same is not None and number > _parts(same)[1]:
+        who = f"needle-rig {str(writer)[:_SHOWN_LETTERS]}" if writer else "a newer needle-rig"
+        return (
+            f"{KINDS[kind][0]} written by {who}, format {number}; needle-rig {VERSION} reads up to"
+            f" {_parts(same)[1]}: upgrade needle-rig, or restore a backup from before"
         )
-    elif same is not None:
-        sentence = (
-            f"version {version!r} of {KINDS[kind][0]} is not known, this needle-rig reads {same};"
-            f" take the needle-rig that wrote it, or write format: {same}"
+    if same is not None:
+        return (
+            f"version {shown.partition('/')[2]!r} of {KINDS[kind][0]} is not known, this needle-rig reads"
+            f" {same}; take the needle-rig that wrote it, or write format: {same}"
         )
-    elif kind in KINDS:
+    if kind in KINDS:
         what, where = KINDS[kind]
-        sentence = f"this is {what} ({given}), not {here}; {where}"
-    elif given is None:
-        sentence = f"is missing; {here} is read here: write format: {wanted[0]}"
-    else:
-        sentence = f"{given!r} is not known; {here} is read here: write format: {wanted[0]}"
-    raise places.error(("format",), sentence)
+        return f"this is {what} ({shown}), not {here}; {where}"
+    return f"{repr(given)[:_SHOWN_LETTERS]} is not known; {here} is read here: write format: {wanted[0]}"

@@ -6,10 +6,11 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args
 
 from needle_rig.config.check import validate
 from needle_rig.config.directories import config_directories
+from needle_rig.config.file_kinds import as_read_here
 from needle_rig.config.files import find_config_file, parameters_path
 from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
 from needle_rig.config.schema import NodeDevice, RigConfig, TextHall
@@ -74,6 +75,8 @@ def _build(data: JsonObject, places: Places, overrides: Mapping[str, object]) ->
     given: dict[DataPath, object] = {
         tuple(key.split(".")): value for key, value in overrides.items() if value is not None
     }
+    if "format" in data:  # options name the keys of today
+        data = as_read_here(data, places, *get_args(RigConfig.model_fields["format"].annotation))
     # The file is judged by itself first, so that an option never hides a mistake in it.
     config = validate(RigConfig, data, places)
     if given:

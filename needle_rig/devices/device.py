@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar, Protocol
 
 from needle_rig.config.schema import Section
-from needle_rig.records import Command, DriveFault, DriveState
+from needle_rig.records import Command, DriveFault, DriveState, Firmware
 
 FrameHandler = Callable[[int, bytes, float], None]
 """Receives (frame id, data, host time in s of its arrival)."""
@@ -126,6 +126,10 @@ class Device:
     def complaint(self, now_s: float) -> str:  # noqa: ARG002 few complaints pass with time
         """What is wrong with a device that does speak, for a person; empty when nothing is."""
         return ""
+
+    def firmware(self, now_s: float) -> Firmware | None:  # noqa: ARG002 few devices can tell
+        """What it says of its firmware; None for a device that cannot tell."""
+        return None
 
     def needs_set_up(self, now_s: float) -> bool:  # noqa: ARG002 most devices speak by themselves
         """Whether `set_up` must be called (again)."""

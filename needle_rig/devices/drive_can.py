@@ -9,10 +9,12 @@ from needle_rig.config.schema import NodeDevice
 from needle_rig.devices.device import Drive, Host
 from needle_rig.devices.link_clock import LinkClock
 from needle_rig.devices.shortest_way import CRYSTAL_TOLERANCE
-from needle_rig.records import Command, DriveFault
+from needle_rig.records import Command, DriveFault, Firmware
 from needle_rig.wire.can_frames import (
     COUNTER_MODULUS,
+    DRIVE_CALIBRATION_ID,
     DRIVE_COMMAND_ID,
+    DRIVE_FIRMWARE_ID,
     DRIVE_HEALTH_ID,
     DRIVE_REFERENCE_ID,
     DRIVE_STATUS_ID,
@@ -23,14 +25,21 @@ from needle_rig.wire.can_frames import (
     DriveStatus,
     load_codec,
 )
+from needle_rig.wire.node_identity import NodeIdentity
 
 HEALTH_AGE_LIMIT_S = 0.1
 """DRIVE_HEALTH comes every 10 ms: ten that are missing, while statuses come, mean a node that is ill."""
-_IDS = (DRIVE_STATUS_ID, DRIVE_HEALTH_ID, DRIVE_COMMAND_ID, DRIVE_REFERENCE_ID)
+_IDS = (
+    *(DRIVE_STATUS_ID, DRIVE_HEALTH_ID, DRIVE_COMMAND_ID, DRIVE_REFERENCE_ID),
+    *(DRIVE_FIRMWARE_ID, DRIVE_CALIBRATION_ID),
+)
 
 
 class DriveCan(Drive):
-    """Newest status of the drive with its age; every command carries the next counter and heartbeat."""
+    """Newest status of the drive with its age; every command carries the next counter and heartbeat.
+
+    A node whose protocol is not known is neither read nor sent anything: silence alone means the same to all.
+    """
 
     Options = NodeDevice
 
@@ -44,25 +53,34 @@ class DriveCan(Drive):
         self._health = DriveHealth(DriveFault.NONE, False, False, False, math.nan, 0, 0)
         self._health_s = -math.inf
         self._status_faults = DriveFault.NONE
+        self._identity = NodeIdentity(self._codec, "drive")
 
     def complaint(self, now_s: float) -> str:
         """What is wrong with a node that does speak, for the message of a missing link."""
+        if self._identity.refusal:
+            return self._identity.refusal
         if math.isinf(self._health_s) and self._clock.age_s(now_s) < HEALTH_AGE_LIMIT_S:
             return "it sends no DRIVE_HEALTH; flash the firmware of this version: needle-rig firmware build"
         return ""
+
+    def firmware(self, now_s: float) -> Firmware:
+        """What the node says of its firmware."""
+        return self._identity.told(now_s)
 
     def age_s(self, now_s: float) -> float:
         """Time since the newest status was sampled; infinite before the first status and the first health.
 
         A health that stays away counts like a status that does, once it is overdue.
         """
+        if self._identity.refusal:
+            return math.inf
         health_age_s = now_s - self._health_s
         age_s = self._clock.age_s(now_s)
         return max(age_s, health_age_s) if health_age_s > HEALTH_AGE_LIMIT_S else age_s
 
     def command(self, command: Command) -> None:
         """Send `command` at once or not at all: the next one comes within a tick."""
-        if command.release:
+        if command.release or self._identity.refusal:
             return
         self._counter = (self._counter + 1) % COUNTER_MODULUS
         self._heartbeat = (self._heartbeat + 1) % HEARTBEAT_MODULUS
@@ -73,13 +91,16 @@ class DriveCan(Drive):
 
     def _receive(self, frame_id: int, data: bytes, now_s: float) -> None:
         content = self._codec.decode(frame_id, data) if frame_id in _IDS else None
-        if isinstance(content, DriveStatus):
+        self._identity.take(content, now_s)
+        if isinstance(content, DriveCommand | DriveReference):
+            # Neither slcan nor SocketCAN gives us our own frames back: this is another master's.
+            self.foreign_commands += 1
+        elif self._identity.refusal:
+            return
+        elif isinstance(content, DriveStatus):
             self._take(content, now_s)
         elif isinstance(content, DriveHealth):
             self._take_health(content, now_s)
-        elif isinstance(content, DriveCommand | DriveReference):
-            # Neither slcan nor SocketCAN gives us our own frames back: this is another master's.
-            self.foreign_commands += 1
 
     def _take(self, status: DriveStatus, now_s: float) -> None:
         same = status.faults == self._status_faults  # to join flags takes as long as to decode a frame

@@ -28,7 +28,7 @@ from needle_rig.devices.ethernet import UdpPort, fetch_page
 from needle_rig.devices.library import make_device
 from needle_rig.devices.serial_line import SerialLine
 from needle_rig.errors import BadInput, RigFault
-from needle_rig.records import STOP, Command, Measurement
+from needle_rig.records import STOP, Command, Firmware, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.wire.hall_frames import HallFrame
 
@@ -36,6 +36,8 @@ _POLL_S = 0.005
 _LAST_STOPS = 3
 _RETRY_S = 0.5
 _FRESH_S = 0.1
+_INTRODUCED_S = 0.75
+"""A node of this project introduces itself every half second; an older one never does."""
 
 _Kind = TypeVar("_Kind", bound=Device)
 _Given = ParamSpec("_Given")
@@ -150,6 +152,9 @@ class HardwareRig:
     async def open(self, timeout_s: float = 3.0) -> None:
         """Connect and wait for the first reading of every device; RigFault names a missing one and its port.
 
+        A node is given the time in which it says what it is: before, a motion could begin with one whose
+        protocol is not known.
+
         Stop commands go out meanwhile, so that the drive knows its host before it is asked to move.
         """
         try:
@@ -158,9 +163,9 @@ class HardwareRig:
             for device in self._kinds:
                 await device.set_up()
             self._watch()
-            deadline_s = self._now() + timeout_s
-            while missing := self._missing():
-                if self._now() > deadline_s:
+            begun_s = self._now()
+            while (missing := self._missing()) or self._not_introduced(self._now() - begun_s):
+                if missing and self._now() > begun_s + timeout_s:
                     raise RigFault(f"no reading within {timeout_s:g} s from the {' and the '.join(missing)}")
                 self.write(STOP)
                 await asyncio.sleep(_POLL_S)
@@ -195,6 +200,12 @@ class HardwareRig:
             index_rad=drive.index_rad,
             foreign_commands=drive.foreign_commands,
         )
+
+    def firmware(self) -> dict[str, Firmware]:
+        """See `Rig.firmware`."""
+        now_s = self._now()
+        told = {kind: device.firmware(now_s) for device, kind in self._kinds.items()}
+        return {kind: firmware for kind, firmware in told.items() if firmware is not None}
 
     @property
     def hall_frame(self) -> HallFrame | None:
@@ -261,6 +272,10 @@ class HardwareRig:
         """The base's angle, for the Hall sensors' turns; NaN when it is old."""
         fresh = self._drive.age_s(self._now()) <= _FRESH_S
         return self._drive.angle_rad if fresh else math.nan
+
+    def _not_introduced(self, since_s: float) -> bool:
+        """Whether a node may still be about to say what it is."""
+        return since_s < _INTRODUCED_S and any(told.protocol is None for told in self.firmware().values())
 
     def _missing(self) -> list[str]:
         """The devices without a first reading, as a person would look for them."""

@@ -12,7 +12,15 @@ from pathlib import Path
 
 from needle_rig.errors import NeedleRigError
 from needle_rig.extras import missing
-from needle_rig.firmware.sources import BOARD, NODES, core_sources, firmware_folder, image_sources
+from needle_rig.firmware.sources import (
+    BOARD,
+    NODES,
+    core_sources,
+    firmware_folder,
+    image_sources,
+    source_build,
+)
+from needle_rig.version import VERSION
 
 WARNINGS = ("-Wall", "-Wextra", "-Wshadow", "-Wconversion", "-Werror")
 # The generated codec narrows on purpose.
@@ -85,7 +93,7 @@ def _host_library(folder: Path, out: Path, flags: Sequence[str]) -> Image:
 def _compile(folder: Path, arguments: Sequence[str | Path]) -> None:
     if importlib.util.find_spec("ziglang") is None:
         raise missing("building the firmware (the compiler)", "ziglang", "bench")
-    fixed = ["-std=c11", "-g0", f"-ffile-prefix-map={folder}=firmware"]
+    fixed = ["-std=c11", "-g0", f"-ffile-prefix-map={folder}=firmware", *identity_flags(folder)]
     command = [
         sys.executable,
         "-m",
@@ -97,6 +105,15 @@ def _compile(folder: Path, arguments: Sequence[str | Path]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise NeedleRigError(f"firmware build: the compiler stopped:\n{done.stderr.strip()}")
+
+
+def identity_flags(folder: Path) -> list[str]:
+    """What the nodes say of themselves: this version, and `source_build` of `folder`."""
+    numbers = zip(("MAJOR", "MINOR", "PATCH"), VERSION.split("."), strict=True)
+    return [
+        *(f"-DNR_VERSION_{name}={number}" for name, number in numbers),
+        f"-DNR_BUILD={source_build(folder)}",
+    ]
 
 
 def sizes(elf: Path) -> tuple[int, int, int]:

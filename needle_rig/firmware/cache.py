@@ -13,6 +13,7 @@ from needle_rig.extras import missing
 from needle_rig.firmware.build import build
 from needle_rig.firmware.sources import firmware_folder
 from needle_rig.folders import cache_folder
+from needle_rig.version import VERSION
 
 _NEEDED = {"ziglang": "the compiler", "cffi": "the bridge to C", "elftools": "the reader of images"}
 
@@ -45,6 +46,7 @@ def built_firmware(*, images: bool = False) -> Path:
 def _fingerprint() -> str:
     folder = firmware_folder()
     digest = hashlib.sha256(importlib.metadata.version("ziglang").encode())
+    digest.update(VERSION.encode())
     digest.update(Path(__file__).with_name("build.py").read_bytes())
     for path in sorted(folder.rglob("*")):
         if path.is_file():

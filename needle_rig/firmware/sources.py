@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 from needle_rig.errors import BadInput
@@ -36,3 +37,13 @@ def image_sources(folder: Path, node: str) -> list[Path]:
         *core_sources(folder),
         *(board / name for name in ("board.c", "startup.c", "string.c", f"{node}.c")),
     ]
+
+
+def source_build(folder: Path) -> int:
+    """First 24 bits of the SHA-256 of what the nodes are compiled of; a changed source changes it."""
+    digest = hashlib.sha256()
+    for part in ("core", "generated", "boards"):
+        for path in sorted((folder / part).rglob("*")):
+            if path.is_file():
+                digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return int.from_bytes(digest.digest()[:3], "big")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from needle_rig.config.check import validate
-from needle_rig.config.file_kinds import check_format
+from needle_rig.config.file_kinds import as_read_here
 from needle_rig.config.places import Places, read_yaml, write_yaml
 from needle_rig.dataset.description import RigPart, layout_of
 from needle_rig.errors import BadInput
@@ -159,7 +159,7 @@ class Mapping(_Part):
 def read_mapping(path: Path) -> tuple[Mapping, Places]:
     """The mapping at `path`, its files relative to its folder, and its places. Raises BadInput."""
     data, places = read_yaml(path)
-    check_format(data, places, FORMAT)
+    data = as_read_here(data, places, FORMAT)
     mapping = validate(Mapping, data, places)
     _check(mapping, places)
     return mapping, places

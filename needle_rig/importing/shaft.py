@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from needle_rig.config.check import validate
-from needle_rig.config.file_kinds import check_format
+from needle_rig.config.file_kinds import as_read_here
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.places import read_yaml, show_path
 from needle_rig.dataset.description import NeedlePart, RigPart, SensorPart, layout_of
@@ -24,7 +24,7 @@ def read_rig(path: Path) -> RigPart:
         raise BadInput(f"{show_path(file)}: there is no such layout; name a YAML file or a dataset")
     data, places = read_yaml(file)
     if "format" in data:
-        check_format(data, places, *RIG_FORMATS)
+        data = as_read_here(data, places, *RIG_FORMATS)
         if data["format"] == RIG_FORMATS[0]:
             return _of_rig_file(file)
     if "rig" in data:

@@ -24,6 +24,7 @@ from needle_rig.physics.needle_model import (
 from needle_rig.physics.rod import Layout
 from needle_rig.records import JsonObject
 from needle_rig.units import m, mm, per_length_n
+from needle_rig.version import VERSION
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,7 @@ def model_mapping(saved: SavedModel) -> JsonObject:
     layout = model.layout
     return {
         "format": MODEL_FORMAT,
+        "written_by": VERSION,
         "name": model.name,
         "starts_from": saved.starts_from,
         **({} if model.torque_scale == 1.0 else {"torque_scale": model.torque_scale}),

@@ -114,6 +114,8 @@ class ModelFile(Section):
     """A model file as it stands on disk."""
 
     format: Literal["needle-rig-model/1"]
+    written_by: str = ""
+    """Version of needle-rig."""
     name: str
     starts_from: str
     torque_scale: Annotated[float, Field(gt=0)] = 1.0

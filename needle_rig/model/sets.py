@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from needle_rig.config.check import validate
-from needle_rig.config.file_kinds import check_format
+from needle_rig.config.file_kinds import as_read_here
 from needle_rig.config.files import parameters_path
 from needle_rig.config.places import read_yaml
 from needle_rig.errors import BadInput
@@ -39,7 +39,8 @@ def load_saved(name_or_path: str | os.PathLike[str], *, effects: Iterable[str | 
     """
     path = parameters_path(name_or_path)
     data, places = read_yaml(path)
-    if data.get("format") == MODEL_FORMAT:
+    data = as_read_here(data, places, PARAMETERS_FORMAT, MODEL_FORMAT)
+    if data["format"] == MODEL_FORMAT:
         return saved_model(data, places, effects)
     return SavedModel(load_parameters(path, effects=effects), path.stem)
 
@@ -64,8 +65,8 @@ def load_parameters(
     """
     path = parameters_path(name_or_path)
     data, places = read_yaml(path)
-    check_format(data, places, PARAMETERS_FORMAT, MODEL_FORMAT)
-    if data.get("format") == MODEL_FORMAT:
+    data = as_read_here(data, places, PARAMETERS_FORMAT, MODEL_FORMAT)
+    if data["format"] == MODEL_FORMAT:
         model = saved_model(data, places, effects).model
         return dataclasses.replace(model, layout=layout or model.layout, element_length_m=element_length_m)
     found = validate(ParameterSet, data, places)

@@ -18,8 +18,9 @@ from needle_rig.config.regular_file import open_regular
 from needle_rig.errors import BadInput
 from needle_rig.recording.global_heap import check_heaps
 from needle_rig.recording.image import journal_as_hdf5
-from needle_rig.recording.structure import check_structure
+from needle_rig.recording.structure import check_plain, check_structure
 from needle_rig.recording.superblock import SIGNATURE, SUPERBLOCK_BYTES, Superblock
+from needle_rig.recording.tables import judge_run
 
 LIMIT_BYTES = 1_000_000_000
 """Seven hours of a run; tables are read whole, and exporting one takes several times its size in memory."""
@@ -51,6 +52,9 @@ def _look(
 ) -> Found:
     try:
         with open_file() as file:
+            check_plain(file, size_bytes)
+            # first: a newer format may have other tables
+            judge_run({name: file.attrs.get(name) for name in ("format", "versions")}, shown)
             check_structure(file, size_bytes)
             return take(file)
     except (BadInput, FileNotFoundError):

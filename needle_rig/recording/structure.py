@@ -27,20 +27,24 @@ _NEEDED: Mapping[str, tuple[str, ...]] = {
 """Columns that readers of runs count on; files of other versions may have more and less beside them."""
 
 _LINES = ("format", "strategy", "parameters", "rig", "kind", "started_utc")
-_TEXTS = ("config", "versions", "options")
+_TEXTS = ("config", "versions", "options", "firmware")
 _NUMBERS = ("target_deg", "speed_deg_s", "settle_s", "lag_left_deg")
 
 
 def check_structure(file: h5py.File, size_bytes: int) -> None:
-    """Raise ValueError, with a sentence, when `file` of `size_bytes` is not made as runs are."""
-    if len(file) > MEMBERS_LIMIT or len(file.attrs) > MEMBERS_LIMIT:
-        raise ValueError(f"it has more than {MEMBERS_LIMIT} tables or attributes")
+    """Raise ValueError, with a sentence, when the tables of `file` of `size_bytes` are not those of runs."""
     for name in file:
         if not isinstance(file.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"{name} is a link, perhaps into another file")
         _check_dataset(name, file[name], size_bytes)
     for name in NOT_TABLES - set(file):
         raise ValueError(f"it has no table {name}")
+
+
+def check_plain(file: h5py.File, size_bytes: int) -> None:
+    """Raise ValueError, with a sentence, when the attributes of `file` are not safe to read."""
+    if len(file) > MEMBERS_LIMIT or len(file.attrs) > MEMBERS_LIMIT:
+        raise ValueError(f"it has more than {MEMBERS_LIMIT} tables or attributes")
     for name in file.attrs:
         identity = file.attrs.get_id(name)
         shape = identity.shape

@@ -6,14 +6,18 @@ import datetime
 import json
 import platform
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from needle_rig.config.file_kinds import as_read_here, judge_format
 from needle_rig.config.loader import rig_config_text
+from needle_rig.config.places import Places
 from needle_rig.config.schema import RigConfig
+from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.records import JsonObject, Sample
 from needle_rig.units import deg, nmm
@@ -26,6 +30,30 @@ FORMAT = "needle-rig-run/1"
 
 EVENT = np.dtype([("time_s", "f8"), ("kind", "S24"), ("text", "S480")])
 """One event; text longer than its field goes on in the next row, marked by an empty kind."""
+
+
+def attributes_as_read_here(attributes: JsonObject, shown: str) -> JsonObject:
+    """The attributes of the run that `shown` names, migrated where its format is older. Raises BadInput."""
+    judge_run(attributes, shown)
+    return as_read_here(attributes, Places(shown), FORMAT)
+
+
+def judge_run(attributes: JsonObject, shown: str) -> None:
+    """Raise BadInput unless `attributes` (`format`, `versions`) are of a run that can be read."""
+    form = attributes.get("format")
+    if not (isinstance(form, str) and form.startswith(FORMAT.partition("/")[0] + "/")):
+        raise BadInput(f"{shown}: is HDF5 but no run of needle-rig (no attribute format: {FORMAT})")
+    judge_format(attributes, Places(shown), FORMAT, writer=_writer(attributes))
+
+
+def _writer(attributes: JsonObject) -> str | None:
+    """The version of needle-rig that recorded a run, where it can be read."""
+    with suppress(ValueError):
+        versions = json.loads(str(attributes.get("versions")))
+        if isinstance(versions, dict) and str(versions.get("needle-rig", "")).isprintable():
+            return versions.get("needle-rig")
+    return None
+
 
 _EDGE_UNITS: tuple[tuple[str, str, Callable[[Array], Array], int], ...] = (
     ("_rad_s", "_deg_s", deg, 4),

@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import os
-import re
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -22,7 +21,8 @@ from typing import IO, Any
 
 from pydantic import TypeAdapter
 
-from needle_rig.config.places import show_path
+from needle_rig.config.file_kinds import as_read_here
+from needle_rig.config.places import Places, show_path
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.folders import temporary_folder
 from needle_rig.version import VERSION
@@ -34,7 +34,7 @@ _NO_DATE = (1980, 1, 1, 0, 0, 0)
 _KEPT_MODE = 0o777
 _BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
 """What a member that is damaged, encrypted or packed in another way raises."""
-_FORMAT = re.compile(r"needle-rig-([a-z]+)/(\d+)")
+_FORMAT = "needle-rig-{kind}/1"
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Packing:
     def close(self, kind: str, about: Mapping[str, str]) -> None:
         """Write the list, which makes the archive whole."""
         files = [vars(entry) for entry in self.entries]
-        content = {"format": f"needle-rig-{kind}/1", "version": VERSION, **about, "files": files}
+        content = {"format": _FORMAT.format(kind=kind), "version": VERSION, **about, "files": files}
         self._into.writestr(zipfile.ZipInfo(_LIST, _NO_DATE), json.dumps(content, indent=1))
 
 
@@ -133,14 +133,8 @@ class Packed:
             if member.file_size > _LIST_BYTES:
                 raise ValueError(_LIST)
             content = json.loads(self._file.read(member))
-            form = _FORMAT.fullmatch(content["format"])
-            if form is None or form[1] != kind:
-                raise BadInput(f"{show_path(self._path)}: is no {kind} of needle-rig but {content['format']}")
-            if int(form[2]) > 1:
-                raise BadInput(
-                    f"{show_path(self._path)}: written by needle-rig {content['version']}, which is newer"
-                    f" than this {VERSION}; upgrade needle-rig first"
-                )
+            writer, places = content["version"], Places(show_path(self._path))
+            content = as_read_here(content, places, _FORMAT.format(kind=kind), writer=writer)
             for entry in _ENTRIES.validate_python(content["files"]):
                 _check_name(entry.name)
         except (KeyError, TypeError, ValueError, *_BROKEN):

@@ -17,7 +17,7 @@ from needle_rig.recording import kept_text, run_tables, size_bytes, to_remove
 from needle_rig.service.documents import Sensors, State
 from needle_rig.service.interface import Interface
 from needle_rig.units import deg
-from needle_rig.version import differs
+from needle_rig.version import VERSION, differs
 
 Verdict = Literal["ok", "warn", "fail"]
 
@@ -235,6 +235,26 @@ def check_links(config: RigConfig, state: State) -> list[Finding]:
         else:
             text = f"{rate_hz:.0f} readings/s, {age_ms:.1f} ms old, limit {limit_ms:g} ms"
             found.append(Finding(f"{name} node", "ok", text))
+    return found
+
+
+def check_firmware(state: State) -> list[Finding]:
+    """What each node is; whether it can be worked with, and is of this version."""
+    found = []
+    ages = {} if state["sensors"] is None else {**state["sensors"]["age_ms"]}
+    for link, node in state.get("firmware", {}).items():
+        name, flash = f"{link} firmware", "flash it: needle-rig firmware build"
+        if node["refusal"] is not None:
+            text, _, todo = node["refusal"].partition("; ")
+            found.append(Finding(name, "fail", text, todo))
+        elif node["protocol"] is None and ages.get(link) is None:
+            continue  # it is not heard at all, which is told of its link
+        elif node["protocol"] is None:
+            found.append(Finding(name, "warn", f"{node['text']}: older than 0.2.0", flash))
+        elif node["version"] not in (None, VERSION):
+            found.append(Finding(name, "warn", f"{node['text']}; needle-rig is {VERSION}", flash))
+        else:
+            found.append(Finding(name, "ok", node["text"]))
     return found
 
 

@@ -21,7 +21,7 @@ from needle_rig.numerics import rounded
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
 from needle_rig.service.api_link import ApiLink
-from needle_rig.service.documents import Ended, Message, Moved, Started, State, Ticks, Told, Whole
+from needle_rig.service.documents import Ended, Message, Moved, Node, Started, State, Ticks, Told, Whole
 from needle_rig.service.lease import LEASE_S, Claim, Lease
 from needle_rig.service.logbook import Logbook
 from needle_rig.service.loop import ControlLoop
@@ -81,6 +81,7 @@ class Daemon:
         self._recorder = Recorder(self._on_recorder_failure)
         self._rates = Rates(self._recorder.raw)
         self._rig_document = report.rig_document(parts.config, simulated=parts.simulated)
+        self._rig: Rig | None = None
         self._loop: ControlLoop | None = None
         self._warnings: list[str] = []
         self._main: asyncio.Task[Any] | None = None
@@ -111,7 +112,7 @@ class Daemon:
             # both get ready while the rig is built
             self._api.start(listener)
             await self._recorder.start(self._runs)
-            rig = self._parts.make_rig(self._rates.raw)
+            rig = self._rig = self._parts.make_rig(self._rates.raw)
             # before the links are open: what they bring meanwhile would be old at the first tick
             self._warnings = self._parts.make_steady()
             for warning in self._warnings:
@@ -281,11 +282,16 @@ class Daemon:
             "before": self._logbook.before or None,
             "unfinished": self._recorder.unfinished,
             "rates_hz": self._rates.hz,
+            "firmware": self._firmware,
             "lease": self._lease.holder,
             "motions": self._motions,
             "moving": self._moving,
             **report.state_document(self._brain.state),
         }
+
+    @property
+    def _firmware(self) -> dict[str, Node]:
+        return {} if self._rig is None else report.firmware_document(self._rig.firmware())
 
     def _state(self, kind: Literal["state", "phase"]) -> State:
         return {"type": kind, **self.describe()}  # type: ignore[typeddict-item]  # ticks may be absent
@@ -312,6 +318,7 @@ class Daemon:
             "kind": "simulated" if self._parts.simulated else "hardware",
             "parameters": simulation.parameters if simulation else "",
             "options": json.dumps(order.options),
+            "firmware": json.dumps(self._firmware),
             **{
                 name: value
                 for name in ("settle_s", "speed_deg_s", "lag_left_deg")

@@ -59,6 +59,21 @@ class Ages(TypedDict):
     drive: float | None
 
 
+class Node(TypedDict):
+    """What one node says of itself; None for each thing that it did not tell."""
+
+    text: str
+    """All of it, for a person."""
+    protocol: int | None
+    version: str | None
+    build: str | None
+    """First six hexadecimal digits of its sources' SHA-256."""
+    calibrated: bool | None
+    calibration_serial: int | None
+    refusal: str | None
+    """Why the daemon does not work with it."""
+
+
 class Sensors(TypedDict):
     """The newest measurement."""
 
@@ -203,6 +218,8 @@ class Whole(Standing):
     """Runs that an earlier daemon could not close."""
     rates_hz: dict[str, float]
     """Readings of each node in the last second, a second."""
+    firmware: dict[str, Node]
+    """What each node says of itself, by link; a device of another make is not among them."""
     lease: str | None
     """Who commands."""
     motions: int

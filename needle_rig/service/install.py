@@ -181,6 +181,16 @@ def refuse_unable(user_id: int, systemd: Path = Path("/run/systemd/system")) -> 
         raise BadInput("only root may set up a service: sudo needle-rig install-service")
 
 
+def packaged_files(program: Path) -> dict[str, str]:
+    """What a package of a distribution puts below /usr/lib for a service that runs `program`."""
+    return {
+        f"systemd/system/{UNIT}": unit_text(program),
+        f"systemd/system/{FAILED_UNIT}": _shipped_unit(FAILED_UNIT),
+        "sysusers.d/needle-rig.conf": _account(()),
+        "udev/rules.d/70-needle-rig.rules": _UDEV_RULES,
+    }
+
+
 def unit_text(program: Path, sensor_address: str | None = None) -> str:
     """The shipped unit with the folder of `program` in its PATH; it may reach `sensor_address` alone.
 
@@ -263,10 +273,14 @@ def _sysusers(place: Installation, members: tuple[str, ...]) -> str:
         before = re.findall(rf"(?m)^m (\S+) {ACCOUNT}$", place.sysusers.read_text(encoding="utf-8"))
     except OSError:
         before = []
+    return _account((*before, *members))
+
+
+def _account(members: tuple[str, ...]) -> str:
     lines = [
         f'u {ACCOUNT} - "needle-rig daemon" /var/lib/needle-rig',
         f"m {ACCOUNT} dialout",
-        *(f"m {member} {ACCOUNT}" for member in dict.fromkeys([*before, *members])),
+        *(f"m {member} {ACCOUNT}" for member in dict.fromkeys(members)),
     ]
     return "\n".join(lines) + "\n"
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import structlog
 
 from needle_rig.errors import RigFault
-from needle_rig.records import Command, DriveState, Measurement
+from needle_rig.records import Command, DriveState, Firmware, Measurement
 from needle_rig.rig import Rig
 
 log = structlog.get_logger("rig")
@@ -63,6 +63,10 @@ class LateRig:
         """See `Rig.write`."""
         if self._answers:
             self._rig.write(command)
+
+    def firmware(self) -> dict[str, Firmware]:
+        """See `Rig.firmware`; also of a rig that does not answer: a node may be why."""
+        return self._rig.firmware()
 
     async def close(self) -> None:
         """See `Rig.close`."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import torsional_rigidity_nm2
 from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
 from needle_rig.numerics import rounded
-from needle_rig.records import DriveFault, Measurement
+from needle_rig.records import DriveFault, Firmware, Measurement
 from needle_rig.service import documents
 from needle_rig.units import deg, nmm
 
@@ -81,6 +83,34 @@ def _sensors(measurement: Measurement) -> documents.Sensors:
             "drive": rounded(measurement.drive_age_s * 1e3, 1),
         },
     }
+
+
+def firmware_document(told: Mapping[str, Firmware]) -> dict[str, documents.Node]:
+    """What each node says of itself, by link."""
+    return {
+        link: {
+            "text": _firmware_text(firmware),
+            "protocol": firmware.protocol,
+            "version": firmware.version,
+            "build": f"{firmware.build:06x}" if firmware.build else None,
+            "calibrated": firmware.calibrated,
+            "calibration_serial": firmware.calibration_serial,
+            "refusal": firmware.refusal or None,
+        }
+        for link, firmware in told.items()
+    }
+
+
+def _firmware_text(firmware: Firmware) -> str:
+    if firmware.protocol is None:
+        return "version unknown"
+    said = [firmware.version or "version not told yet"]
+    if firmware.build:
+        said.append(f"build {firmware.build:06x}")
+    said.append(f"protocol {firmware.protocol}{' (not known here)' if firmware.refusal else ''}")
+    if firmware.calibrated is not None:
+        said.append(f"calibration {firmware.calibration_serial}" if firmware.calibrated else "not calibrated")
+    return ", ".join(said)
 
 
 def settled_document(motion: SettledMotion) -> documents.Settled:

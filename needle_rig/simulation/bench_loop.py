@@ -241,7 +241,8 @@ class BenchLoop:
             record = self._netft.sensor.step(now_us, counts.torque)
             self._netft.send((self._taps["torque"].through(record, now_us * 1e-6) if record else None) or b"")
         else:
-            self._send("torque", self._torque.step(now_us, counts.torque))
+            for frame in self._torque.step(now_us, counts.torque):
+                self._send("torque", frame)
         frames, self._velocity_rad_s = self._drive.step(
             now_us,
             counts.encoder,
@@ -328,6 +329,8 @@ class BenchLoop:
         elif words == ["drive", "reset"]:
             self._drive.reset(self._now_us)
             self._say({"event": "fault", "link": "drive", "fault": "reset"})
+        elif len(words) == 3 and words[1] == "protocol":
+            self._speak(words[0], words[2])
         elif words == ["drive", "emergency"] and isinstance(self._drive, Cia402Node):
             self._drive.fail(_EMERGENCY_CODE)
             self._say({"event": "fault", "link": "drive", "fault": "emergency"})
@@ -339,6 +342,7 @@ class BenchLoop:
         elif words:
             links = "|".join(LINKS)
             choices = [f"{links} {'|'.join(FAULTS)}", f"{links} delay MS", "drive reset|emergency"]
+            choices += ["torque|drive protocol N|none"]
             choices += [f"{place} {'|'.join(ways)}" for place, ways in MACHINE.items()]
             self._say({"error": f"{' '.join(words)!r}: give one of: {'; '.join(choices)}; or: status"})
 
@@ -353,6 +357,20 @@ class BenchLoop:
             return
         self._taps[link].delay_s = delay_ms * 1e-3
         self._say({"event": "fault", "link": link, "fault": f"delay {amount}"})
+
+    def _speak(self, node: str, protocol: str) -> None:
+        """A node restarts with a firmware of another protocol, or with one that says nothing of itself."""
+        nodes = {"torque": self._torque, "drive": self._drive}
+        introduction = getattr(nodes.get(node), "introduction", None)
+        number = None if protocol == "none" else int(protocol) if protocol.isdecimal() else -1
+        if introduction is None or (number is not None and not 0 <= number <= 255):
+            self._say({"error": f"{node} protocol {protocol!r}: give torque or drive, and 0 to 255 or none"})
+            return
+        introduction.protocol = number
+        introduction.reset()
+        if node == "drive":
+            self._drive.reset(self._now_us)
+        self._say({"event": "fault", "link": node, "fault": f"protocol {protocol}"})
 
     def _break(self, place: str, how: str) -> None:
         """Break a part of the machine, or mend it: an encoder counts on from what it showed."""

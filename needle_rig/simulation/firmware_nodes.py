@@ -19,7 +19,7 @@ from needle_rig.firmware.pins import PAGE_SIZE, Pins
 from needle_rig.records import DriveFault, DriveState
 from needle_rig.simulation.analogue import AnalogueFrontEnd
 from needle_rig.simulation.slcan_hub import Frame
-from needle_rig.wire.can_frames import DRIVE_HEALTH_ID
+from needle_rig.wire.can_frames import DRIVE_HEALTH_ID, DRIVE_STATUS_ID
 
 BLANK = b"\xff" * PAGE_SIZE
 _LOOKS = 1000
@@ -65,11 +65,12 @@ class TorqueFirmware:
     def __init__(self, nodes: FirmwareNodes) -> None:
         self.node = nodes.make("torque")
 
-    def step(self, now_us: int, torque_counts: int) -> Frame:
-        """The frame of one sample."""
+    def step(self, now_us: int, torque_counts: int) -> tuple[Frame, ...]:
+        """The frames of one sample."""
         pins = self.node.pins
         pins.time_us, pins.load_cell = now_us, torque_counts
-        return _only_frame(self.node)
+        _tick(self.node)
+        return tuple(pins.take_can())
 
 
 class HallFirmware:
@@ -127,7 +128,7 @@ class DriveFirmware:
         for frame_id, data in frames:
             if frame_id == DRIVE_HEALTH_ID:
                 self.faults = DriveFault(self.faults & 0xFF | data[0] << 8)
-            else:
+            elif frame_id == DRIVE_STATUS_ID:
                 self.state = DriveState(data[3] & 3)
                 self.faults = DriveFault(self.faults & ~0xFF | data[4])
         return frames, AnalogueFrontEnd.velocity_rad_s(pins.duty)
@@ -140,8 +141,3 @@ def _tick(node: Node) -> None:
             return
         node.pins.time_us += 1
     raise NeedleRigError("firmware: a node did not tick within its period; its clock went backwards")
-
-
-def _only_frame(node: Node) -> Frame:
-    _tick(node)
-    return node.pins.take_can()[-1]

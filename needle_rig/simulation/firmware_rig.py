@@ -9,7 +9,7 @@ from dataclasses import replace
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.numerics import Array
-from needle_rig.records import Command, DriveFault, Measurement
+from needle_rig.records import Command, DriveFault, Firmware, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.simulation.faults import Faults, Links, over_index
 from needle_rig.simulation.node_set import build_nodes
@@ -18,8 +18,8 @@ from needle_rig.wire.can_frames import (
     DRIVE_COMMAND_ID,
     DRIVE_REFERENCE_ID,
     TORQUE_OK,
-    TORQUE_STATUS_ID,
     CanCodec,
+    CanContent,
     DriveCommand,
     DriveHealth,
     DriveReference,
@@ -28,6 +28,7 @@ from needle_rig.wire.can_frames import (
 )
 from needle_rig.wire.hall_frames import HallFrame, decode_hall
 from needle_rig.wire.hall_turns import HallTurns
+from needle_rig.wire.node_identity import NodeIdentity
 
 STEP_S = 0.001
 HEALTH_PERIOD_S = 0.01
@@ -68,6 +69,7 @@ class FirmwareRig:
         """How fast a person turns the base while the bridge is off."""
         names = tuple(sensor.name for sensor in config.layout.hall_sensors)
         self._hall = HallTurns(names)
+        self._identities = {node: NodeIdentity(self.codec, node) for node in ("torque", "drive")}
         self._newest: dict[str, tuple[int, float]] = {}
         self._measurement = plant.read()
         for _ in range(LONGEST_START_TICKS):  # as a host waits for the first reading of every link
@@ -78,6 +80,10 @@ class FirmwareRig:
 
     async def open(self) -> None:
         """Nothing to connect."""
+
+    def firmware(self) -> dict[str, Firmware]:
+        """See `Rig.firmware`."""
+        return {node: each.told(self.plant.time_s) for node, each in self._identities.items()}
 
     async def close(self) -> None:
         """Nothing to release."""
@@ -110,18 +116,22 @@ class FirmwareRig:
         """What the nodes said last, with its age."""
         now_s = self.plant.time_s
         ages_s = {link: now_s - at_s for link, (_, at_s) in self._newest.items()}
+        refused = {node: identity.refusal for node, identity in self._identities.items()}
+        drive_age_s = max(ages_s.get("drive", math.inf), ages_s.get("health", math.inf) - HEALTH_PERIOD_S)
         return replace(
             self._measurement,
             time_s=now_s,
-            torque_age_s=ages_s.get("torque", math.inf),
-            drive_age_s=max(ages_s.get("drive", math.inf), ages_s.get("health", math.inf) - HEALTH_PERIOD_S),
+            torque_age_s=math.inf if refused["torque"] else ages_s.get("torque", math.inf),
+            torque_complaint=refused["torque"],
+            drive_age_s=math.inf if refused["drive"] else drive_age_s,
+            drive_complaint=refused["drive"],
             hall_age_s=max(ages_s.get("hall", math.inf), now_s - self._hall.healthy_s),
             hall_complaint=self._hall.complaint,
         )
 
     def write(self, command: Command) -> None:
         """Send one command frame to the drive node, and the reference that comes with it."""
-        if command.release:
+        if command.release or self._identities["drive"].refusal:
             return
         self._sent += 1
         self._own = True
@@ -165,10 +175,11 @@ class FirmwareRig:
             plant.supply_on = nodes.drive.supply_on
             plant.turn(self._velocity_rad_s, STEP_S, powered=nodes.drive.powered)
         counts = nodes.inputs(plant.read())
-        torque_id, torque = nodes.torque.step(now_us, counts.torque)
-        arrived = self.links.torque.through(torque, plant.time_s)
-        if arrived is not None:
-            nodes.drive.receive(now_us, torque_id, arrived)
+        torque = nodes.torque.step(now_us, counts.torque)
+        arrived = [(each, self.links.torque.through(data, plant.time_s, each)) for each, data in torque]
+        for frame_id, reached in arrived:
+            if reached is not None:
+                nodes.drive.receive(now_us, frame_id, reached)
         drive, self._velocity_rad_s = nodes.drive.step(
             now_us,
             counts.encoder,
@@ -183,9 +194,10 @@ class FirmwareRig:
         )
         hall = nodes.hall.step(now_us, pairs)
         if self._heard is not None:
-            for frame in (torque, *(data for _, data in drive), hall):
+            for frame in (*(data for _, data in (*torque, *drive)), hall):
                 self._heard(frame)
-        self._take_torque(arrived)
+        for frame_id, reached in arrived:
+            self._take_torque(None if reached is None else self.codec.decode(frame_id, reached))
         for frame_id, data in drive:
             reached = self.links.drive.through(data, plant.time_s, frame_id)
             self._take_drive(None if reached is None else self.codec.decode(frame_id, reached))
@@ -198,9 +210,10 @@ class FirmwareRig:
         self._newest[link] = (counter, self.plant.time_s)
         return True
 
-    def _take_torque(self, data: bytes | None) -> None:
-        content = None if data is None else self.codec.decode(TORQUE_STATUS_ID, data)
-        if not isinstance(content, TorqueStatus):
+    def _take_torque(self, content: CanContent | None) -> None:
+        identity = self._identities["torque"]
+        identity.take(content, self.plant.time_s)
+        if not isinstance(content, TorqueStatus) or identity.refusal:
             return
         if self._raw is not None:
             row = (self.plant.time_s, content.node_time_s, float(content.counter), content.torque_nm)
@@ -208,7 +221,11 @@ class FirmwareRig:
         if content.state == TORQUE_OK and self._is_news("torque", content.counter):
             self._measurement = replace(self._measurement, torque_nm=content.torque_nm)
 
-    def _take_drive(self, content: object) -> None:
+    def _take_drive(self, content: CanContent | None) -> None:
+        identity = self._identities["drive"]
+        identity.take(content, self.plant.time_s)
+        if identity.refusal:
+            return
         if isinstance(content, DriveHealth) and self._is_news("health", content.counter):
             self._measurement = replace(
                 self._measurement,

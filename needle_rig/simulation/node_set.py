@@ -33,8 +33,8 @@ FIRMWARE_SENSORS, FIRMWARE_RATE_HZ = 4, 1000
 class Torque(Protocol):
     """The torque node."""
 
-    def step(self, now_us: int, torque_counts: int) -> Frame:
-        """The frame of one sample."""
+    def step(self, now_us: int, torque_counts: int) -> tuple[Frame, ...]:
+        """The frames of one sample."""
 
 
 class Hall(Protocol):

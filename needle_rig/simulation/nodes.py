@@ -12,23 +12,57 @@ from needle_rig.simulation.front_end import ENCODER_COUNTS_PER_DEG, TORQUE_COUNT
 from needle_rig.simulation.slcan_hub import Frame
 from needle_rig.simulation.velocity_loop import VelocityLoop
 from needle_rig.units import deg, nm, rad
+from needle_rig.version import VERSION
 from needle_rig.wire.can_frames import (
+    CALIBRATION_IDS,
     DRIVE_COMMAND_ID,
     DRIVE_HEALTH_ID,
     DRIVE_REFERENCE_ID,
     DRIVE_STATUS_ID,
+    FIRMWARE_IDS,
     TORQUE_OK,
     TORQUE_STATUS_ID,
     CanCodec,
     DriveCommand,
     DriveHealth,
     DriveReference,
+    NodeCalibration,
+    NodeFirmware,
     TorqueStatus,
 )
 from needle_rig.wire.hall_frames import encode_hall
 
 _SATURATED = 2
 HEALTH_PERIOD_US = 10_000
+INTRODUCTION_PERIOD_US = 500_000
+
+
+class Introduction:
+    """What a node says of itself, as firmware/core/nr_identity.c: two frames that take turns."""
+
+    def __init__(self, codec: CanCodec, node: str) -> None:
+        self._codec, self._node = codec, node
+        self.protocol: int | None = max(codec.protocols)
+        """None sends nothing, as firmware did before there were such frames."""
+        self.reset()
+
+    def reset(self) -> None:
+        """The node restarts."""
+        self._due_us: int | None = None
+        self._sent = 0
+
+    def step(self, now_us: int) -> tuple[Frame, ...]:
+        """The frame that is due, if one is."""
+        if self.protocol is None or (self._due_us is not None and now_us < self._due_us):
+            return ()
+        self._due_us = now_us + INTRODUCTION_PERIOD_US
+        turn, second = divmod(self._sent, 2)
+        self._sent += 1
+        if second:
+            calibration = NodeCalibration(self._node, self.protocol, None, turn)
+            return ((CALIBRATION_IDS[self._node], self._codec.encode_calibration(calibration)),)
+        firmware = NodeFirmware(self._node, self.protocol, VERSION, 0, turn)
+        return ((FIRMWARE_IDS[self._node], self._codec.encode_firmware(firmware)),)
 
 
 class TorqueNode:
@@ -36,14 +70,16 @@ class TorqueNode:
 
     def __init__(self, codec: CanCodec) -> None:
         self._codec = codec
+        self.introduction = Introduction(codec, "torque")
         self._counter = 0
 
-    def step(self, now_us: int, torque_counts: int) -> tuple[int, bytes]:
-        """The frame of one sample."""
+    def step(self, now_us: int, torque_counts: int) -> tuple[Frame, ...]:
+        """The frames of one sample."""
         self._counter += 1
         state = _SATURATED if abs(torque_counts) >= TORQUE_FULL_SCALE else TORQUE_OK
         torque_nm = nm(torque_counts / TORQUE_COUNTS_PER_NMM)
-        return TORQUE_STATUS_ID, self._codec.encode_torque(torque_nm, state, self._counter, now_us * 1e-6)
+        status = self._codec.encode_torque(torque_nm, state, self._counter, now_us * 1e-6)
+        return ((TORQUE_STATUS_ID, status), *self.introduction.step(now_us))
 
 
 class HallNode:
@@ -66,6 +102,7 @@ class DriveNode:
     def __init__(self, codec: CanCodec, limits: DriveSection) -> None:
         self._codec = codec
         self._settings = guard_settings(limits)
+        self.introduction = Introduction(codec, "drive")
         self.reset(0)
 
     def reset(self, now_us: int) -> None:
@@ -73,6 +110,7 @@ class DriveNode:
         self.guard = DriveGuard(self._settings)
         self._loop = VelocityLoop(self.guard.motion)
         self._boot_us = self._step_us = now_us
+        self.introduction.reset()
         self._zero_counts: int | None = None
         self._angle_rad = 0.0
         self._counts = 0
@@ -139,7 +177,8 @@ class DriveNode:
         status = self._codec.encode_drive(
             self._angle_rad, self.state, self.faults, self._counter, now_us * 1e-6
         )
-        return (*self._report_health(now_us, emergency_stop), (DRIVE_STATUS_ID, status)), velocity_rad_s
+        health = self._report_health(now_us, emergency_stop)
+        return (*health, (DRIVE_STATUS_ID, status), *self.introduction.step(now_us)), velocity_rad_s
 
     def _refer(self, now_us: int, reference: DriveReference) -> None:
         if self._zero_counts is None:

@@ -16,7 +16,7 @@ from needle_rig.physics.effect import Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Rod
 from needle_rig.physics.solution import RodState
-from needle_rig.records import Command, DriveState, Measurement
+from needle_rig.records import Command, DriveState, Firmware, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.simulation.drive_guard import DriveGuard, GuardSettings
 from needle_rig.simulation.faults import Faults, Links, over_index
@@ -104,6 +104,10 @@ class Plant:
 
     async def open(self) -> None:
         """Nothing to connect."""
+
+    def firmware(self) -> dict[str, Firmware]:
+        """It has no nodes."""
+        return {}
 
     async def close(self) -> None:
         """Nothing to release; the motor is braked."""

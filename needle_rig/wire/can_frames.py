@@ -20,9 +20,16 @@ DRIVE_COMMAND_ID = 272
 DRIVE_STATUS_ID = 273
 DRIVE_HEALTH_ID = 274
 DRIVE_REFERENCE_ID = 275
+TORQUE_FIRMWARE_ID = 288
+TORQUE_CALIBRATION_ID = 289
+DRIVE_FIRMWARE_ID = 296
+DRIVE_CALIBRATION_ID = 297
 COUNTER_MODULUS = 16
 HEARTBEAT_MODULUS = 65536
 TORQUE_OK = 0
+
+_FIRMWARE_SIGNALS = ("protocol", "major", "minor", "patch", "build", "counter")
+_CALIBRATION_SIGNALS = ("protocol", "calibrated", "serial", "counter")
 
 _MESSAGES = {
     TORQUE_STATUS_ID: ("TORQUE_STATUS", ("torque", "state", "counter", "node_time")),
@@ -39,8 +46,17 @@ _MESSAGES = {
         ),
     ),
     DRIVE_REFERENCE_ID: ("DRIVE_REFERENCE", ("angle", "counter", "heartbeat")),
+    TORQUE_FIRMWARE_ID: ("TORQUE_FIRMWARE", _FIRMWARE_SIGNALS),
+    TORQUE_CALIBRATION_ID: ("TORQUE_CALIBRATION", _CALIBRATION_SIGNALS),
+    DRIVE_FIRMWARE_ID: ("DRIVE_FIRMWARE", _FIRMWARE_SIGNALS),
+    DRIVE_CALIBRATION_ID: ("DRIVE_CALIBRATION", _CALIBRATION_SIGNALS),
 }
 """The messages of the nodes, and their signals in the order in which they are read and written here."""
+_FIRMWARE_OF = {TORQUE_FIRMWARE_ID: "torque", DRIVE_FIRMWARE_ID: "drive"}
+_CALIBRATION_OF = {TORQUE_CALIBRATION_ID: "torque", DRIVE_CALIBRATION_ID: "drive"}
+FIRMWARE_IDS = {node: frame_id for frame_id, node in _FIRMWARE_OF.items()}
+CALIBRATION_IDS = {node: frame_id for frame_id, node in _CALIBRATION_OF.items()}
+"""By node."""
 _LONGEST_UPTIME_S = 65535
 SIGHT_S = 0.005
 """Step of DRIVE_COMMAND.sight, in which it is rounded up."""
@@ -105,7 +121,28 @@ class DriveReference(NamedTuple):
     heartbeat: int
 
 
-CanContent = TorqueStatus | DriveStatus | DriveHealth | DriveCommand | DriveReference
+class NodeFirmware(NamedTuple):
+    """What `node` (torque, drive) is; `build` is 0 where nobody said."""
+
+    node: str
+    protocol: int
+    version: str
+    build: int
+    counter: int
+
+
+class NodeCalibration(NamedTuple):
+    """Serial number of the page that `node` calibrates with; None where it has none."""
+
+    node: str
+    protocol: int
+    serial: int | None
+    counter: int
+
+
+CanContent = (
+    TorqueStatus | DriveStatus | DriveHealth | DriveCommand | DriveReference | NodeFirmware | NodeCalibration
+)
 
 
 def checksum(frame_id: int, data: bytes) -> int:
@@ -138,6 +175,9 @@ class CanCodec:
         torque, drive = messages[TORQUE_STATUS_ID], messages[DRIVE_STATUS_ID]
         self.torque_clock_period_s = _period(torque, "node_time")
         self.drive_clock_period_s = _period(drive, "node_time")
+        firmware = messages[TORQUE_FIRMWARE_ID].get_signal_by_name("protocol")
+        self.protocols = frozenset(int(protocol) for protocol in firmware.choices or ())
+        """Those that this host understands."""
         self._torque_limit_nmm = float(torque.get_signal_by_name("torque").maximum)
         self._angle_limit_deg = float(drive.get_signal_by_name("angle").maximum)
         self._velocity_limit_deg_s = float(messages[DRIVE_COMMAND_ID].get_signal_by_name("velocity").maximum)
@@ -193,6 +233,29 @@ class CanCodec:
             heartbeat % HEARTBEAT_MODULUS,
         )
 
+    def encode_firmware(self, firmware: NodeFirmware) -> bytes:
+        """The data of the FIRMWARE frame of `firmware.node`. Its version is three numbers."""
+        major, minor, patch = map(int, firmware.version.split("."))
+        return self._seal(
+            FIRMWARE_IDS[firmware.node],
+            firmware.protocol,
+            major,
+            minor,
+            patch,
+            firmware.build,
+            firmware.counter % COUNTER_MODULUS,
+        )
+
+    def encode_calibration(self, calibration: NodeCalibration) -> bytes:
+        """The data of the CALIBRATION frame of `calibration.node`."""
+        return self._seal(
+            CALIBRATION_IDS[calibration.node],
+            calibration.protocol,
+            calibration.serial is not None,
+            calibration.serial or 0,
+            calibration.counter % COUNTER_MODULUS,
+        )
+
     def encode_command(self, command: Command, counter: int, heartbeat: int) -> bytes:
         """The data of a DRIVE_COMMAND frame; a velocity that is not finite becomes a stop."""
         finite = math.isfinite(command.velocity_rad_s)
@@ -236,6 +299,15 @@ class CanCodec:
         if frame_id == DRIVE_REFERENCE_ID:
             angle_deg, counter, heartbeat = values
             return DriveReference(rad(angle_deg), counter, heartbeat)
+        if frame_id in _FIRMWARE_OF:
+            protocol, major, minor, patch, build, counter = values
+            version = f"{major}.{minor}.{patch}"
+            return NodeFirmware(_FIRMWARE_OF[frame_id], protocol, version, build, counter)
+        if frame_id in _CALIBRATION_OF:
+            protocol, calibrated, serial, counter = values
+            return NodeCalibration(
+                _CALIBRATION_OF[frame_id], protocol, serial if calibrated else None, counter
+            )
         velocity_deg_s, enable, clear, acknowledge, sight_s, counter, heartbeat = values
         command = Command(rad(velocity_deg_s), bool(enable), bool(clear), bool(acknowledge), sight_s=sight_s)
         return DriveCommand(command, counter, heartbeat)

@@ -151,7 +151,7 @@ def test_a_missing_folder_of_effects() -> None:
             "chuck_compliance has no such parameter; it has sti",
         ),
         ("starts_from: rig_rigid\n", "", "format:", "starts_from is missing"),
-        ("needle-rig-model/1", "needle-rig-model/9", "format:", "needle-rig-model/1"),
+        ("needle-rig-model/1", "needle-rig-model/9", "format:", "reads up to 1: upgrade"),
         ("needle_length_mm: 397", "needle_length_mm: 3", "format:", "leaves the needle"),
     ],
 )

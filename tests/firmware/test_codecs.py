@@ -120,7 +120,7 @@ def test_the_drive_node_reads_the_hosts_commands(
 def test_the_host_reads_the_torque_node(nodes: HostNodes, codec: CanCodec, counts: int) -> None:
     node = HostNode(nodes, "torque", Pins(load_cell=counts, time_us=123_456_780))
     node.poll()
-    ((frame_id, data),) = node.pins.take_can()
+    (frame_id, data), *_ = node.pins.take_can()
     status = codec.decode(frame_id, data)
     assert isinstance(status, TorqueStatus)
     assert status.torque_nm == pytest.approx(counts * 1e-8, abs=1e-12)

@@ -28,7 +28,7 @@ def codec() -> CanCodec:
 
 
 def torque_of(codec: CanCodec, node: HostNode) -> TorqueStatus:
-    ((frame_id, data),) = node.pins.take_can()
+    (frame_id, data), *_ = node.pins.take_can()
     status = codec.decode(frame_id, data)
     assert isinstance(status, TorqueStatus)
     return status
@@ -171,7 +171,7 @@ def test_torque_calibration_page(nodes: HostNodes, codec: CanCodec) -> None:
         sealed[17] ^= 0 if good else 1
         node = HostNode(nodes, "torque", Pins(load_cell=112_345, page=bytes(sealed)))
         node.poll()
-        assert node.app.node.calibrated == good
+        assert node.app.node.identity.calibrated == good
         expected = 100_000 * 0.25 if good else 112_345
         assert torque_of(codec, node).torque_nm == pytest.approx(expected * 1e-8, abs=2e-8)
 

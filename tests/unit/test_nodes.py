@@ -220,7 +220,7 @@ def test_nodes_report_what_the_plant_put_on_their_inputs(
     torque_nmm: float, base_deg: float, hall_rad: list[float]
 ) -> None:
     counts = inputs(Measurement(0.0, rad(base_deg), nm(torque_nmm), tuple(hall_rad)))
-    torque = CODEC.decode(*TorqueNode(CODEC).step(1000, counts.torque))
+    torque = CODEC.decode(*TorqueNode(CODEC).step(1000, counts.torque)[0])
     assert isinstance(torque, TorqueStatus)
     assert nmm(torque.torque_nm) == pytest.approx(torque_nmm, abs=1.01e-5)
     node = DriveNode(CODEC, LIMITS)
@@ -240,6 +240,6 @@ def test_nodes_report_what_the_plant_put_on_their_inputs(
 def test_a_saturated_cell_is_said_to_be_saturated() -> None:
     counts = inputs(Measurement(0.0, 0.0, nm(500.0), (0.0,)))
     assert counts.torque == TORQUE_FULL_SCALE
-    status = CODEC.decode(*TorqueNode(CODEC).step(1000, counts.torque))
+    status = CODEC.decode(*TorqueNode(CODEC).step(1000, counts.torque)[0])
     assert isinstance(status, TorqueStatus)
     assert status.state == 2

@@ -3,6 +3,7 @@
 #define HOST_H
 
 #include "../../core/nr_calibration.h"
+#include "../../core/nr_identity.h"
 #include "../../core/nr_frame.h"
 #include "../../core/nr_trig.h"
 #include "../../core/nr_motion.h"

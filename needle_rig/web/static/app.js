@@ -53,8 +53,12 @@ function App() {
     </header>
     <main id="content" tabindex="-1"><${View} /></main>
     <footer><a href="glossary.html" target="_blank" rel="noopener">Glossary</a>. needle-rig is no medical device.
-      ${state?.version ? ` The rig runs needle-rig ${state.version}.` : null}</footer>`;
+      ${state?.version ? ` The rig runs needle-rig ${state.version}.` : null}
+      ${nodesSaid(state?.firmware)}</footer>`;
 }
+
+/** What each node says of its firmware. @param {Record<string, {text: string}> | undefined} nodes */
+const nodesSaid = (nodes) => Object.entries(nodes ?? {}).map(([link, node]) => ` The ${link} node: ${node.text}.`);
 
 /** Space belongs to what one writes in, and Escape to an open dialog. @param {EventTarget | null} at */
 const writing = (at) => at instanceof HTMLElement && at.matches("input, textarea, select, [contenteditable]");

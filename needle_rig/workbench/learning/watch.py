@@ -23,8 +23,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
+from needle_rig.config.check import validate
+from needle_rig.config.places import Places
 from needle_rig.config.schema import Section, WatchSection
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.samples import AT_REST_DEG
@@ -173,9 +175,17 @@ def kept_runs(directory: Path) -> list[WatchedRun]:
     found = []
     for path in (directory / WATCH_FOLDER).glob("*.json"):
         if path.name != SUMMARY:
-            with suppress(OSError, ValidationError):
-                found.append(WatchedRun.model_validate_json(path.read_bytes()))
+            with suppress(OSError, ValueError, BadInput):
+                found.append(_kept_run(path))
     return sorted(found, key=lambda run: (run.started_utc, run.run))
+
+
+def _kept_run(path: Path) -> WatchedRun:
+    """What a run said. Raises OSError, ValueError or BadInput where it is damaged or of a newer format."""
+    content = json.loads(path.read_bytes())
+    if not isinstance(content, dict):
+        raise ValueError(path.name)
+    return validate(WatchedRun, content, Places(path.name))
 
 
 def restart(directory: Path) -> None:

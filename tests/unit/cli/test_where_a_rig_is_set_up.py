@@ -111,7 +111,10 @@ def test_a_rig_file_of_a_newer_version_says_so(
     put(here.rig_file, text.replace("format: needle-rig/1", "format: needle-rig/2"))
     monkeypatch.setattr(installation, "unit_standing", lambda: FAILED)
     assert run(["status"]) == 3
-    assert f"was written by a newer needle-rig than this {VERSION}" in capsys.readouterr().err
+    assert (
+        f"written by a newer needle-rig, format 2; needle-rig {VERSION} reads up to 1: upgrade"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("standing", [FAILED, UnitStanding("activating", "auto-restart", "exit-code", "")])

@@ -196,6 +196,36 @@ def test_what_is_not_well_is_named(change: dict[str, Any], name: str, verdict: s
     assert verdict in [finding.verdict for finding in findings if finding.name == name]
 
 
+def node(**told: Any) -> Any:
+    said = {"text": "what it said", "protocol": 1, "version": VERSION, "refusal": None}
+    return {"firmware": {"torque": said | told}}
+
+
+@pytest.mark.parametrize(
+    ("state", "verdict", "text", "todo"),
+    [
+        (node(), "ok", "what it said", ""),
+        (node(version=None), "ok", "what it said", ""),
+        (node(version="0.1.9"), "warn", f"what it said; needle-rig is {VERSION}", "flash it"),
+        (node(protocol=None, version=None), "warn", "older than 0.2.0", "flash it"),
+        (node(protocol=2, refusal="it speaks 2; flash it"), "fail", "it speaks 2", "flash it"),
+    ],
+)
+def test_a_node_is_judged_by_what_it_says_of_itself(state: Any, verdict: str, text: str, todo: str) -> None:
+    (found,) = check.check_firmware(STATE | state)
+    assert (found.name, found.verdict) == ("torque firmware", verdict)
+    assert text in found.text
+    assert todo in found.todo
+
+
+def test_of_a_node_that_is_not_heard_and_of_an_older_daemon_nothing_is_said() -> None:
+    silent = {**SENSORS, "age_ms": {"torque": None, "hall": 1.0, "drive": 1.0}}
+    unknown = node(protocol=None, version=None)
+    assert check.check_firmware(STATE | unknown | {"sensors": silent}) == []
+    assert check.check_firmware(STATE | unknown | {"sensors": None}) == []
+    assert check.check_firmware(STATE) == []
+
+
 def scattered(torque_nmm: float, hall_deg: float) -> list[Any]:
     signs = (1, -1) * 25
     return [

@@ -12,7 +12,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.errors import BadInput, RigFault
-from needle_rig.records import STOP, Command, DriveState, Measurement, Phase
+from needle_rig.records import STOP, Command, DriveState, Firmware, Measurement, Phase
 from needle_rig.service.late_rig import LateRig
 
 MISSING = "CAN bus (socketcan can0): there is no interface can0"
@@ -38,6 +38,9 @@ class FakeRig:
         return Measurement(
             1.0, 0.5, 0.0, (0.5,), DriveState.SILENT, torque_age_s=0, hall_age_s=0, drive_age_s=0
         )
+
+    def firmware(self) -> dict[str, Firmware]:
+        return {"drive": Firmware(protocol=2, refusal=MISSING)}
 
     def write(self, command: Command) -> None:
         self.told.append(command)

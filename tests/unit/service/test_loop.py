@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from needle_rig.records import STOP, Command, DriveState, Measurement, Phase, Sample
+from needle_rig.records import STOP, Command, DriveState, Firmware, Measurement, Phase, Sample
 from needle_rig.service.clock import VirtualClock
 from needle_rig.service.loop import ControlLoop
 
@@ -21,6 +21,9 @@ class Rig:
 
     def read(self) -> Measurement:
         return READING
+
+    def firmware(self) -> dict[str, Firmware]:
+        return {}
 
     def write(self, command: Command) -> None:
         self.written.append(command)

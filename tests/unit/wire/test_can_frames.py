@@ -12,16 +12,20 @@ from needle_rig.errors import BadInput
 from needle_rig.records import STOP, Command, DriveFault, DriveState
 from needle_rig.units import nmm, rad
 from needle_rig.wire.can_frames import (
+    CALIBRATION_IDS,
     DRIVE_COMMAND_ID,
     DRIVE_HEALTH_ID,
     DRIVE_REFERENCE_ID,
     DRIVE_STATUS_ID,
+    FIRMWARE_IDS,
     TORQUE_STATUS_ID,
     CanCodec,
     DriveCommand,
     DriveHealth,
     DriveReference,
     DriveStatus,
+    NodeCalibration,
+    NodeFirmware,
     TorqueStatus,
     checksum,
 )
@@ -114,6 +118,36 @@ def test_references_survive_the_wire(angle_rad: float, counter: int, heartbeat: 
     assert (reference.counter, reference.heartbeat) == (counter % 16, heartbeat % 65536)
 
 
+nodes = st.sampled_from(["torque", "drive"])
+versions = st.tuples(st.integers(0, 63), st.integers(0, 255), st.integers(0, 63))
+
+
+@given(nodes, st.integers(0, 255), versions, st.integers(0, 2**24 - 1), counters)
+def test_what_a_node_is_survives_the_wire(
+    node: str, protocol: int, version: tuple[int, int, int], build: int, counter: int
+) -> None:
+    said = NodeFirmware(node, protocol, ".".join(map(str, version)), build, counter)
+    data = CODEC.encode_firmware(said)
+    assert CODEC.decode(FIRMWARE_IDS[node], data) == said._replace(counter=counter % 16)
+    assert data[0] == protocol, "in every protocol the first byte"
+
+
+@given(nodes, st.integers(0, 255), st.one_of(st.none(), st.integers(0, 2**32 - 1)), counters)
+def test_what_a_node_calibrates_with_survives_the_wire(
+    node: str, protocol: int, serial: int | None, counter: int
+) -> None:
+    said = NodeCalibration(node, protocol, serial, counter)
+    data = CODEC.encode_calibration(said)
+    assert CODEC.decode(CALIBRATION_IDS[node], data) == said._replace(counter=counter % 16)
+    assert data[0] == protocol
+
+
+def test_both_nodes_say_it_in_one_layout() -> None:
+    """The C of both packs the torque node's frames."""
+    for ids in (FIRMWARE_IDS, CALIBRATION_IDS):
+        assert CODEC._layouts[ids["torque"]]._fields == CODEC._layouts[ids["drive"]]._fields
+
+
 @pytest.mark.parametrize("velocity", [math.nan, math.inf, -math.inf])
 def test_a_velocity_that_is_not_finite_stops(velocity: float) -> None:
     content = CODEC.decode(DRIVE_COMMAND_ID, CODEC.encode_command(Command(velocity, True), 1, 1))
@@ -136,7 +170,7 @@ def test_the_checksum_is_the_one_in_the_dbc(frame_id: int, data: bytes) -> None:
 @given(st.integers(0, 0x7FF), st.binary(max_size=12))
 def test_nothing_with_a_wrong_checksum_or_length_is_taken(frame_id: int, data: bytes) -> None:
     if CODEC.decode(frame_id, data) is not None:
-        assert frame_id in (257, 272, 273, 274, 275)
+        assert frame_id in (257, 272, 273, 274, 275, 288, 289, 296, 297)
         assert len(data) == 8
         assert data[7] == Crc8SaeJ1850.calc(frame_id.to_bytes(2, "little") + data[:7])
 

@@ -16,6 +16,7 @@ from needle_rig.cli.main import run
 from needle_rig.dataset import read_dataset, write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.model import load_model
+from needle_rig.version import VERSION
 from needle_rig.workbench.learning.adopt import AGREES, Refused, adopt, adopt_diagnosis, undo
 from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, keep, load_diagnosis, save_diagnosis
 from needle_rig.workbench.learning.observations import SettledValues, Traces, read_observations
@@ -173,7 +174,7 @@ def test_a_model_that_no_longer_meets_its_data_is_refused(
         (
             "needle-rig-diagnosis/1",
             "needle-rig-diagnosis/2",
-            "needle-rig-diagnosis/2 was written by a newer needle-rig",
+            f"a diagnosis written by needle-rig {VERSION}, format 2",
         ),
         ("verdict: effect", "verdict: maybe", "'maybe' is not one of"),
         ("verdict: effect", "verdict: none", "the file was changed after it was written"),
