@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.model import parameter_sets
 from needle_rig.web.asked import Work
-from needle_rig.web.identity import data_hash, model_hash, question_text
+from needle_rig.web.identity import data_hash, file_hash, model_hash, question_text
 from needle_rig.web.jobs import Job, Jobs, Subject
 from needle_rig.web.places import COMPARISON, DATASET, DIAGNOSIS, MODEL
 from needle_rig.web.sources import Source, Sources, free_name
@@ -219,6 +220,23 @@ class Desk:
         if asked.layout_of is None:
             return None
         return (await asyncio.to_thread(self._sources.paths, [asked.layout_of]))[0]
+
+    def model_text(self, key: str) -> str:
+        """The text of a model file of the library, for an order to the rig. Raises BadInput."""
+        if key in parameter_sets():
+            raise BadInput(f"{key}: is a published parameter set; choose a model that was learnt on this rig")
+        path = self._file(key, MODEL)
+        assert path is not None
+        return Path(path).read_text(encoding="utf-8")
+
+    def model_of(self, sha256: str) -> tuple[str, list[str]] | None:
+        """The model file of the library with this hash, and the folders of its effects; None for another."""
+        for job in self._jobs.models():
+            path = job.folder / MODEL
+            with suppress(OSError, BadInput):
+                if file_hash(path).hex() == sha256:
+                    return str(path), [*self._effects, *self._folders(job.of.drafts)]
+        return None
 
     def _model(self, key: str | None) -> str | None:
         """The model that a job made, or the name of a parameter set; None for the null model."""

@@ -1,4 +1,4 @@
-"""A run that plans with the model of its order: read beside the tick, told, recorded; refused before a motion."""
+"""A run that plans with the model of its order: read beside the tick, told, recorded; or refused at rest."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from needle_rig.model import SavedModel, load_parameters, save_model
 from needle_rig.recording import RunFile
-from needle_rig.records import JsonObject
 from needle_rig.service.orders import MODEL_LETTERS
 from tests.closed_loop.shell import Shell, all_gone, wait_for_line
 
@@ -64,8 +64,8 @@ class Rig:
         order = {"target_deg": 45.0, "strategy": "planned", "settle_s": 0.5} | content
         return self.client.post("/compensate", json=order, headers={"Lease": self.lease})
 
-    def state(self) -> JsonObject:
-        state: JsonObject = self.client.get("/state").json()
+    def state(self) -> dict[str, Any]:
+        state: dict[str, Any] = self.client.get("/state").json()
         return state
 
 

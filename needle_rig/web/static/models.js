@@ -35,7 +35,7 @@ export function Falls() {
   if (!of || !now) return null;
   return html`<section class="card wide"><h2>4 · ${isKnown(now) ? "The error falls" : "The model"}</h2>
     <${Ladder} now=${now} />
-    <p class="buttons"><a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
+    <p class="buttons"><a class="button go" href=${route("live", "", [["model", model.name]])}>Use this model on the rig</a> <a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
       <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
 }
 
@@ -93,7 +93,7 @@ function One({ model, name }) {
   return html`<h1>${words(name)}</h1><section class="card"><p>Learnt from ${from(model)}, ${made(model)}.</p>
     <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step) => html` → ${step === model ? html`<strong>${words(step.name)}</strong>` : html`<a href=${route("models", step.name)}>${words(step.name)}</a>`}`)}</p>
     ${now ? html`<${Ladder} now=${now} />` : html`<p class="quiet">Loading …</p>`}
-    <p class="buttons">${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
+    <p class="buttons"><a class="button go" href=${route("live", "", [["model", name]])}>Use this model on the rig</a> ${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
       <a class="button" href=${route("data", "", [["model", name]])}>Hold against other data</a>
       <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${File} model=${model} /></p></section>`;
 }

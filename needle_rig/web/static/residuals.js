@@ -2,9 +2,10 @@
 import { Errors, Figures, More, Values, forgetFigures, held, holdAs } from "./compared.js";
 import { asked, busy, found as known, ofSubject } from "./found.js";
 import { alive, done, result } from "./jobs.js";
-import { Plot, dots, line } from "./plot.js";
+import { zoom } from "./plot.js";
 import { refuse, subject } from "./store.js";
-import { computed, effect, html, number, signal, significant, untracked, words } from "./ui.js";
+import { Loop, Traced } from "./traced.js";
+import { computed, effect, html, number, signal, untracked, words } from "./ui.js";
 
 /** The comparison of the present data and model. @type {{value: any}} */
 const comparison = computed(() => known.value.compare);
@@ -81,6 +82,7 @@ function ResidualMap({ found }) {
     const k = index >= 0 ? index : found.traces.trials.findIndex((/** @type {any} */ t) => t.motions.some((/** @type {any} */ m) => m.name === place.motion));
     if (k < 0) return;
     trial.value = k;
+    zoom("traces", null);
     const motion = found.traces.trials[k].motions.find((/** @type {any} */ m) => m.name === place.motion);
     stretch.value = motion ? [Math.max(0, motion.start_s - 0.5), motion.end_s + 0.5] : null;
     document.getElementById(`trace-${place.channel}`)?.scrollIntoView({ block: "center" });
@@ -107,23 +109,10 @@ function Traces({ found }) {
   const candidate = over.value ? known.value.diagnose?.candidates?.[over.value]?.[shown.file] : null;
   return html`<section class="card wide"><h2>Traces</h2>
     <div class="tabs" role="group" aria-label="Trials">${trials.map((/** @type {any} */ t, /** @type {number} */ i) => html`<button aria-pressed=${i === k}
-      onClick=${() => { trial.value = i; stretch.value = null; }}>${i + 1} · ${t.title}</button>`)}
+      onClick=${() => { trial.value = i; stretch.value = null; zoom("traces", null); }}>${i + 1} · ${t.title}</button>`)}
       ${stretch.value ? html`<button onClick=${() => (stretch.value = null)}>Whole trial</button>` : null}</div>
     ${trials.length < of ? html`<p class="quiet">${trials.length} of ${of} trials are drawn.</p>` : null}
     ${over.value ? html`<p>Laid over: what <strong>${words(over.value)}</strong> predicts, fitted.</p>` : null}
-    <div class="grid2">${channels.map((/** @type {any} */ channel, /** @type {number} */ c) => {
-      const noise = 2 * channel.noise;
-      const expected = shown.model[c];
-      const data = [shown.time_s, shown.measured[c], expected,
-        expected.map((/** @type {number|null} */ v) => (v === null ? null : v + noise)),
-        expected.map((/** @type {number|null} */ v) => (v === null ? null : v - noise)),
-        ...(shown.refit ? [shown.refit[c]] : []), ...(candidate ? [candidate[c]] : [])];
-      return html`<div id=${`trace-${channel.name}`}><h3>${words(channel.name)} <span class="quiet">noise ${significant(channel.noise)} ${channel.unit}</span></h3>
-        <${Plot} label=${`${channel.name} over time, measured and model`} unit=${`${words(channel.name)} / ${channel.unit}`} height=${200} band=${true} cursor="traces"
-          range=${stretch.value} marks=${shown.motions}
-          series=${[dots("measured", "--quiet"), line(shown.refit ? "as it stands" : "model", "--model"), line("noise +2σ", "--band", { width: 0.5 }), line("noise −2σ", "--band", { width: 0.5 }),
-            ...(shown.refit ? [line("refitted", "--c1", { dash: [5, 4] })] : []), ...(candidate ? [line(`with ${words(over.value)}`, "--other", { width: 2 })] : [])]}
-          data=${data} /></div>`;
-    })}</div></section>`;
+    <${Traced} channels=${channels} trial=${shown} stretch=${stretch.value} over=${candidate ? { name: over.value, values: candidate } : null} group="traces" />
+    <h3>Torque against angle</h3><${Loop} trial=${shown} name=${shown.file} /></section>`;
 }
-
