@@ -73,6 +73,8 @@ class Expecting:
         self._run, self._rest, self._rows, self._begun, self._off = run, [], [], False, []
         sha256 = state.get("model_sha256")
         self._model = None if sha256 is None else await asyncio.to_thread(self._model_of, sha256)
+        if self._model is not None:
+            await self._resident.start()
 
     async def _ask(self) -> None:
         """Ask what is expected of the rows that came, until none is left."""

@@ -26,6 +26,11 @@ class Resident:
         self._process: asyncio.subprocess.Process | None = None
         self._alone = asyncio.Lock()
 
+    async def start(self) -> None:
+        """Have it ready before the first question."""
+        async with self._alone:
+            await self._running()
+
     async def ask(self, question: str, **given: Any) -> Any:
         """The answer to `effects`, `lesson` or `expect`, with what it is given. Raises BadInput, RigFault."""
         async with self._alone:

@@ -1,4 +1,4 @@
-"""The circle closes: a model goes to the rig, its run is held against it while it goes, and can be diagnosed."""
+"""The circle closes: a model goes to the rig, its run is held against it, and can be diagnosed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def dropped(page: Any, folder: Path, name: str, parameters: str) -> None:
 
 
 def run_with_it(page: Any, target_deg: float) -> str:
-    """Use the shown model on the rig, to the end of a run to an angle where it does not stand; how it ended."""
+    """Use the shown model on the rig, to the end of a run to another angle; how it ended."""
     page.get_by_role("link", name="Use this model on the rig").click()
     page.wait_for_selector(".shaft .curve")
     expect(page.get_by_label("Strategy")).to_have_value("planned")
@@ -89,6 +89,7 @@ def test_a_model_that_is_wrong_is_told_while_the_run_goes(visit: Open, rig: Serv
     alarm = page.get_by_role("alert").filter(has_text="The needle is not as the model")
     alarm.wait_for(timeout=20_000)
     assert re.search(r"(torque|Hall angle \d) [\d.]+ σ (above|below)", alarm.inner_text())
+    assert "needle-rig diagnose" not in page.locator(".ended").inner_text()
     look_at(page, "live-alarm")
     page.get_by_role("link", name="Diagnose this run").click()
     page.get_by_role("button", name="Diagnose", exact=True).wait_for()

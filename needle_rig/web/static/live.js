@@ -151,6 +151,7 @@ export function Live() {
       What is shown is the last that was heard.</p>`}
     <div class=${connected.value ? "live" : "live grey"} inert=${!connected.value}>
       <${Faults} state=${state} />
+      <div class="wide alarm"><${Alarm} model=${state.model} /></div>
       <section class="card wide">
         <h2>Shaft</h2>
         <${Shaft} state=${state} estimate=${estimate.value} />
@@ -172,8 +173,7 @@ function Charts({ state }) {
   const expects = (/** @type {string} */ name, /** @type {string} */ colour) => [line(`${name} expected`, colour, { dash: [5, 4] }), ...edges(`${name} expected`)];
   const angles = [...shown, ...halls.flatMap((/** @type {string} */ name, /** @type {number} */ k) => expects(`hall ${k + 1}`, name))];
   const first = shown.length + 2;
-  return html`<section class="card wide alarm" aria-label="Expectation"><${Alarm} model=${state.model} /></section>
-    <section class="card half"><h2>Angles</h2><${Legend} series=${shown} band=${told} />
+  return html`<section class="card half"><h2>Angles</h2><${Legend} series=${shown} band=${told} />
       <${Plot} name="live-angles" label="Angles of the base and the Hall sensors over the last 40 seconds" unit="angle / °" time="time before now / s" least=${4} range=${range} height=${230}
         series=${angles} bands=${halls.map((/** @type {string} */ _, /** @type {number} */ k) => [first + 3 * k, first + 3 * k + 1])} data=${traces.value.angles} /></section>
     <section class="card half"><h2>Torque at the base</h2><${Legend} series=${[line("torque", "--c0")]} band=${told} />
@@ -199,6 +199,9 @@ function Faults({ state }) {
 /** The listed name of a run file. @param {string} path */
 const nameOf = (path) => path.replace(/^.*\//, "").replace(/\.h5$/, "");
 
+/** What a terminal would do next; the page has a button for it. */
+const COMMAND = /: needle-rig diagnose \S+/;
+
 const PHASES = {
   idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures",
   done: "done", fault: "fault", aborted: "stopped",
@@ -217,15 +220,15 @@ function Sequence({ state }) {
   });
   const phase = /** @type {any} */ (PHASES)[state.phase] ?? state.phase;
   return html`<section class="card half"><h2>Sequence</h2>
-    <p class="phase"><strong>${active && state.motion ? `${state.motion}: ${phase}` : phase}</strong>
+    <p class="phase"><strong>${active && state.motion ? `${words(state.motion)}: ${phase}` : phase}</strong>
       ${state.waiting_for ? html` · waits for ${state.waiting_for}` : null}
       ${state.remaining_s !== null && active ? html` <span class="countdown">${number(state.remaining_s, 1)} s</span>` : null}</p>
     ${active ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
     ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°${state.model ? ` with the model ${words(state.model)}` : ""}</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
-    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text}</p>
-      ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class="button" href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text.replace(COMMAND, "")}</p>
+      ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class=${ended.value.result.status === "not_aligned" ? "button go" : "button"} href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
 }
 
 /** @param {{state: any}} props */

@@ -22,7 +22,8 @@ export function axis(label, size) {
     // one minus sign on the whole page
     values: (/** @type {uPlot} */ _u, /** @type {number[]} */ splits) => {
       const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
-      const decimals = Math.min(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), 9);
+      let decimals = 0;
+      while (decimals < 9 && Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6) decimals += 1;
       return splits.map((value) => number(value, decimals));
     },
     stroke: () => colour("--quiet"),
