@@ -101,6 +101,10 @@ class Desk:
             raise BadInput("there is no step to take back")
         elif kind == "export":
             given["form"] = str(asked.form)
+        elif kind == "chart":
+            if asked.chart is None:
+                raise BadInput("there is no chart to draw; open the page again")
+            given["chart"] = question["chart"] = asked.chart.model_dump()
         elif kind == "strategies":
             given |= _contest(asked, given["model"])
         elif kind in ("guess", "import"):

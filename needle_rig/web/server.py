@@ -221,8 +221,12 @@ class Page:
         return JSONResponse(await asyncio.to_thread(self.sources.run_documents, asked))
 
     async def run(self, request: Request) -> Response:
-        """One recorded run with tags and note."""
-        return JSONResponse(await asyncio.to_thread(self.sources.run_document, request.path_params["name"]))
+        """One recorded run with tags and note; a DELETE removes it."""
+        name = request.path_params["name"]
+        if request.method == "DELETE":
+            await asyncio.to_thread(self.sources.remove_run, name)
+            return JSONResponse({})
+        return JSONResponse(await asyncio.to_thread(self.sources.run_document, name))
 
     # the session of a browser
 
@@ -305,7 +309,7 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/uploads/{key}", page.forget_upload, "DELETE"),
             put("/api/uploads/{key}/{path:path}", page.upload, "PUT"),
             put("/api/runs", page.runs, "GET"),
-            put("/api/runs/{name}", page.run, "GET"),
+            put("/api/runs/{name}", page.run, "GET", "DELETE"),
             put("/api/watch", page.watch, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),

@@ -176,7 +176,7 @@ export function Plot({ label, series, unit, data, height, marks, range, bands, l
   };
   return html`<div class="chart"><div class="plot" role="img" tabindex="0" aria-label=${`${label}. Keys: plus and minus zoom, arrows move, 0 shows all`} title="Drag to zoom; double click, or 0, shows all" ref=${place} onKeyDown=${keys}></div>
     <div class="under"><span class="said" ref=${said} aria-hidden="true"></span>${chosen ? html`<button class="small" onClick=${() => zoom(group, null)}>Show all</button>` : null}
-      ${name ? html`<${Save} name=${name} title=${label} canvas=${() => place.current?.querySelector("canvas")} chart=${{ x: time, y: unit, series: series.map((s) => ({ label: s.label, look: s.look })), bands: bands ?? [], level: level ?? null, data: [data[0], ...data.slice(1).map((values) => [values])] }} />` : null}</div></div>`;
+      ${name ? html`<${Save} name=${name} title=${label} canvas=${() => place.current?.querySelector("canvas")} chart=${{ x: time, y: unit, series: series.map((s) => ({ label: s.label, look: s.look })), bands: bands ?? [], level: level ?? null, shared: data[0], each: data.slice(1).map((values) => [values]) }} />` : null}</div></div>`;
 }
 
 /** One quantity over another, in the order of time.
@@ -239,5 +239,5 @@ export function Curve({ label, series, x, y, data, height, name }) {
   }, [shape, data]);
   return html`<div class="chart"><div class="plot" role="img" aria-label=${label} ref=${place}></div>
     <div class="under"><span class="said" ref=${said} aria-hidden="true"></span>
-      <${Save} name=${name} title=${label} canvas=${() => place.current?.querySelector("canvas")} chart=${{ x, y, series: series.map((s) => ({ label: words(s.label), look: s.look })), bands: [], level: null, data: [null, ...data] }} /></div></div>`;
+      <${Save} name=${name} title=${label} canvas=${() => place.current?.querySelector("canvas")} chart=${{ x, y, series: series.map((s) => ({ label: words(s.label), look: s.look })), bands: [], level: null, shared: null, each: data }} /></div></div>`;
 }

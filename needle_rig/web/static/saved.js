@@ -5,8 +5,8 @@ import { refuse } from "./store.js";
 import { html } from "./ui.js";
 
 /** @typedef {import("./vendor/uplot.js").Values} Values */
-/** A chart by its numbers: shared times (or null), then the values of each series: y alone, or x and y.
- * @typedef {{x: string, y: string, series: {label: string, look: string}[], bands: [number, number][], level: number | null, data: (Values | null | Values[])[]}} Chart */
+/** A chart by its numbers: shared values along x, or null, and the values of each series: y alone, or x and y.
+ * @typedef {{x: string, y: string, series: {label: string, look: string}[], bands: [number, number][], level: number | null, shared: Values | null, each: Values[][]}} Chart */
 
 /** @param {Blob} content @param {string} name */
 function download(content, name) {
@@ -22,10 +22,8 @@ const cell = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` 
 
 /** The numbers of a chart as a table. @param {Chart} chart */
 export function csv(chart) {
-  const [shared, ...each] = chart.data;
-  const columns = shared ? [{ name: chart.x, values: /** @type {Values} */ (shared) }] : [];
-  each.forEach((values, k) => {
-    const [first, second] = /** @type {Values[]} */ (values);
+  const columns = chart.shared ? [{ name: chart.x, values: chart.shared }] : [];
+  chart.each.forEach(([first, second], k) => {
     const { label } = chart.series[k];
     if (second) columns.push({ name: `${label}: ${chart.x}`, values: first }, { name: `${label}: ${chart.y}`, values: second });
     else columns.push({ name: `${label}: ${chart.y}`, values: first });
