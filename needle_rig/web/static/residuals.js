@@ -38,10 +38,14 @@ async function compareAgain() {
   if (of) await done({ kind: "compare", ...asked(of), ...heldOnly() });
 }
 
-const LEVELS = [2, 3, 6, 15, 50];
-const LEVEL_NAMES = ["below 2", "2", "3, the limit", "6", "15", "50 and more"];
+/** Where one colour ends and the next begins, half a decade apart; the second is the limit. */
+const LEVELS = [1, 3, 10, 30, 100, 300];
 /** @param {number} sigmas */
 const heat = (sigmas) => `h${LEVELS.filter((limit) => sigmas >= limit).length}`;
+const narrow = matchMedia("(max-width: 760px)");
+/** On a narrow page the phases stand below each other, so that the map fits. */
+const upright = signal(narrow.matches);
+narrow.addEventListener("change", () => (upright.value = narrow.matches));
 const ARROWS = /** @type {Record<string, string>} */ ({ up: " ↑", down: " ↓" });
 
 /** Where the model fails. */
@@ -87,18 +91,23 @@ function ResidualMap({ found }) {
     stretch.value = motion ? [Math.max(0, motion.start_s - 0.5), motion.end_s + 0.5] : null;
     document.getElementById(`trace-${place.channel}`)?.scrollIntoView({ block: "center" });
   };
-  return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}
-      <span class="levels">${LEVEL_NAMES.map((name, k) => html`<span class=${`h${k}${k === 2 ? " limit" : ""}`}>${name}</span>`)}</span></p>
-    <div class="scroll" tabindex="0" role="group" aria-label="Residual map"><table class="map">
-    <thead><tr><td></td>${[...columns.values()].map((p) => html`<th scope="col"><span>${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}</span></th>`)}</tr></thead>
-    <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${[...columns.keys()].map((column) => {
-      const key = `${channel}|${column}`;
-      const place = at.get(key);
-      if (!place || place.sigmas === null || place.sigmas === undefined) return html`<td></td>`;
-      const text = place.words || `${words(place.channel)}, ${words(place.motion)} ${place.state}: ${number(place.sigmas, 1)} times the noise`;
-      return html`<td><button class=${heat(place.sigmas)} title=${text} aria-label=${text} aria-pressed=${cell.value === key}
-        onClick=${() => go(place, key)}>${place.sigmas >= 9.95 ? Math.round(place.sigmas) : number(place.sigmas, 1)}</button></td>`;
-    })}</tr>`)}</tbody></table></div>`;
+  /** @param {string} channel @param {string} column */
+  const cellOf = (channel, column) => {
+    const key = `${channel}|${column}`;
+    const place = at.get(key);
+    if (!place || place.sigmas === null || place.sigmas === undefined) return html`<td></td>`;
+    const text = place.words || `${words(place.channel)}, ${words(place.motion)} ${place.state}: ${number(place.sigmas, 1)} times the noise`;
+    return html`<td><button class=${heat(place.sigmas)} title=${text} aria-label=${text} aria-pressed=${cell.value === key}
+      onClick=${() => go(place, key)}>${place.sigmas >= 9.95 ? Math.round(place.sigmas) : number(place.sigmas, 1)}</button></td>`;
+  };
+  const phases = [...columns].map(([column, p]) => ({ column, name: `${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}` }));
+  return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}</p>
+    <p class="levels" aria-label="Colours of the map, on a logarithmic scale; 3 is the limit">${[0, ...LEVELS].map((level, k) => html`<span class=${`h${k}`}>${k ? html`<b class=${level === 3 ? "limit" : ""}>${level}</b>` : null}</span>`)}<span class="quiet">× noise; 3 is the limit</span></p>
+    <div class="scroll" tabindex="0" role="group" aria-label="Residual map">${upright.value
+      ? html`<table class="map upright"><thead><tr><td></td>${channels.map((channel) => html`<th scope="col"><span>${words(String(channel))}</span></th>`)}</tr></thead>
+        <tbody>${phases.map(({ column, name }) => html`<tr><th scope="row">${name}</th>${channels.map((channel) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`
+      : html`<table class="map"><thead><tr><td></td>${phases.map(({ name }) => html`<th scope="col"><span>${name}</span></th>`)}</tr></thead>
+        <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${phases.map(({ column }) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`}</div>`;
 }
 
 /** @param {{found: any}} props */

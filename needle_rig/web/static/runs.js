@@ -212,7 +212,7 @@ function Told({ name }) {
         ${models.map((/** @type {import("./store.js").Named} */ m) => html`<option value=${m.key}>${words(m.name)}</option>`)}</select></label></p>
       <${Working} kinds=${["compare", "figure"]} of=${working} />
       ${held ? html`<p><strong>${held.name}</strong> ${held.sentence}</p>` : null}
-      ${pieces.length > 1 ? html`<div class="tabs" role="group" aria-label="Parts of the run that are predicted">${pieces.map((part, k) => html`<button aria-pressed=${part === trial} onClick=${() => { piece.value = k; zoom("run", null); }}>${k + 1} · ${part.title}</button>`)}</div>` : null}
+      ${pieces.length > 1 ? html`<div class="tabs" role="group" aria-label="Parts of the run that are predicted">${pieces.map((part, k) => html`<button aria-pressed=${part === trial} onClick=${() => { piece.value = k; zoom("run", null); }}>${k + 1} · ${words(part.motions.at(-1)?.name ?? part.title)}</button>`)}</div>` : null}
       <h3>base</h3><${Plot} name=${`${name}-base`} label="Angle of the base" unit="base / °" height=${130} cursor="run" marks=${trial.motions} series=${[line("base", "--base")]} data=${[trial.time_s, trial.base_deg]} />
       <${Traced} channels=${channels} trial=${trial} group="run" name=${name} />
       <h3>Torque against angle</h3><${Loop} trial=${trial} name=${name} /></section>
