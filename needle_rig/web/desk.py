@@ -12,7 +12,7 @@ from needle_rig.model import parameter_sets
 from needle_rig.web.asked import Work
 from needle_rig.web.identity import data_hash, file_hash, model_hash, question_text
 from needle_rig.web.jobs import Job, Jobs, Subject
-from needle_rig.web.places import COMPARISON, DATASET, DIAGNOSIS, MODEL
+from needle_rig.web.places import COMPARISON, DATASET, DATASET_KINDS, DIAGNOSIS, MODEL
 from needle_rig.web.sources import Source, Sources, free_name
 from needle_rig.web.store import sealed
 from needle_rig.web.uploads import Uploads, model_in
@@ -55,7 +55,7 @@ class Desk:
 
     def _know(self, job: Job) -> None:
         """An import is data from its beginning, so that it can be named; it is read once it ended."""
-        if job.of.kind == "import" and job.state != "failed":
+        if job.of.kind in DATASET_KINDS and job.state != "failed":
             self._sources.imported[f"imported:{job.key}"] = job.folder / DATASET
 
     async def begin(self, asked: Work) -> Job:
@@ -111,7 +111,7 @@ class Desk:
             given |= self._recordings(asked)
             if kind == "guess":
                 given["layout"] = await self._layout(asked)
-        elif "data" not in given and kind != "undo":
+        elif "data" not in given and kind not in ("undo", "example"):
             raise BadInput("this is no computation that the page knows")
         effects = [*self._effects, *self._folders(drafts)]
         if kind in (*OF_A_MODEL, "adopt", "open"):
@@ -145,9 +145,16 @@ class Desk:
         found = self._sources.named()
         taken = {source.name for source in found}
         for job in self._jobs.all():
-            if job.of.kind == "import" and job.state == "done":
+            if job.of.kind in DATASET_KINDS and job.state == "done":
                 name = free_name(job.name, taken)
-                found.append(Source(f"imported:{job.key}", name, "imported", (job.folder / DATASET,)))
+                found.append(
+                    Source(
+                        f"imported:{job.key}",
+                        name,
+                        "example" if job.of.kind == "example" else "imported",
+                        (job.folder / DATASET,),
+                    )
+                )
         return found
 
     async def results(self, data: list[str], model: str | None) -> dict[str, Job]:

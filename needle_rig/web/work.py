@@ -17,7 +17,7 @@ from typing import Any
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.extras import needed
-from needle_rig.model import load_saved
+from needle_rig.model import load_parameters, load_saved
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.diagnose import Diagnose
@@ -29,18 +29,21 @@ from needle_rig.questions.strategies import Strategies
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
+from needle_rig.simulation.protocol import load_protocol
 from needle_rig.web import pictures, recordings, traces
 from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
-from needle_rig.web.places import DIAGNOSIS
+from needle_rig.web.places import DATASET, DIAGNOSIS
 from needle_rig.web.sequences import strategies
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.selection.diagnose import Diagnosis
+from needle_rig.workbench.virtual.dataset import simulate_dataset
 
 Document = dict[str, Any]
 Say = Callable[[str], None]
+EXAMPLE = "rig_elastic"
 EVENTS = 1000
 """Of a run, shown."""
 CANDIDATES = 8
@@ -234,6 +237,14 @@ def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
     return {"file": written.name}
 
 
+def example(say: Say, *, out: str) -> Document:
+    """A simulated series for those without data: the simulated rig's needle, whose tissue yields."""
+    say("simulating a series")
+    dataset = simulate_dataset(load_parameters(EXAMPLE), load_protocol("standard"), name="example")
+    write_dataset(dataset, Path(out) / DATASET)
+    return {"name": dataset.name}
+
+
 def chart(say: Say, *, chart: Document, out: str) -> Document:
     """A chart of the page, drawn for print as SVG; `chart` was checked by `asked.Chart`. Raises BadInput."""
     needed("matplotlib", "a chart as SVG", "figures")
@@ -275,4 +286,5 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "open": opened,
     "show": show,
     "export": export,
+    "example": example,
 }

@@ -82,7 +82,7 @@ export function Effects() {
     if (!effects.value) ask("GET", "effects").then((found) => { effects.value = found.effects; broken.value = found.broken; }, refuse);
   }, []);
   const effect = effects.value?.find((e) => e.name === (place.value.name || name.value));
-  return html`<h1>Effects</h1>
+  return html`<h1>Effects</h1><p class="purpose">See what each effect of the library does to torque and angles.</p>
     ${effects.value && place.value.name && !effect ? html`<p class="refusal" role="alert">${place.value.name}: no such effect in the library. Choose from the list.</p>` : null}
     <div class="side"><section class="card"><h2>Effects</h2>
       ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><a aria-current=${e.name === effect?.name ? "true" : undefined} title=${e.first} href=${route("effects", e.name)}>${words(e.name)}</a></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}

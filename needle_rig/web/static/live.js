@@ -1,6 +1,7 @@
 // The rig as it is now: the shaft, torque and angles over time, the sequence, orders, and faults as sentences.
 import { ask, subprotocol, whyNot } from "./net.js";
 import { Alarm, expected, forget, hear, laid } from "./expected.js";
+import { Opening } from "./opening.js";
 import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
@@ -139,14 +140,16 @@ function collect(state) {
   if (old > 0) columns.forEach((column) => column.splice(0, old));
 }
 
+const PURPOSE = "See the needle as it is now, turn its base, and take the windup out of it.";
+
 export function Live() {
   const state = rig.value;
   if (!state)
-    return html`<h1>Live</h1>
-      <section class="card"><h2>No rig</h2><p class="lost">${why.value}</p>
-      <p>The workbench, the effects and the strategies work without a rig.</p></section>`;
+    return html`<h1>Live</h1><p class="purpose">${PURPOSE}</p>
+      <div class="grid2"><section class="card wide"><h2>No rig</h2><p class="lost">${why.value}</p>
+      <p>The workbench, the effects and the strategies work without a rig.</p></section><${Opening} /></div>`;
   return html`
-    <h1>Live</h1>
+    <h1>Live</h1><p class="purpose">${PURPOSE}</p>
     ${connected.value ? null : html`<p class="refusal" role="alert">The connection is lost: ${why.value}.
       What is shown is the last that was heard.</p>`}
     <div class=${connected.value ? "live" : "live grey"} inert=${!connected.value}>

@@ -70,7 +70,7 @@ export function Models() {
   const { name } = place.value;
   const all = about.value?.models ?? [];
   if (name) return html`<${One} model=${all.find((/** @type {any} */ m) => m.name === name)} name=${name} />`;
-  return html`<h1>Models</h1><section class="card"><p>Models that were learnt in the workbench, or dropped there as files.</p>
+  return html`<h1>Models</h1><p class="purpose">Models that were learnt in the workbench, or dropped there as files: compare them, and use one on the rig.</p><section class="card">
     ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table><thead><tr><th scope="col">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
       <tbody>${[...all].reverse().map((/** @type {any} */ m) => html`<tr key=${m.key}><th scope="row"><a href=${route("models", m.name)}>${words(m.name)}</a></th>
         <td class="text">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text">${from(m)}</td><td class="text">${made(m)}</td></tr>`)}</tbody></table></div>`

@@ -42,6 +42,8 @@ async function compareAgain() {
 const LEVELS = [1, 3, 10, 30, 100, 300];
 /** @param {number} sigmas */
 const heat = (sigmas) => `h${LEVELS.filter((limit) => sigmas >= limit).length}`;
+/** Phases beside each other, above which their numbers are small. */
+const MOST_LARGE = 28;
 const narrow = matchMedia("(max-width: 760px)");
 /** On a narrow page the phases stand below each other, so that the map fits. */
 const upright = signal(narrow.matches);
@@ -106,7 +108,7 @@ function ResidualMap({ found }) {
     <div class="scroll" tabindex="0" role="group" aria-label="Residual map">${upright.value
       ? html`<table class="map upright"><thead><tr><td></td>${channels.map((channel) => html`<th scope="col"><span>${words(String(channel))}</span></th>`)}</tr></thead>
         <tbody>${phases.map(({ column, name }) => html`<tr><th scope="row">${name}</th>${channels.map((channel) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`
-      : html`<table class="map"><thead><tr><td></td>${phases.map(({ name }) => html`<th scope="col"><span>${name}</span></th>`)}</tr></thead>
+      : html`<table class=${phases.length > MOST_LARGE ? "map dense" : "map"}><thead><tr><td></td>${phases.map(({ name }) => html`<th scope="col"><span>${name}</span></th>`)}</tr></thead>
         <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${phases.map(({ column }) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`}</div>`;
 }
 

@@ -113,7 +113,7 @@ function List() {
   /** @param {string} name */
   const toggle = (name) => (marked.value = marked.value.includes(name) ? marked.value.filter((n) => n !== name) : [...marked.value, name]);
   const go = (/** @type {number} */ to) => { start.value = to; list(); };
-  return html`<h1>Runs</h1>
+  return html`<h1>Runs</h1><p class="purpose">Look at what was recorded, hold a model against it, and choose runs to learn from.</p>
     <section class="card"><div class="orders">
       <label>Filter <input type="search" value=${filter.value} placeholder="name, status, strategy, tag" onInput=${(/** @type {any} */ e) => { filter.value = e.target.value; start.value = 0; list(); }} /></label>
       <button aria-disabled=${marked.value.length !== 2} onClick=${() => marked.value.length === 2 && (location.hash = route("runs", "", marked.value.map((name) => ["run", name])))}>Side by side</button>

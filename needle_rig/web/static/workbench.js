@@ -4,6 +4,7 @@ import { Working, begin, done } from "./jobs.js";
 import { WhatIsWhat, asConfirmed, proposal, propose, shaft } from "./mapping.js";
 import { Missing } from "./missing.js";
 import { Falls } from "./models.js";
+import { Opening } from "./opening.js";
 import { ask } from "./net.js";
 import { Compared } from "./residuals.js";
 import { about, dataOf, dataRoute, heldModel, look, lost, modelCalled, place, refuse, route, said, subject } from "./store.js";
@@ -95,10 +96,11 @@ async function everyFile(items) {
 }
 
 export function Workbench() {
-  return html`<h1>Workbench</h1>
+  return html`<h1>Workbench</h1><p class="purpose">Find out where a model of the needle fails on your data, what it lacks, and add that to it.</p>
     ${lost.value ? html`<p class="refusal" role="alert">${lost.value}</p>` : null}
     <div class="grid2">
       <${Choose} />
+      ${subject.value || lost.value ? null : html`<${Opening} />`}
       <${WhatIsWhat} busy=${busy.value} sources=${about.value?.data ?? []} again=${guessAgain} take=${importProposed} discard=${() => forget(proposal.value.upload)} />
       <${Compared} />
       <${Missing} />
