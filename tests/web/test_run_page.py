@@ -71,7 +71,7 @@ def test_a_run_is_read_on_its_own_page(visit: Open, pages: Served, folder: Path)
     page.get_by_label("torque: measured minus model, in units of the noise").wait_for(timeout=120_000)
     assert page.get_by_label(re.compile("measured minus model")).count() == 5
     table = list(csv.reader(io.StringIO(saved(page, f"{name}-torque-residual", "CSV").decode())))
-    assert table[0] == ["time / s", "model: left / σ"]
+    assert table[0] == ["time / s", "model: residual / σ"]
     assert len(table) > 100
     numbers = [float(row[1]) for row in table[1:] if row[1]]
     assert max(map(abs, numbers)) > 3, "elastic tissue is not rigid"

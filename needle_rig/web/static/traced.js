@@ -1,4 +1,4 @@
-// Measured traces beside a model: each channel with its band of noise, and below it what is left, in units of the noise.
+// Measured traces beside a model: each channel with its band of noise, and below it the residual in units of the noise.
 import { Curve, Legend, Plot, dots, edges, line } from "./plot.js";
 import { html, significant, words } from "./ui.js";
 
@@ -8,7 +8,7 @@ import { html, significant, words } from "./ui.js";
 
 const BAND_SIGMAS = 2;
 /** Of the strip below a trace, px. */
-const STRIP = 120;
+const STRIP = 130;
 
 /** Measured minus model over the noise. @param {Values} measured @param {Values} model @param {number} noise */
 const left = (measured, model, noise) => measured.map((value, i) => (value === null || model[i] === null ? null : (value - /** @type {number} */ (model[i])) / noise));
@@ -33,7 +33,7 @@ export function Traced({ channels, trial, stretch = null, over = null, group, na
       return html`<div id=${`trace-${channel.name}`}><h3>${words(channel.name)} <span class="quiet">noise ${significant(channel.noise)} ${channel.unit}</span></h3>
         <${Plot} name=${chart} label=${`${channel.name} over time, measured and model`} unit=${unit} height=${190} bands=${[[3, 4]]} cursor=${group}
           range=${stretch} marks=${trial.motions} series=${[measured, held, ...edges("noise"), ...others]} data=${[trial.time_s, trial.measured[c], own, shifted(noise), shifted(-noise), ...more]} />
-        <${Plot} name=${`${chart}-residual`} label=${`${channel.name}: measured minus model, in units of the noise`} unit="left / σ" height=${STRIP} level=${BAND_SIGMAS} least=${8} cursor=${group}
+        <${Plot} name=${`${chart}-residual`} label=${`${channel.name}: measured minus model, in units of the noise`} unit="residual / σ" height=${STRIP} level=${BAND_SIGMAS} least=${8} cursor=${group}
           range=${stretch} marks=${trial.motions} series=${[dots(held.label, "--model"), ...others.map((one) => dots(one.label, one.colour))]}
           data=${[trial.time_s, ...[own, ...more].map((values) => left(trial.measured[c], values, channel.noise))]} /></div>`;
     })}</div>`;
