@@ -64,6 +64,8 @@ def _text(state: State, path: str) -> str:
         lines.append(f"lease:   {state['lease']}")
     if state["run"]:
         lines.append(f"run:     {state['run']}")
+    if state.get("model"):
+        lines.append(f"model:   {state['model']}")
     if state["fault"]:
         lines.append(f"fault:   {state['fault']}")
     lines += [f"waits:   {each}" for each in waits_for_a_person(state)]

@@ -224,6 +224,7 @@ class Brain:
             progress=sequence.progress(self._phase) if sequence else 0.0,
             target_rad=sequence.task.target_rad if sequence else None,
             strategy=sequence.strategy.name if sequence else None,
+            model=sequence.task.model.name if sequence and sequence.task.model else None,
             waypoint_rad=waypoint.angle_rad if waypoint else None,
             velocity_rad_s=self._command.velocity_rad_s,
             limited=self._limited,

@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from needle_rig.control.lag import lag_rad
-from needle_rig.control.strategy import Reason, Strategy, Task, Waypoint
+from needle_rig.control.strategy import Reason, Strategy, Task, Trust, Waypoint
 from needle_rig.records import Measurement, Phase
+
+if TYPE_CHECKING:
+    from needle_rig.physics.needle_model import NeedleModel
 
 Status = Literal["aligned", "not_aligned", "aborted", "fault"]
 
@@ -22,7 +25,8 @@ class Request:
     `strategy` is a name (the file in control/strategies) or an instance; `options` are the fields of its
     dataclass by name (`{"extra_deg": 12}`). `settle_s` and `speed_rad_s` stand in for those of the
     configuration. `lag_left_rad` is the tip lag that the run before left, for strategies that learn from it;
-    None takes it from the brain's own last run. `run` names the run in sentences.
+    None takes it from the brain's own last run. `run` names the run in sentences. `model`, and how far its
+    file says to `trust` it, stand in for the brain's own.
     """
 
     target_rad: float
@@ -32,6 +36,8 @@ class Request:
     speed_rad_s: float | None = None
     lag_left_rad: float | None = None
     run: str = "RUN"
+    model: NeedleModel | None = None
+    trust: Trust = field(default_factory=Trust)
 
 
 @dataclass(frozen=True)
@@ -138,6 +144,8 @@ class BrainState:
     """0..1 over the whole sequence, estimated; never falls within one sequence."""
     target_rad: float | None
     strategy: str | None
+    model: str | None
+    """Name of the model that the strategy may plan with."""
     waypoint_rad: float | None
     velocity_rad_s: float
     limited: bool

@@ -65,6 +65,7 @@ class Tasks:
         if lag_left_rad is None and before is not None:
             lag_left_rad = before.lag_left_rad()
             extra_before_deg = before.strategy.extra_used_deg(before.task)
+        own = request.model is None
         return Task(
             target_rad=request.target_rad,
             layout=self._layout,
@@ -75,8 +76,8 @@ class Tasks:
             velocity_limit_rad_s=limits.velocity_rad_s,
             acceleration_limit_rad_s2=limits.acceleration_rad_s2,
             tick_hz=self._tick_hz,
-            model=self._model,
-            trust=self._trust,
+            model=self._model if own else request.model,
+            trust=self._trust if own else request.trust,
             lag_left_rad=lag_left_rad,
             extra_before_deg=extra_before_deg,
         )

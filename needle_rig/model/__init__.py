@@ -6,7 +6,7 @@ file is learnt: the set it started from, effects with fitted values and uncertai
 
 from needle_rig.config.files import parameter_sets, parameters_path
 from needle_rig.model.build import effect_directories
-from needle_rig.model.files import SavedModel, load_model, save_model
+from needle_rig.model.files import SavedModel, load_model, model_in, save_model
 from needle_rig.model.schema import ChannelErrors, HistoryEntry, ParameterSet
 from needle_rig.model.sets import (
     EXPERIMENT_LAYOUT,
@@ -28,6 +28,7 @@ __all__ = [
     "load_parameter_set",
     "load_parameters",
     "load_saved",
+    "model_in",
     "parameter_sets",
     "parameters_path",
     "save_model",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from needle_rig.config.check import validate
 from needle_rig.config.hints import key_endings
-from needle_rig.config.places import DataPath, Places, read_yaml, write_yaml
+from needle_rig.config.places import DataPath, Places, parse_yaml, read_yaml, write_yaml
 from needle_rig.model.build import built_effect, built_model, effect_directories
 from needle_rig.model.schema import MODEL_FORMAT, FittedValue, HistoryEntry, ModelFile
 from needle_rig.physics.effect import Effect
@@ -58,6 +58,12 @@ class SavedModel:
 def load_model(path: str | os.PathLike[str], *, effects: Iterable[str | Path] = ()) -> SavedModel:
     """A model file with its uncertainties and history. Raises BadInput with file and line."""
     data, places = read_yaml(path)
+    return saved_model(data, places, effects)
+
+
+def model_in(text: str, named: str, *, effects: Iterable[str | Path] = ()) -> SavedModel:
+    """The model in the text of a model file, which errors call `named`. Raises BadInput with the line."""
+    data, places = parse_yaml(text, named)
     return saved_model(data, places, effects)
 
 

@@ -56,6 +56,11 @@ class SettledNeedle:
         base_rad = float(self.path.base_angle_rad[window].mean())
         return base_rad, float(reading.torque_nm[window].mean()), reading.hall_rad[window].mean(axis=0)
 
+    @property
+    def readings(self) -> Reading:
+        """What the sensors showed along the last path."""
+        return self._shown[0]
+
     @cached_property
     def rod(self) -> Rod:
         """The model's rod."""

@@ -2,6 +2,7 @@
 
 from needle_rig.recording.catalogue import (
     RunSummary,
+    changed_in,
     find_run,
     is_run_file,
     list_runs,
@@ -25,6 +26,7 @@ __all__ = [
     "RunSummary",
     "RunWriter",
     "being_written",
+    "changed_in",
     "find_run",
     "is_run_file",
     "journal_path",

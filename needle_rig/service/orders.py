@@ -18,6 +18,8 @@ from needle_rig.control.ranges import (
 from needle_rig.errors import BadInput
 
 OPTIONS = 16
+MODEL_LETTERS = 40_000
+"""Of a model file in an order; one with five effects and ten steps of history has 12,000."""
 _SHOWN_LETTERS = 60
 
 Angle = Annotated[float, Field(ge=-MOST_DEG, le=MOST_DEG)]
@@ -36,7 +38,10 @@ class Model(BaseModel):
 
 
 class Order(Model):
-    """A sequence that aligns the needle. `options` are the strategy's own, by name."""
+    """A sequence that aligns the needle. `options` are the strategy's own, by name.
+
+    `model` is the text of a model file that this run plans with, in the place of the daemon's own.
+    """
 
     target_deg: Angle
     strategy: Name = "reed2008"
@@ -44,6 +49,7 @@ class Order(Model):
     settle_s: Annotated[float, Field(ge=SETTLE_S[0], le=SETTLE_S[1])] | None = None
     speed_deg_s: Speed | None = None
     lag_left_deg: Angle | None = None
+    model: Annotated[str, Field(min_length=1, max_length=MODEL_LETTERS)] | None = None
 
     @model_validator(mode="after")
     def _options_end(self) -> Self:

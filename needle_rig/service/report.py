@@ -53,6 +53,7 @@ def state_document(state: BrainState) -> documents.Standing:
         "progress": round(state.progress, 4),
         "target_deg": _deg(state.target_rad),
         "strategy": state.strategy,
+        "model": state.model,
         "waypoint_deg": _deg(state.waypoint_rad),
         "velocity_deg_s": _deg(state.velocity_rad_s),
         "limited": state.limited,

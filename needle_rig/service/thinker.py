@@ -12,6 +12,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
 
 from needle_rig.control.checked import Checked
 from needle_rig.control.compensation import think_at_once
@@ -30,6 +31,9 @@ from needle_rig.control.strategy import History, Strategy, Task, Waypoint, find_
 from needle_rig.errors import NeedleRigError, RigFault
 from needle_rig.parent import end_with_parent
 
+if TYPE_CHECKING:
+    from needle_rig.model import SavedModel
+
 QUICK = frozenset(
     {
         *(BaseEqualsTip, Decay, Dither, NoCompensation, Protocol, Reed2008, Reed2008Elastic, Relax),
@@ -39,8 +43,6 @@ QUICK = frozenset(
 """Strategies known to answer within a tick: a few lines of arithmetic. All others think in the child."""
 _SPAWN = multiprocessing.get_context("spawn")
 _CLOSE_S = 1.0
-
-Said = Waypoint | NeedleRigError | None
 
 
 class Thinker:
@@ -78,6 +80,14 @@ class Thinker:
         if find_strategies()[strategy] not in QUICK:
             await asyncio.wrap_future(self._asking.submit(self._started))
 
+    async def model(self, text: str) -> SavedModel:
+        """The model in the text of a model file: its effects' modules are read here for the first time.
+
+        Raises BadInput for a file that cannot be used, RigFault.
+        """
+        saved: SavedModel = await asyncio.wrap_future(self._asking.submit(self._read, text))
+        return saved
+
     @property
     def thinking(self) -> bool:
         """Whether an answer is awaited."""
@@ -102,7 +112,7 @@ class Thinker:
 
     def _asked(self, question: int, strategy: Checked, task: Task, history: History) -> Waypoint | None:
         try:
-            asked = pickle.dumps((strategy, task, history), pickle.HIGHEST_PROTOCOL)
+            asked = pickle.dumps((think_at_once, strategy, task, history), pickle.HIGHEST_PROTOCOL)
         except Exception as error:
             raise RigFault(
                 f"strategy {strategy.name} cannot be asked in another process:"
@@ -112,10 +122,15 @@ class Thinker:
             if question != self._questions:
                 return None  # dropped before a child heard of it
             child = self._running()
-        said = child.answer(asked, strategy.name, self._limit_s)
-        if isinstance(said, NeedleRigError):
-            raise said
-        return said
+        waypoint: Waypoint | None = child.answer(asked, f"strategy {strategy.name}", self._limit_s)
+        return waypoint
+
+    def _read(self, text: str) -> SavedModel:
+        with self._lock:
+            child = self._running()
+        asked = pickle.dumps((_model, text), pickle.HIGHEST_PROTOCOL)
+        saved: SavedModel = child.answer(asked, "the model", self._limit_s)
+        return saved
 
     def _started(self) -> None:
         with self._lock:
@@ -144,22 +159,24 @@ class _Child:
         finally:
             there.close()
 
-    def answer(self, question: bytes, name: str, limit_s: float) -> Said:
-        """What it says within `limit_s`; after that it is dead."""
+    def answer(self, question: bytes, name: str, limit_s: float) -> Any:
+        """What it finds within `limit_s`; after that it is dead. Raises what it refuses, RigFault."""
         overdue = threading.Timer(limit_s, self.process.kill)
         overdue.daemon = True
         overdue.start()
         asked_s = time.monotonic()
         try:
             self._here.send_bytes(question)
-            said: Said = self._here.recv()
+            said = self._here.recv()
         except (EOFError, OSError):
             late = time.monotonic() - asked_s >= limit_s
             silent = f"has not answered for {limit_s:g} s (sequence.motion_timeout_s)"
-            said = RigFault(f"strategy {name} {silent if late else 'lost its process'}; choose another")
+            said = RigFault(f"{name} {silent if late else 'lost its process'}; choose another")
             self.process.join(_CLOSE_S)
         finally:
             overdue.cancel()
+        if isinstance(said, NeedleRigError):
+            raise said
         return said
 
 
@@ -174,9 +191,16 @@ def _answer_all(there: Connection) -> None:
             there.send(_answered(there.recv_bytes()))
 
 
-def _answered(question: bytes) -> Said:
+def _model(text: str) -> SavedModel:
+    from needle_rig.model import model_in
+
+    return model_in(text, "the model of this order")
+
+
+def _answered(question: bytes) -> Any:
     try:
-        return think_at_once(*pickle.loads(question))
+        function, *arguments = pickle.loads(question)
+        return function(*arguments)
     except NeedleRigError as refusal:
         return refusal
     except BaseException as error:  # noqa: BLE001 - what a strategy's file does while it is read

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from needle_rig.control.ranges import MOST_DEG
 from needle_rig.errors import BadInput
@@ -23,6 +23,47 @@ class Asked(BaseModel):
     """Refuses what it does not know, and `true` or `"45"` where a number stands."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+Text = Annotated[str, Field(max_length=200)]
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+Values = Annotated[list[Number | None], Field(max_length=20_000)]
+Look = Literal["line", "dashed", "dots", "edge"]
+
+
+class ChartSeries(Asked):
+    """What a line of a chart is called, and how it looks."""
+
+    label: Text
+    look: Look
+
+
+class Chart(Asked):
+    """A chart as the page drew it: `shared` values along x or none, then y, or x and y, of `each` series."""
+
+    title: Text
+    x: Text
+    y: Text
+    series: Annotated[list[ChartSeries], Field(min_length=1, max_length=40)]
+    bands: Annotated[list[tuple[int, int]], Field(max_length=40)] = []
+    """Upper and lower edge, by number of the series from 1."""
+    level: Number | None = None
+    shared: Values | None
+    each: list[Annotated[list[Values], Field(min_length=1, max_length=2)]]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        """Every series has its values, as many along as up."""
+        count = 1 if self.shared is not None else 2
+        if [len(one) for one in self.each] != [count] * len(self.series):
+            raise ValueError("the chart has not the values of its series")
+        for one in self.each:
+            along = one[0] if self.shared is None else self.shared
+            if len(along) != len(one[-1]):
+                raise ValueError("the chart has not as many values along as up")
+        if any(not 1 <= edge <= len(self.series) for band in self.bands for edge in band):
+            raise ValueError("the chart has a band without edges")
+        return self
 
 
 class Work(Asked):
@@ -50,6 +91,7 @@ class Work(Asked):
     targets_deg: Annotated[list[Angle], Field(min_length=1, max_length=TARGETS)] | None = None
     seeds: Annotated[int, Field(ge=1, le=SEEDS)] | None = None
     parameters: Key | None = None
+    chart: Chart | None = None
 
 
 class Lesson(Asked):

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.model import parameter_sets
 from needle_rig.web.asked import Work
-from needle_rig.web.identity import data_hash, model_hash, question_text
+from needle_rig.web.identity import data_hash, file_hash, model_hash, question_text
 from needle_rig.web.jobs import Job, Jobs, Subject
-from needle_rig.web.places import COMPARISON, DATASET, DIAGNOSIS, MODEL
+from needle_rig.web.places import COMPARISON, DATASET, DATASET_KINDS, DIAGNOSIS, MODEL
 from needle_rig.web.sources import Source, Sources, free_name
 from needle_rig.web.store import sealed
 from needle_rig.web.uploads import Uploads, model_in
@@ -54,7 +55,7 @@ class Desk:
 
     def _know(self, job: Job) -> None:
         """An import is data from its beginning, so that it can be named; it is read once it ended."""
-        if job.of.kind == "import" and job.state != "failed":
+        if job.of.kind in DATASET_KINDS and job.state != "failed":
             self._sources.imported[f"imported:{job.key}"] = job.folder / DATASET
 
     async def begin(self, asked: Work) -> Job:
@@ -100,13 +101,17 @@ class Desk:
             raise BadInput("there is no step to take back")
         elif kind == "export":
             given["form"] = str(asked.form)
+        elif kind == "chart":
+            if asked.chart is None:
+                raise BadInput("there is no chart to draw; open the page again")
+            given["chart"] = question["chart"] = asked.chart.model_dump()
         elif kind == "strategies":
             given |= _contest(asked, given["model"])
         elif kind in ("guess", "import"):
             given |= self._recordings(asked)
             if kind == "guess":
                 given["layout"] = await self._layout(asked)
-        elif "data" not in given and kind != "undo":
+        elif "data" not in given and kind not in ("undo", "example"):
             raise BadInput("this is no computation that the page knows")
         effects = [*self._effects, *self._folders(drafts)]
         if kind in (*OF_A_MODEL, "adopt", "open"):
@@ -140,9 +145,16 @@ class Desk:
         found = self._sources.named()
         taken = {source.name for source in found}
         for job in self._jobs.all():
-            if job.of.kind == "import" and job.state == "done":
+            if job.of.kind in DATASET_KINDS and job.state == "done":
                 name = free_name(job.name, taken)
-                found.append(Source(f"imported:{job.key}", name, "imported", (job.folder / DATASET,)))
+                found.append(
+                    Source(
+                        f"imported:{job.key}",
+                        name,
+                        "example" if job.of.kind == "example" else "imported",
+                        (job.folder / DATASET,),
+                    )
+                )
         return found
 
     async def results(self, data: list[str], model: str | None) -> dict[str, Job]:
@@ -219,6 +231,23 @@ class Desk:
         if asked.layout_of is None:
             return None
         return (await asyncio.to_thread(self._sources.paths, [asked.layout_of]))[0]
+
+    def model_text(self, key: str) -> str:
+        """The text of a model file of the library, for an order to the rig. Raises BadInput."""
+        if key in parameter_sets():
+            raise BadInput(f"{key}: is a published parameter set; choose a model that was learnt on this rig")
+        path = self._file(key, MODEL)
+        assert path is not None
+        return Path(path).read_text(encoding="utf-8")
+
+    def model_of(self, sha256: str) -> tuple[str, list[str]] | None:
+        """The model file of the library with this hash, and the folders of its effects; None for another."""
+        for job in self._jobs.models():
+            path = job.folder / MODEL
+            with suppress(OSError, BadInput):
+                if file_hash(path).hex() == sha256:
+                    return str(path), [*self._effects, *self._folders(job.of.drafts)]
+        return None
 
     def _model(self, key: str | None) -> str | None:
         """The model that a job made, or the name of a parameter set; None for the null model."""

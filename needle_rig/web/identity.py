@@ -26,7 +26,7 @@ def data_hash(paths: Sequence[str]) -> str:
             path = journal_path(path)
         for file in _files(path):
             name = file.relative_to(path).as_posix() if file != path else path.suffix
-            whole.update(hashlib.sha256(name.encode()).digest() + _file_hash(file))
+            whole.update(hashlib.sha256(name.encode()).digest() + file_hash(file))
     return whole.hexdigest() if paths else ""
 
 
@@ -35,10 +35,10 @@ def model_hash(model: str | None, effects: Iterable[str]) -> str:
     whole = hashlib.sha256(VERSION.encode())
     if model is not None:
         path = Path(model)
-        whole.update(_file_hash(path) if path.is_file() else model.encode())
+        whole.update(file_hash(path) if path.is_file() else model.encode())
     for folder in effect_directories(tuple(effects)):
         for file in sorted(Path(folder).glob("*.py")):
-            whole.update(file.name.encode() + _file_hash(file))
+            whole.update(file.name.encode() + file_hash(file))
     return whole.hexdigest()
 
 
@@ -53,7 +53,8 @@ def _files(path: Path) -> list[Path]:
     return sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
 
 
-def _file_hash(path: Path) -> bytes:
+def file_hash(path: Path) -> bytes:
+    """SHA-256 of a file's content."""
     state = path.stat()
     key = (str(path), state.st_mtime_ns, state.st_size)
     if key not in _known:

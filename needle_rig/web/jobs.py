@@ -25,7 +25,7 @@ from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
 from needle_rig.model import parameter_sets
 from needle_rig.web.bounds import RUNNING, told
-from needle_rig.web.places import SCRATCH_KINDS
+from needle_rig.web.places import DATASET_KINDS, SCRATCH_KINDS
 from needle_rig.web.sources import free_name
 from needle_rig.web.store import Store, seal
 
@@ -40,7 +40,7 @@ LINE_BYTES = 64 << 20
 CLOSED = "needle-rig web was closed while this ran; start it again"
 MODELS = frozenset({"adopt", "add_effect", "take_values", "open"})
 """Kinds whose result is a model."""
-LASTING = MODELS | {"import", "learn"}
+LASTING = MODELS | DATASET_KINDS | {"learn"}
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 

@@ -108,7 +108,7 @@ class Setting:
 
 
 def lesson(
-    effect: str, values: Mapping[str, float], directories: Sequence[Path] = (), data: str | None = None
+    effect: str, values: Mapping[str, float], data: str | None = None, directories: Sequence[Path] = ()
 ) -> Document:
     """The standard trial with and without `effect` at `values`, in units of files.
 

@@ -44,12 +44,13 @@ def keep(found: Comparison, out: str) -> None:
 def figure(
     say: Callable[[str], None], *, comparison: str, what: str, again: Mapping[str, Any], out: str
 ) -> Document:
-    """One figure of a comparison that was kept, in every format, with its words.
+    """One figure of a comparison that was kept, in every format and as numbers, with its words.
 
     `again` is its question, for one that an earlier server kept. Raises BadInput, SolverError.
     """
     needed("matplotlib", "a figure", "figures")
-    from needle_rig.figures.residuals import described, function, write_figure
+    from needle_rig.figures.numbers import write_numbers
+    from needle_rig.figures.residuals import described, drawn, function, write_figure
 
     function(what)
     place = Path(comparison)
@@ -62,6 +63,8 @@ def figure(
     files = {kind: f"{what}.{kind}" for kind in FORMATS}
     for name in files.values():
         write_figure(found, Path(out) / name)
+    files["csv"] = f"{what}.csv"
+    write_numbers(drawn(found, what), Path(out) / files["csv"])
     return {"figure": what, "words": described(found, what), "files": files}
 
 

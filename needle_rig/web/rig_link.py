@@ -67,6 +67,10 @@ class RigLink:
                 listener.put_state(self._newest)
             yield listener
 
+    def tell(self, document: Mapping[str, Any]) -> None:
+        """Tell all watchers something of our own, as an event between those of the daemon."""
+        self._stream.event(json.dumps(document))
+
     @property
     def other_version(self) -> str | None:
         """That the daemon is of another version; None where it is of the same, or silent."""

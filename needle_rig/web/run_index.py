@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
-from needle_rig.recording import journal_path, run_summary, runs_in
+from needle_rig.recording import changed_in, run_summary
 from needle_rig.web.store import Store
 
 READ_S = 0.3
@@ -30,45 +29,50 @@ class RunIndex:
         self._closed = threading.Event()
 
     def documents(self, folder: Path) -> tuple[list[Document], int]:
-        """Those that were read, and how many are still to be read. Raises BadInput."""
+        """Those that were read, and how many are still to be read. Raises BadInput.
+
+        The documents are the index's own: whoever adds to one makes another.
+        """
         with self._alone:
-            stamps = {path.stem: (path, _stamp(path)) for path in runs_in(folder)}
+            stamps = {
+                name: f"{changed_ns:020d}:{size}" for name, (changed_ns, size) in changed_in(folder).items()
+            }
             gone = [name for name in self._known if name not in stamps]
             for name in gone:
                 del self._known[name]
-            self._store.keep_runs({}, gone)
+            if gone:
+                self._store.keep_runs({}, gone)
             # what was recorded last is looked at first
             lacking = sorted(
-                (name for name, (_, stamp) in stamps.items() if self._known.get(name, ("",))[0] != stamp),
-                key=lambda name: stamps[name][1],
+                (name for name, stamp in stamps.items() if self._known.get(name, ("",))[0] != stamp),
+                key=lambda name: stamps[name],
                 reverse=True,
             )
-            lacking = self._read({name: stamps[name] for name in lacking}, time.monotonic() + READ_S)
+            lacking = self._read(folder, {name: stamps[name] for name in lacking}, time.monotonic() + READ_S)
             if lacking and (self._reading is None or not self._reading.is_alive()):
                 left = {name: stamps[name] for name in lacking}
-                self._reading = threading.Thread(target=self._read_all, args=(left,), daemon=True)
+                self._reading = threading.Thread(target=self._read_all, args=(folder, left), daemon=True)
                 self._reading.start()
-            return [dict(document) for _, document in self._known.values()], len(lacking)
+            return [document for _, document in self._known.values()], len(lacking)
 
-    def _read(self, wanted: dict[str, tuple[Path, str]], until_s: float) -> list[str]:
+    def _read(self, folder: Path, wanted: dict[str, str], until_s: float) -> list[str]:
         """Read until then; the names that are left."""
         left, read = list(wanted), {}
         while left and time.monotonic() < until_s and not self._closed.is_set():
             name = left.pop(0)
-            path, stamp = wanted[name]
-            document = read_document(path)
+            stamp, document = wanted[name], read_document(folder / f"{name}.h5")
             if document["status"] != "running":  # it changes without its file's time
                 read[name] = (stamp, document)
             self._known[name] = (stamp if name in read else "", document)
         self._store.keep_runs(read, [])
         return left
 
-    def _read_all(self, wanted: dict[str, tuple[Path, str]]) -> None:
+    def _read_all(self, folder: Path, wanted: dict[str, str]) -> None:
         names = list(wanted)
         for begin in range(0, len(names), BATCH):
             some = {name: wanted[name] for name in names[begin : begin + BATCH]}
             with self._alone:
-                self._read(some, math.inf)
+                self._read(folder, some, math.inf)
             time.sleep(0.01)  # whoever asks meanwhile goes first
             if self._closed.is_set():
                 return
@@ -78,17 +82,6 @@ class RunIndex:
         self._closed.set()
         if self._reading is not None:
             self._reading.join()
-
-
-def _stamp(path: Path) -> str:
-    """Time and size of the run file, or of its journal; the newest sorts last."""
-    for file in (path, journal_path(path)):
-        try:
-            state = os.stat(file)
-        except OSError:
-            continue
-        return f"{state.st_mtime_ns:020d}:{state.st_size}"
-    return ""
 
 
 def read_document(path: Path) -> Document:

@@ -30,11 +30,12 @@ from needle_rig.service.serving import connection_limit, server
 from needle_rig.web.asked import Lesson, Work, read
 from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate
+from needle_rig.web.expecting import Expecting
 from needle_rig.web.glossary import glossary_html
 from needle_rig.web.guard import LOOPBACK, SESSION, Guard, Session
 from needle_rig.web.jobs import Jobs
-from needle_rig.web.lessons_process import Lessons
 from needle_rig.web.live import STOP_BYTES, live
+from needle_rig.web.resident import Resident
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.run_index import RunIndex
 from needle_rig.web.sources import NOTES_BYTES, Listed, Sources
@@ -79,7 +80,8 @@ class Page:
         self._settings, self._store, self._unkept = settings, store, unkept
         self.rig = RigLink(settings.socket, settings.own_rig)
         self.jobs = Jobs(store, folder)
-        self.lessons = Lessons(settings.effects)
+        self.lessons = Resident(settings.effects)
+        self.expecting = Resident(settings.effects)
         self.uploads = Uploads(store.folder / "uploads", lambda key: store.keep_upload(key, None))
         for key, kept in store.uploads().items():
             self.uploads.restore(key, **kept)
@@ -97,8 +99,19 @@ class Page:
         name = request.path_params["order"]
         if name not in ORDERS:
             raise HTTPException(404)
-        content = read_order(name, await body(request)).model_dump(exclude_none=True)
+        content = read_order(name, await self._with_model(await body(request))).model_dump(exclude_none=True)
         return JSONResponse(await self.rig.order(name, content), 202)
+
+    async def _with_model(self, content: bytes) -> bytes:
+        """An order as it came; the key of a model becomes the model file. Raises BadInput."""
+        try:
+            asked = json.loads(content or b"{}")
+        except (ValueError, RecursionError):
+            return content  # the order's record says what is wrong
+        if not isinstance(asked, dict) or not isinstance(asked.get("model"), str):
+            return content
+        text = await asyncio.to_thread(self.desk.model_text, asked["model"])
+        return json.dumps(asked | {"model": text}).encode()
 
     async def estimate(self, request: Request) -> Response:
         """The matrix that gives the shaft's angle between its sensors."""
@@ -208,8 +221,12 @@ class Page:
         return JSONResponse(await asyncio.to_thread(self.sources.run_documents, asked))
 
     async def run(self, request: Request) -> Response:
-        """One recorded run with tags and note."""
-        return JSONResponse(await asyncio.to_thread(self.sources.run_document, request.path_params["name"]))
+        """One recorded run with tags and note; a DELETE removes it."""
+        name = request.path_params["name"]
+        if request.method == "DELETE":
+            await asyncio.to_thread(self.sources.remove_run, name)
+            return JSONResponse({})
+        return JSONResponse(await asyncio.to_thread(self.sources.run_document, name))
 
     # the session of a browser
 
@@ -241,22 +258,29 @@ class Page:
 
     async def effects(self, _: Request) -> Response:
         """The library, and the sentence of each own effect that cannot be used."""
-        return JSONResponse(await self.lessons.ask(None, {}))
+        return JSONResponse(await self.lessons.ask("effects"))
 
     async def lesson(self, request: Request) -> Response:
         """One effect in the standard trial."""
         asked = read(Lesson, await body(request))
         data = asked.data
         path = None if data is None else (await asyncio.to_thread(self.sources.paths, [data]))[0]
-        return JSONResponse(await self.lessons.ask(asked.effect, asked.values, path))
+        return JSONResponse(
+            await self.lessons.ask("lesson", effect=asked.effect, values=asked.values, data=path)
+        )
 
     @contextlib.asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
         """Listens to the daemon while the server runs."""
         self.rig.open()
+        expecting = Expecting(self.rig, self.expecting, self.desk.model_of)
+        following = asyncio.create_task(expecting.follow(), name="expecting")
         try:
             yield
         finally:
+            following.cancel()
+            await asyncio.gather(following, return_exceptions=True)
+            self.expecting.close()
             await self.jobs.close()
             self.lessons.close()
             await asyncio.to_thread(self.sources.index.close)
@@ -285,7 +309,7 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/uploads/{key}", page.forget_upload, "DELETE"),
             put("/api/uploads/{key}/{path:path}", page.upload, "PUT"),
             put("/api/runs", page.runs, "GET"),
-            put("/api/runs/{name}", page.run, "GET"),
+            put("/api/runs/{name}", page.run, "GET", "DELETE"),
             put("/api/watch", page.watch, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),

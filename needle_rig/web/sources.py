@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from needle_rig.dataset.settled import shipped_datasets
 from needle_rig.errors import BadInput
-from needle_rig.recording import is_run_file
+from needle_rig.recording import being_written, is_run_file, journal_path
 from needle_rig.web.run_index import RunIndex, read_document
 from needle_rig.web.uploads import Uploads, data_in
 
@@ -122,6 +122,19 @@ class Sources:
             raise BadInput(f"{name[:80]}: no such run in the list; it may have been removed")
         return path
 
+    def remove_run(self, name: str) -> None:
+        """Remove a recorded run with what people added. Raises BadInput for one that is still written."""
+        path = self.run(name)
+        if being_written(path):
+            raise BadInput(f"{name}: is being recorded; wait for its end, or stop it")
+        try:
+            for file in (path, journal_path(path), path.with_suffix(".png"), self._notes_path(name)):
+                file.unlink(missing_ok=True)
+        except OSError as error:
+            raise BadInput(
+                f"{name}: cannot be removed ({error.strerror}); its folder belongs to another user"
+            ) from None
+
     def paths(self, keys: Sequence[str]) -> list[str]:
         """What the keys of a request stand for; raises BadInput."""
         if not keys:
@@ -156,10 +169,12 @@ class Sources:
         """Some of the recorded runs, with what people added; how many there are, and are to be read."""
         documents, indexing = self.index.documents(self._runs)
         noted = {path.name for path in self._runs.glob(f"*{NOTES_SUFFIX}")}
-        for document in documents:
-            name = document["name"]
-            notes = self.notes(name) if f"{name}{NOTES_SUFFIX}" in noted else Notes()
-            document |= notes.model_dump()
+        without = Notes().model_dump()
+        documents = [
+            one | (self.notes(name).model_dump() if f"{name}{NOTES_SUFFIX}" in noted else without)
+            for one in documents
+            if (name := one["name"])
+        ]
         words = asked.filter.lower().split()
         if words:
             documents = [one for one in documents if all(word in _text(one) for word in words)]

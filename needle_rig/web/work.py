@@ -6,14 +6,18 @@ request, and the server gives them keys.
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput, SolverError
-from needle_rig.model import load_saved
+from needle_rig.extras import needed
+from needle_rig.model import load_parameters, load_saved
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.diagnose import Diagnose
@@ -25,18 +29,23 @@ from needle_rig.questions.strategies import Strategies
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
+from needle_rig.simulation.protocol import load_protocol
 from needle_rig.web import pictures, recordings, traces
 from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
-from needle_rig.web.places import DIAGNOSIS
+from needle_rig.web.places import DATASET, DIAGNOSIS
 from needle_rig.web.sequences import strategies
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.selection.diagnose import Diagnosis
+from needle_rig.workbench.virtual.dataset import simulate_dataset
 
 Document = dict[str, Any]
 Say = Callable[[str], None]
+EXAMPLE = "rig_elastic"
+EVENTS = 1000
+"""Of a run, shown."""
 CANDIDATES = 8
 """Of the ranking, whose fitted traces can be laid over the measured ones."""
 
@@ -170,9 +179,41 @@ def show(say: Say, *, data: list[str], out: str) -> Document:
         trial = dataset.trials[0]
         decimals = [4, *(2 for _ in dataset.sensor_names)]
         shown.append(
-            {"run": file.name, "result": file.result} | traces.measured_document(dataset, trial, decimals)
+            {"run": file.name, "result": file.result, **_about(file)}
+            | traces.measured_document(dataset, trial, decimals)
         )
     return {"runs": shown}
+
+
+def _about(file: RunFile) -> Document:
+    """What was ordered, with what, and what happened when."""
+    known = file.attributes
+    # times of events are those of the rows, which are told from the beginning of the sequence
+    begin_s = next((event.time_s for event in file.events if event.kind == "phase"), 0.0)
+    told = {"rig": "rig", "needle": "parameters", "strategy": "strategy", "model": "model"}
+    numbers = {"target / °": "target_deg", "settling time / s": "settle_s", "speed / °/s": "speed_deg_s"}
+    settings = {word: str(known[name]) for word, name in told.items() if known.get(name)}
+    settings |= {
+        word: f"{value:g}" for word, name in numbers.items() if math.isfinite(value := file.number(name))
+    }
+    options = _mapping(known.get("options"))
+    settings |= {name.replace("_", " "): json.dumps(value) for name, value in options.items()}
+    versions = _mapping(known.get("versions"))
+    settings |= {"recorded by": f"needle-rig {versions['needle-rig']}"} if "needle-rig" in versions else {}
+    events = [
+        {"time_s": finite(round(event.time_s - begin_s, 2)), "kind": event.kind, "text": event.text}
+        for event in file.events[:EVENTS]
+    ]
+    return {"settings": settings, "events": events}
+
+
+def _mapping(text: object) -> Document:
+    """A JSON object in an attribute; empty for anything else, as a foreign file may hold."""
+    with suppress(ValueError, RecursionError):
+        found = json.loads(str(text))
+        if isinstance(found, dict):
+            return found
+    return {}
 
 
 def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
@@ -196,6 +237,32 @@ def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
     return {"file": written.name}
 
 
+def example(say: Say, *, out: str) -> Document:
+    """A simulated series for those without data: the simulated rig's needle, whose tissue yields."""
+    say("simulating a series")
+    dataset = simulate_dataset(load_parameters(EXAMPLE), load_protocol("standard"), name="example")
+    write_dataset(dataset, Path(out) / DATASET)
+    return {"name": dataset.name}
+
+
+def chart(say: Say, *, chart: Document, out: str) -> Document:
+    """A chart of the page, drawn for print as SVG; `chart` was checked by `asked.Chart`. Raises BadInput."""
+    needed("matplotlib", "a chart as SVG", "figures")
+    from needle_rig.figures.chart import Line, values, write_chart
+
+    say("drawing the chart")
+    shared = chart["shared"]
+    along = None if shared is None else values(shared)
+    lines = [
+        Line(told["label"], told["look"], values(one[0]) if along is None else along, values(one[-1]))
+        for told, one in zip(chart["series"], chart["each"], strict=True)
+    ]
+    bands = [(upper - 1, lower - 1) for upper, lower in chart["bands"]]
+    axes = (chart["x"], chart["y"])
+    path = write_chart(Path(out) / "chart.svg", chart["title"], axes, lines, bands, chart["level"])
+    return {"file": path.name}
+
+
 def packed(folder: Path) -> Path:
     """The folder as a ZIP beside it."""
     return Path(shutil.make_archive(str(folder), "zip", folder.parent, folder.name))
@@ -215,7 +282,9 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
     "import": recordings.imported,
     "figure": pictures.figure,
+    "chart": chart,
     "open": opened,
     "show": show,
     "export": export,
+    "example": example,
 }

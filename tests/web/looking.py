@@ -17,6 +17,7 @@ IN_BROWSER = [
 ]
 PICTURES = Path(__file__).parents[2] / "build" / "page"
 WIDE, NARROW = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+MIDDLE = {"width": 1024, "height": 768}
 PATIENCE_MS = 300_000
 """A diagnosis beside other tests."""
 EVIL = "<img src=x onerror=window.evil=1>"
@@ -36,10 +37,10 @@ def pictured(page: Any, name: str, part: str = "") -> None:
 
 
 def look_at(page: Any, name: str) -> None:
-    """Pictures of this view, wide and narrow, light and dark; no serious finding of axe in any of them."""
+    """Pictures of this view, in three widths, light and dark; no serious finding of axe in any of them."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
     before = page.viewport_size
-    for size, width in ((WIDE, "1440"), (NARROW, "390")):
+    for size, width in ((WIDE, "1440"), (MIDDLE, "1024"), (NARROW, "390")):
         page.set_viewport_size(size)
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)

@@ -21,6 +21,16 @@ def test_the_page_offers_the_figures_that_there_are() -> None:
     assert set(re.findall(r"^  (\w+):", listed, re.MULTILINE)) == set(FIGURES)
 
 
+CHART = {
+    "title": "t",
+    "x": "time / s",
+    "y": "°",
+    "series": [{"label": "a", "look": "line"}],
+    "shared": [0.0],
+    "each": [[[1.0]]],
+}
+
+
 @pytest.mark.whole
 @pytest.mark.parametrize(
     ("asked", "said"),
@@ -35,6 +45,12 @@ def test_the_page_offers_the_figures_that_there_are() -> None:
         ({"kind": "compare", "refit": 1}, "refit is 1, not true or false"),
         ({"kind": "compare", "free": ["friction_nmm_per_100mm"]}, "leave fixed and free out"),
         ({"kind": "compare", "model": "rig_soft"}, "what this builds on is not there any more"),
+        ({"kind": "chart"}, "there is no chart to draw"),
+        ({"kind": "chart", "chart": CHART | {"each": [[[1.0]], [[1.0]]]}}, "not the values of its series"),
+        ({"kind": "chart", "chart": CHART | {"each": [[[1.0, 2.0]]]}}, "as many values along as up"),
+        ({"kind": "chart", "chart": CHART | {"bands": [[1, 2]]}}, "a band without edges"),
+        ({"kind": "chart", "chart": CHART | {"level": "3"}}, "valid number"),
+        ({"kind": "chart", "chart": CHART | {"title": "x" * 201}}, "at most 200"),
         ({"kind": "take_values"}, "choose a model with values"),
     ],
 )

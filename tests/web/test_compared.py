@@ -13,7 +13,7 @@ from needle_rig.model import load_saved, save_model
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
-from tests.web.looking import IN_BROWSER, Open, look_at
+from tests.web.looking import IN_BROWSER, MIDDLE, NARROW, WIDE, Open, look_at, pictured
 
 pytestmark = IN_BROWSER
 
@@ -55,6 +55,41 @@ def test_a_model_is_held_as_it_stands_beside_its_refit_and_its_wrong_value_is_ma
     assert "staircase" in page.locator(".tabs button[aria-pressed=true]").first.inner_text()
     page.get_by_text("More: hold, fix or free").click()
     look_at(page, "workbench-held")
+
+
+@pytest.mark.parametrize("size", [WIDE, MIDDLE, NARROW], ids=["1440", "1024", "390"])
+def test_the_residual_map_fits_its_place_with_a_key_on_a_log_scale(visit: Open, size: dict[str, int]) -> None:
+    page = visit("data", size=size)
+    page.get_by_label("data/mine").check()
+    page.wait_for_selector(".map td button")
+    over = "e => e.scrollWidth - e.clientWidth"
+    assert page.get_by_role("group", name="Residual map").evaluate(over) <= 0
+    key = [float(level) for level in page.locator(".levels b").all_inner_texts()]
+    assert key == [1, 3, 10, 30, 100, 300]
+    for button in page.locator(".map td button").all()[:40]:
+        shown = float(button.inner_text())
+        colour = int(button.get_attribute("class").removeprefix("h"))
+        # a rounded number may stand on the other side of an edge
+        assert abs(sum(shown >= level for level in key) - colour) <= (1 if shown in key else 0)
+    pictured(page, f"residual-map-{size['width']}")
+
+
+def test_what_is_left_stands_below_each_trace_and_a_cell_zooms_to_its_place(visit: Open) -> None:
+    page = visit("data")
+    page.get_by_label("data/mine").check()
+    page.wait_for_selector(".map td button")
+    strips = page.get_by_label(re.compile("measured minus model, in units of the noise"))
+    assert strips.count() == page.locator(".map tbody tr").count()
+    assert page.locator(".key").filter(has_text="noise, ± 2 σ").count() == 1
+    page.locator(".map td button").nth(3).click()
+    assert page.get_by_role("button", name="Whole trial").is_visible()
+    page.get_by_role("button", name="Q–Q").click()
+    page.locator(".paper img").wait_for()
+    with page.expect_download() as download:
+        page.locator("figure + p").get_by_role("button", name="CSV").click()
+    lines = Path(download.value.path()).read_text().splitlines()
+    assert lines[0] == "panel,series,x,y,value"
+    assert len({line.split(",")[1] for line in lines[1:]} - {""}) == strips.count()
 
 
 def test_values_are_fixed_freed_and_refitted_alone_and_a_bad_one_leaves_the_form(visit: Open) -> None:

@@ -293,7 +293,7 @@ def test_a_lost_page_server_greys_everything_within_a_second(
         page.wait_for_selector(".live:not(.grey)")
         os.kill(served.process.pid, 9)
         page.wait_for_selector(".live.grey", timeout=1500)
-        assert "connection is lost" in page.get_by_role("alert").first.inner_text()
+        page.get_by_role("alert").filter(has_text="connection is lost").wait_for(timeout=1500)
 
 
 def test_a_lost_daemon_greys_everything_and_says_what_to_do(

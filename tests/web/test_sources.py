@@ -9,11 +9,14 @@ import pytest
 
 from needle_rig.errors import BadInput
 from needle_rig.notebook import simulate
+from needle_rig.recording import changed_in
 from needle_rig.web import run_index
 from needle_rig.web.run_index import RunIndex
 from needle_rig.web.sources import NOTES_SUFFIX, RUNS_SHOWN, Listed, Sources
 from needle_rig.web.store import Store
 from needle_rig.web.uploads import Uploads
+
+MANY = 20_000
 
 
 @pytest.fixture
@@ -88,6 +91,36 @@ def test_a_run_is_read_once_until_its_file_changes(
     assert read == ["one.h5", "one.h5"]
     (tmp_path / "runs" / "one.h5").unlink()
     assert sources.run_documents(Listed())["runs"] == []
+
+
+@pytest.mark.whole
+def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    known = {
+        "simulated": True,
+        "started_utc": "2026-01-01T00:00:00Z",
+        "target_deg": 45.0,
+        "strategy": "reed2008",
+        "parameters": "rig_elastic",
+        "status": "aligned",
+        "duration_s": 20.0,
+    }
+    names = [f"run_{k:05d}" for k in range(MANY)]
+    for name in names:
+        (tmp_path / "runs" / f"{name}.h5").write_bytes(b"no run")
+    store = Store(tmp_path)
+    stamps = changed_in(tmp_path / "runs")
+    # as a server left them that ended; the files themselves are read once, in the background
+    store.keep_runs(
+        {name: (f"{ns:020d}:{size}", {"name": name, **known}) for name, (ns, size) in stamps.items()}, []
+    )
+    many = Sources([], tmp_path / "runs", Uploads(tmp_path / "uploads"), RunIndex(store))
+    begun_s = time.process_time()
+    found = many.run_documents(Listed(filter="aligned", by="name", start=MANY - 50))
+    assert time.process_time() - begun_s < 1.0
+    assert (len(found["runs"]), found["of"], found["indexing"]) == (50, MANY, 0)
+    assert found["runs"][-1]["name"] == "run_00000"
+    store.close()
 
 
 def test_runs_are_shown_in_pages_and_in_the_order_that_is_asked(sources: Sources, tmp_path: Path) -> None:

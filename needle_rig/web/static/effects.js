@@ -1,6 +1,6 @@
 // Each effect: its law and source, and what its parameters change in a standard trial.
 import { ask } from "./net.js";
-import { Plot, line } from "./plot.js";
+import { Legend, Plot, line } from "./plot.js";
 import { about, heldData, place, refuse, route } from "./store.js";
 import { batch, effect, html, signal, significant, number, untracked, useEffect, words } from "./ui.js";
 
@@ -82,7 +82,7 @@ export function Effects() {
     if (!effects.value) ask("GET", "effects").then((found) => { effects.value = found.effects; broken.value = found.broken; }, refuse);
   }, []);
   const effect = effects.value?.find((e) => e.name === (place.value.name || name.value));
-  return html`<h1>Effects</h1>
+  return html`<h1>Effects</h1><p class="purpose">See what each effect of the library does to torque and angles.</p>
     ${effects.value && place.value.name && !effect ? html`<p class="refusal" role="alert">${place.value.name}: no such effect in the library. Choose from the list.</p>` : null}
     <div class="side"><section class="card"><h2>Effects</h2>
       ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><a aria-current=${e.name === effect?.name ? "true" : undefined} title=${e.first} href=${route("effects", e.name)}>${words(e.name)}</a></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}
@@ -103,6 +103,8 @@ export function Effects() {
       ${lesson.value ? html`<${Trial} found=${lesson.value} />` : null}</div>` : null}</div>`;
 }
 
+const COMPARED = [line("null model", "--quiet"), line("with the effect", "--model")];
+
 /** @param {{found: any}} props */
 function Trial({ found }) {
   const starts = found.phases.map((/** @type {any} */ p, /** @type {number} */ k) => ({ ...p, end_s: found.phases[k + 1]?.start_s ?? found.time_s.at(-1) }));
@@ -111,9 +113,11 @@ function Trial({ found }) {
     <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th>channel</th>${found.channels.map((/** @type {any} */ c) => html`<th>${words(c.name)}</th>`)}</tr></thead>
       <tbody><tr><th scope="row">root mean square / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.rms_sigmas, 1)}</td>`)}</tr>
       <tr><th scope="row">peak / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>
-    <${Plot} label="Change against the null model by channel" unit="change / noise" height=${200} cursor="learn" marks=${starts}
+    <${Legend} series=${found.channels.map((/** @type {any} */ c, /** @type {number} */ k) => line(words(c.name), `--c${k}`))} />
+    <${Plot} name="change" label="Change against the null model by channel" unit="change / noise" height=${200} cursor="learn" marks=${starts}
       series=${found.channels.map((/** @type {any} */ c, /** @type {number} */ k) => line(words(c.name), `--c${k}`))} data=${[found.time_s, ...found.channels.map((/** @type {any} */ c) => c.sigmas)]} />
+    <${Legend} series=${COMPARED} />
     <div class="grid2">${found.channels.map((/** @type {any} */ c) => html`<div><h3>${words(c.name)}</h3>
-      <${Plot} label=${`${c.name} with and without the effect`} unit=${`${words(c.name)} / ${c.unit}`} height=${170} cursor="learn" marks=${starts}
-        series=${[line("null model", "--quiet"), line("with the effect", "--model")]} data=${[found.time_s, c.null, c.effect]} /></div>`)}</div></section>`;
+      <${Plot} name=${c.name} label=${`${c.name} with and without the effect`} unit=${`${words(c.name)} / ${c.unit}`} height=${170} cursor="learn" marks=${starts}
+        series=${COMPARED} data=${[found.time_s, c.null, c.effect]} /></div>`)}</div></section>`;
 }

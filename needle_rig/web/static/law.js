@@ -1,5 +1,5 @@
 // A law that no library holds: what was learnt, its curve where data are and where not, and a way into the model.
-import { Plot, line } from "./plot.js";
+import { Legend, Plot, edges, line } from "./plot.js";
 import { html, measured, number, parameter, words } from "./ui.js";
 
 /** What `learn` says; `add` takes a law into the model.
@@ -16,14 +16,15 @@ function LearntLaw({ law, busy, add }) {
   const unit = law.unit === "1" ? "" : ` / ${law.unit}`;
   const along = law.variable_unit === "1" ? words(law.variable) : `${words(law.variable)} / ${law.variable_unit}`;
   const seen = law.value.map((/** @type {number | null} */ v, /** @type {number} */ i) => (law.data[i] > 0 ? v : null));
+  const series = [line("curve where data are", "--model", { width: 2 }), line("beyond the data", "--quiet", { dash: [4, 4] }), ...edges("95 %"),
+    ...law.halves.map((/** @type {number[]} */ _, /** @type {number} */ k) => line(`half ${k + 1} of the trials`, "--other", { width: 1, dash: [2, 3] }))];
   return html`<section class="law" aria-label=${law.words}><h4>${law.words}</h4>
     <p>${law.formula ? html`As a formula: <strong>${law.formula}</strong>. ` : null}Error on commands left out ${number(law.held_out_before, 2)} → <strong>${number(law.held_out_after, 2)}</strong> times the noise.</p>
     <ul>${law.parameters.map((/** @type {any} */ p) => html`<li>${parameter(p.name)} = ${measured(p.value, p.uncertainty)} ${p.unit === "1" ? "" : p.unit}</li>`)}
       ${law.tied_with.map((/** @type {string} */ other) => html`<li>cannot be told apart from: ${other}</li>`)}
       ${law.experiment ? html`<li><strong>Would tell them apart:</strong> ${law.experiment}</li>` : null}</ul>
-    <${Plot} label=${`${law.words}: the curve with its 95 % band`} unit=${`curve${unit}`} time=${along} height=${240} band=${true}
-      series=${[line("curve where data are", "--model", { width: 2 }), line("beyond the data", "--quiet", { dash: [4, 4] }), line("95 %", "--band", { width: 0.5 }), line("95 % (low)", "--band", { width: 0.5 }),
-        ...law.halves.map((/** @type {any} */ _, /** @type {number} */ k) => line(`half ${k + 1} of the trials`, "--other", { width: 1, dash: [2, 3] }))]}
+    <${Legend} series=${series} band="95 %" />
+    <${Plot} name=${law.words} label=${`${law.words}: the curve with its 95 % band`} unit=${`curve${unit}`} time=${along} height=${240} bands=${[[3, 4]]} series=${series}
       data=${[law.at, seen, law.value, law.high, law.low, ...law.halves]} />
     <p><button class="go" disabled=${busy} onClick=${add}>Add this law</button></p></section>`;
 }

@@ -1,14 +1,18 @@
 // The rig as it is now: the shaft, torque and angles over time, the sequence, orders, and faults as sentences.
 import { ask, subprotocol, whyNot } from "./net.js";
-import { Plot, line } from "./plot.js";
+import { Alarm, expected, forget, hear, laid } from "./expected.js";
+import { Opening } from "./opening.js";
+import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
-import { about, dataRoute, refuse, route, run, said } from "./store.js";
+import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
-import { batch, html, number, signal, useSignal, words } from "./ui.js";
+import { batch, html, number, signal, useEffect, useSignal, words } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
 const SHOWN_S = 40;
+/** Of what is expected, after now. */
+const AHEAD_S = 8;
 /** As the page's server takes the lease. */
 const OWN_LEASE = "a person at the page";
 const DRAW_MS = 1000 / 30;
@@ -27,7 +31,7 @@ const ended = signal(null);
 /** What the newest run says against the model of the rig file, and that the daemon is of another version. */
 const besides = signal(/** @type {string[]} */ ([]));
 /** Traces: time, base, each Hall angle; time, torque. @type {{value: {angles: any[], torque: any[]}}} */
-const traces = signal({ angles: [[]], torque: [[], []] });
+const traces = signal({ angles: [[]], torque: [[], [], [], [], []] });
 /** @type {number[][]} */
 let columns = [];
 let heard = 0;
@@ -37,6 +41,7 @@ let drawn = 0;
 async function order(name, content = {}) {
   said.value = "";
   ended.value = null;
+  forget();
   moveOn();
   try {
     await ask("POST", `rig/${name}`, content);
@@ -77,6 +82,7 @@ function take(document) {
   if (document.type === "lost") return lose(document.text);
   if (document.type === "stop") return answered(document);
   heard = performance.now();
+  if (document.type === "expected") return hear(document);
   if (document.type === "ended") {
     ended.value = document;
     return;
@@ -94,13 +100,30 @@ function take(document) {
     rig.value = document;
     if (columns.length) {
       const now = columns[0].at(-1) ?? 0;
-      const ago = columns[0].map((time) => time - now);
-      traces.value = { angles: [ago, columns[1], ...columns.slice(3)], torque: [ago, columns[2]] };
+      const of = document.model_sha256 ? expected.value : null;
+      const ahead = of?.ahead?.time_s.filter((time) => time > now && time < now + AHEAD_S) ?? [];
+      const known = of && { ...of, ahead: of.ahead && cut(of.ahead, ahead) };
+      const later = ahead.map(() => null);
+      const times = columns[0];
+      const ago = [...times, ...ahead].map((time) => time - now);
+      const measured = columns.slice(1).map((values) => [...values, ...later]);
+      const none = ago.map(() => null);
+      const expects = (/** @type {number} */ k) => (known ? laid(known, k, times) : [none, none, none]);
+      const halls = measured.slice(2).map((_, k) => expects(k + 1));
+      traces.value = { angles: [ago, measured[0], ...measured.slice(2), ...halls.flat()], torque: [ago, measured[1], ...expects(0)] };
     }
     if (JSON.stringify(before?.rig) !== JSON.stringify(document.rig)) {
       ask("POST", "estimate", document.rig).then((found) => (estimate.value = found), () => (estimate.value = null));
     }
   });
+}
+
+/** A course at some of its times. @param {import("./expected.js").Course} course @param {number[]} times */
+function cut(course, times) {
+  const from = times.length ? course.time_s.indexOf(times[0]) : course.time_s.length;
+  /** @param {number[]} values */
+  const part = (values) => values.slice(from, from + times.length);
+  return { time_s: times, mean: course.mean.map(part), deviation: course.deviation.map(part) };
 }
 
 /** Keep the last seconds. @param {any} state */
@@ -117,33 +140,48 @@ function collect(state) {
   if (old > 0) columns.forEach((column) => column.splice(0, old));
 }
 
+const PURPOSE = "See the needle as it is now, turn its base, and take the windup out of it.";
+
 export function Live() {
   const state = rig.value;
   if (!state)
-    return html`<h1>Live</h1>
-      <section class="card"><h2>No rig</h2><p class="lost">${why.value}</p>
-      <p>The workbench, the effects and the strategies work without a rig.</p></section>`;
+    return html`<h1>Live</h1><p class="purpose">${PURPOSE}</p>
+      <div class="grid2"><section class="card wide"><h2>No rig</h2><p class="lost">${why.value}</p>
+      <p>The workbench, the effects and the strategies work without a rig.</p></section><${Opening} /></div>`;
   return html`
-    <h1>Live</h1>
+    <h1>Live</h1><p class="purpose">${PURPOSE}</p>
     ${connected.value ? null : html`<p class="refusal" role="alert">The connection is lost: ${why.value}.
       What is shown is the last that was heard.</p>`}
     <div class=${connected.value ? "live" : "live grey"} inert=${!connected.value}>
       <${Faults} state=${state} />
+      <div class="wide alarm"><${Alarm} model=${state.model} /></div>
       <section class="card wide">
         <h2>Shaft</h2>
         <${Shaft} state=${state} estimate=${estimate.value} />
       </section>
       <${Sequence} state=${state} />
       <${Orders} state=${state} />
-      <section class="card half"><h2>Angles</h2>
-        <${Plot} label="Angles of the base and the Hall sensors over the last 40 seconds" unit="angle / °" time="time before now / s" least=${4} range=${[-SHOWN_S, 0]} height=${230}
-          series=${[line("base", "--base"), ...state.rig.hall_positions_mm.map((/** @type {number} */ _, /** @type {number} */ k) => line(`hall ${k + 1}`, `--c${k + 1}`))]}
-          data=${traces.value.angles} /></section>
-      <section class="card half"><h2>Torque at the base</h2>
-        <${Plot} label="Torque at the base over the last 40 seconds" unit="torque / N·mm" time="time before now / s" least=${0.02} range=${[-SHOWN_S, 0]} height=${230}
-          series=${[line("torque", "--c0")]} data=${traces.value.torque} /></section>
+      <${Charts} state=${state} />
       <${Settled} state=${state} />
     </div>`;
+}
+
+/** What was measured, and what the model of the run expects of it. @param {{state: any}} props */
+function Charts({ state }) {
+  const of = state.model_sha256 ? expected.value : null;
+  const told = of?.past.time_s.length ? `expected by ${words(state.model ?? "")}, ± ${of.band_sigma} σ` : "";
+  const range = [-SHOWN_S, told ? AHEAD_S : 0];
+  const halls = state.rig.hall_positions_mm.map((/** @type {number} */ _, /** @type {number} */ k) => `--c${k + 1}`);
+  const shown = [line("base", "--base"), ...halls.map((/** @type {string} */ name, /** @type {number} */ k) => line(`hall ${k + 1}`, name))];
+  const expects = (/** @type {string} */ name, /** @type {string} */ colour) => [line(`${name} expected`, colour, { dash: [5, 4] }), ...edges(`${name} expected`)];
+  const angles = [...shown, ...halls.flatMap((/** @type {string} */ name, /** @type {number} */ k) => expects(`hall ${k + 1}`, name))];
+  const first = shown.length + 2;
+  return html`<section class="card half"><h2>Angles</h2><${Legend} series=${shown} band=${told} />
+      <${Plot} name="live-angles" label="Angles of the base and the Hall sensors over the last 40 seconds" unit="angle / °" time="time before now / s" least=${4} range=${range} height=${230}
+        series=${angles} bands=${halls.map((/** @type {string} */ _, /** @type {number} */ k) => [first + 3 * k, first + 3 * k + 1])} data=${traces.value.angles} /></section>
+    <section class="card half"><h2>Torque at the base</h2><${Legend} series=${[line("torque", "--c0")]} band=${told} />
+      <${Plot} name="live-torque" label="Torque at the base over the last 40 seconds" unit="torque / N·mm" time="time before now / s" least=${0.02} range=${range} height=${230}
+        series=${[line("torque", "--c0"), ...expects("torque", "--c0")]} bands=${[[3, 4]]} data=${traces.value.torque} /></section>`;
 }
 
 /** @param {{state: any}} props */
@@ -164,6 +202,9 @@ function Faults({ state }) {
 /** The listed name of a run file. @param {string} path */
 const nameOf = (path) => path.replace(/^.*\//, "").replace(/\.h5$/, "");
 
+/** What a terminal would do next; the page has a button for it. */
+const COMMAND = /: needle-rig diagnose \S+/;
+
 const PHASES = {
   idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures",
   done: "done", fault: "fault", aborted: "stopped",
@@ -182,21 +223,28 @@ function Sequence({ state }) {
   });
   const phase = /** @type {any} */ (PHASES)[state.phase] ?? state.phase;
   return html`<section class="card half"><h2>Sequence</h2>
-    <p class="phase"><strong>${active && state.motion ? `${state.motion}: ${phase}` : phase}</strong>
+    <p class="phase"><strong>${active && state.motion ? `${words(state.motion)}: ${phase}` : phase}</strong>
       ${state.waiting_for ? html` · waits for ${state.waiting_for}` : null}
       ${state.remaining_s !== null && active ? html` <span class="countdown">${number(state.remaining_s, 1)} s</span>` : null}</p>
     ${active ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
-    ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°</p>` : null}
+    ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°${state.model ? ` with the model ${words(state.model)}` : ""}</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
-    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text}</p>
-      ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class="button" href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text.replace(COMMAND, "")}</p>
+      ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class=${ended.value.result.status === "not_aligned" ? "button go" : "button"} href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
 }
 
 /** @param {{state: any}} props */
 function Orders({ state }) {
+  const wanted = place.value.view === "live" ? place.value.query.get("model") : null;
+  const all = about.value?.models ?? [];
+  const model = all.find((/** @type {any} */ m) => m.name === wanted);
   const target = useSignal("45");
   const strategy = useSignal("reed2008");
+  // a model is given to plan with it
+  useEffect(() => {
+    strategy.value = wanted ? "planned" : "reed2008";
+  }, [wanted]);
   const by = useSignal("10");
   const busy = Boolean(state.run) || state.moving;
   const known = about.value?.strategies ?? [];
@@ -208,11 +256,15 @@ function Orders({ state }) {
   const write = (s) => (/** @type {any} */ e) => (s.value = e.target.value);
   return html`<section class="card half"><h2>Orders</h2>
     ${state.lease ? html`<p class="quiet">${state.lease === OWN_LEASE ? "You have control, until ten seconds after the last order." : `${state.lease} commands this rig.`}</p>` : null}
-    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value }); }}>
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, ...(model ? { model: model.key } : {}) }); }}>
       <label>Target <span class="unit"><input type="number" step="any" required value=${target.value} onInput=${write(target)} /> °</span></label>
       <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${known.map((/** @type {any} */ s) => html`<option value=${s.name} selected=${s.name === strategy.value} title=${s.text}>${words(s.name)}</option>`)}</select></label>
+      <label>Model <select value=${model?.name ?? ""} onChange=${(/** @type {any} */ e) => (location.hash = route("live", "", e.target.value ? [["model", e.target.value]] : []))}>
+        <option value="" selected=${!model}>that of the rig</option>${all.map((/** @type {any} */ m) => html`<option value=${m.name} selected=${m === model}>${words(m.name)}</option>`)}</select></label>
       <button class="go" aria-disabled=${busy}>Compensate</button>
       ${text ? html`<p class="quiet all">${text}</p>` : null}
+      ${model ? html`<p class="quiet all">The run plans with <a href=${route("models", model.name)}>${words(model.name)}</a> and is held against it while it goes. Nothing turns before <em>Compensate</em>.</p>` : null}
+      ${wanted && about.value && !model ? html`<p class="refusal all" role="alert">${wanted}: no such model here. Choose from the list.</p>` : null}
     </form>
     <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("jog", { by_deg: Number(by.value) }); }}>
       <label>Jog by <span class="unit"><input type="number" step="any" required value=${by.value} onInput=${write(by)} /> °</span></label>

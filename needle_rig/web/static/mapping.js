@@ -112,5 +112,5 @@ export function WhatIsWhat({ busy, sources, again, take, discard }) {
     <p class="buttons"><button class="go" disabled=${busy || !mapping.rig} onClick=${take}>Import</button>
       <button disabled=${busy} onClick=${discard}>Discard</button>${mapping.rig ? null : html` <span class="lacks">Choose a shaft above, or describe one, before importing.</span>`}</p>
     <div class="grid2">${found.shown.map((/** @type {any} */ s) => html`<div><h3>${words(s.role)} <span class="quiet">${s.source}</span></h3>
-      <${Plot} label=${`${s.role} from ${s.source} over time`} unit=${`${words(s.role)} / ${s.unit}`} height=${160} cursor="mapping" series=${[line(words(s.role), "--c1")]} data=${[s.time_s, s.values]} /></div>`)}</div></section>`;
+      <${Plot} name=${s.role} label=${`${s.role} from ${s.source} over time`} unit=${`${words(s.role)} / ${s.unit}`} height=${160} cursor="mapping" series=${[line(words(s.role), "--c1")]} data=${[s.time_s, s.values]} /></div>`)}</div></section>`;
 }

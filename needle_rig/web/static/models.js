@@ -2,6 +2,7 @@
 import { result } from "./jobs.js";
 import { save } from "./net.js";
 import { about, dataRoute, heldModel, place, refuse, route, subject } from "./store.js";
+import { take } from "./taking.js";
 import { effect, html, measured, number, parameter, signal, significant, untracked, words } from "./ui.js";
 
 /** The model whose document is shown, by key. @type {{value: {key: string, document: any} | null}} */
@@ -35,7 +36,7 @@ export function Falls() {
   if (!of || !now) return null;
   return html`<section class="card wide"><h2>4 · ${isKnown(now) ? "The error falls" : "The model"}</h2>
     <${Ladder} now=${now} />
-    <p class="buttons"><a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
+    <p class="buttons"><a class="button go" href=${route("live", "", [["model", model.name]])}>Use this model on the rig</a> <a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
       <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
 }
 
@@ -65,14 +66,71 @@ function Ladder({ now }) {
     <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${measured(v.value, v.uncertainty)} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>`;
 }
 
-/** The library: every model, or one of them. */
+/** Names of two models at most that are marked, to be compared. @type {{value: string[]}} */
+const marked = signal([]);
+/** Documents of the models that stand side by side. @type {{value: {id: string, documents: Learnt[]}}} */
+const pair = signal({ id: "", documents: [] });
+/** @typedef {{name: string, value: number | null, uncertainty: number | null, unit: string}} Value */
+/** @typedef {{step: string, held_out_error: number | null, training_error: number | null}} Step */
+/** @typedef {{model: string, steps: Step[], values: Value[], added: string[]}} Learnt */
+/** @typedef {{key: string, name: string, kind: string, added: string[], model: {key: string, name: string} | null}} Listed */
+
+/** The models of the address that stand side by side. */
+const beside = () => (place.value.view === "models" && !place.value.name ? place.value.query.getAll("model") : []);
+effect(() => {
+  const names = beside();
+  /** @type {Listed[]} */
+  const all = about.value?.models ?? [];
+  const keys = names.map((name) => all.find((m) => m.name === name)?.key);
+  if (keys.length !== 2 || keys.some((key) => !key)) return;
+  const id = JSON.stringify(names);
+  Promise.all(keys.map((key) => result(/** @type {string} */ (key)))).then((documents) => {
+    if (JSON.stringify(beside()) === id) pair.value = { id, documents };
+  }, refuse);
+});
+
+/** @param {Learnt} of */
+const lastError = (of) => of.steps.map((step) => step.held_out_error ?? step.training_error).filter((error) => error !== null).at(-1) ?? null;
+
+/** Two models, value by value. @param {{names: string[]}} props */
+function Pair({ names }) {
+  if (pair.value.id !== JSON.stringify(names)) return html`<h1>Models side by side</h1><p class="quiet" role="status">Loading …</p><p><a href="#/models">All models</a></p>`;
+  const [one, other] = pair.value.documents;
+  const all = [...new Set([...one.values, ...other.values].filter((v) => v.value !== null).map((v) => v.name))];
+  /** @param {Learnt} of @param {string} name */
+  const valueOf = (of, name) => of.values.find((v) => v.name === name && v.value !== null);
+  /** @param {Value | undefined} a @param {Value | undefined} b */
+  const apart = (a, b) => {
+    if (!a || !b || a.value === null || b.value === null) return html`<td>–</td>`;
+    const spread = Math.hypot(a.uncertainty ?? 0, b.uncertainty ?? 0);
+    const sigmas = spread > 0 ? (b.value - a.value) / spread : null;
+    return html`<td class=${sigmas !== null && Math.abs(sigmas) > 3 ? "doubt" : ""}>${sigmas === null ? "–" : `${number(sigmas, 1)} σ`}</td>`;
+  };
+  return html`<h1>Models side by side</h1><section class="card"><div class="scroll" tabindex="0" role="group" aria-label="Two models"><table class="values">
+      <thead><tr><th scope="col" class="text">value</th>${names.map((name) => html`<th scope="col"><a href=${route("models", name)}>${words(name)}</a></th>`)}<th scope="col">apart</th></tr></thead>
+      <tbody><tr><th scope="row">prediction error / noise</th>${[one, other].map((of) => html`<td>${number(lastError(of), 2)}</td>`)}<td>–</td></tr>
+        ${all.map((name) => {
+          const [a, b] = [valueOf(one, name), valueOf(other, name)];
+          const unit = (a ?? b)?.unit;
+          return html`<tr><th scope="row">${parameter(name)}${unit && unit !== "1" ? html` <span class="quiet">/ ${unit}</span>` : null}</th>
+            ${[a, b].map((v) => html`<td>${v ? measured(/** @type {number} */ (v.value), v.uncertainty) : "not in it"}</td>`)}${apart(a, b)}</tr>`;
+        })}</tbody></table></div><p><a href="#/models">All models</a></p></section>`;
+}
+
+/** The library: every model, or one of them, or two. */
 export function Models() {
   const { name } = place.value;
+  /** @type {Listed[]} */
   const all = about.value?.models ?? [];
-  if (name) return html`<${One} model=${all.find((/** @type {any} */ m) => m.name === name)} name=${name} />`;
-  return html`<h1>Models</h1><section class="card"><p>Models that were learnt in the workbench, or dropped there as files.</p>
-    ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table><thead><tr><th scope="col">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
-      <tbody>${[...all].reverse().map((/** @type {any} */ m) => html`<tr key=${m.key}><th scope="row"><a href=${route("models", m.name)}>${words(m.name)}</a></th>
+  if (name) return html`<${One} model=${all.find((m) => m.name === name)} name=${name} />`;
+  if (beside().length === 2) return html`<${Pair} names=${beside()} />`;
+  const chosen = marked.value.filter((one) => all.some((m) => m.name === one));
+  const toggle = (/** @type {string} */ one) => (marked.value = chosen.includes(one) ? chosen.filter((m) => m !== one) : [...chosen, one].slice(-2));
+  return html`<h1>Models</h1><p class="purpose">Models that were learnt in the workbench, or opened as files: compare them, and use one on the rig.</p><section class="card">
+    <div class="orders"><button aria-disabled=${chosen.length !== 2} onClick=${() => chosen.length === 2 && (location.hash = route("models", "", chosen.map((one) => ["model", one])))}>Side by side</button>
+      <label class="row">Open a model file <input type="file" accept=".yaml,.yml" onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></div>
+    ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table class="marked"><thead><tr><th><span class="hidden">marked</span></th><th scope="col" class="text">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
+      <tbody>${[...all].reverse().map((m) => html`<tr key=${m.key}><td><input type="checkbox" aria-label=${`Mark ${words(m.name)}`} checked=${chosen.includes(m.name)} onChange=${() => toggle(m.name)} /></td><th scope="row" class="text"><a href=${route("models", m.name)}>${words(m.name)}</a>${m.model ? html` <span class="quiet">from ${words(m.model.name)}</span>` : null}</th>
         <td class="text">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text">${from(m)}</td><td class="text">${made(m)}</td></tr>`)}</tbody></table></div>`
       : html`<p class="quiet">None yet. <a href="#/data">Choose data in the workbench</a>, diagnose, and add what is missing.</p>`}</section>`;
 }
@@ -93,7 +151,7 @@ function One({ model, name }) {
   return html`<h1>${words(name)}</h1><section class="card"><p>Learnt from ${from(model)}, ${made(model)}.</p>
     <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step) => html` → ${step === model ? html`<strong>${words(step.name)}</strong>` : html`<a href=${route("models", step.name)}>${words(step.name)}</a>`}`)}</p>
     ${now ? html`<${Ladder} now=${now} />` : html`<p class="quiet">Loading …</p>`}
-    <p class="buttons">${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
+    <p class="buttons"><a class="button go" href=${route("live", "", [["model", name]])}>Use this model on the rig</a> ${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
       <a class="button" href=${route("data", "", [["model", name]])}>Hold against other data</a>
       <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${File} model=${model} /></p></section>`;
 }

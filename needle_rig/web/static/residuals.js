@@ -2,9 +2,10 @@
 import { Errors, Figures, More, Values, forgetFigures, held, holdAs } from "./compared.js";
 import { asked, busy, found as known, ofSubject } from "./found.js";
 import { alive, done, result } from "./jobs.js";
-import { Plot, dots, line } from "./plot.js";
+import { zoom } from "./plot.js";
 import { refuse, subject } from "./store.js";
-import { computed, effect, html, number, signal, significant, untracked, words } from "./ui.js";
+import { Loop, Traced } from "./traced.js";
+import { computed, effect, html, number, signal, untracked, words } from "./ui.js";
 
 /** The comparison of the present data and model. @type {{value: any}} */
 const comparison = computed(() => known.value.compare);
@@ -37,10 +38,16 @@ async function compareAgain() {
   if (of) await done({ kind: "compare", ...asked(of), ...heldOnly() });
 }
 
-const LEVELS = [2, 3, 6, 15, 50];
-const LEVEL_NAMES = ["below 2", "2", "3, the limit", "6", "15", "50 and more"];
+/** Where one colour ends and the next begins, half a decade apart; the second is the limit. */
+const LEVELS = [1, 3, 10, 30, 100, 300];
 /** @param {number} sigmas */
 const heat = (sigmas) => `h${LEVELS.filter((limit) => sigmas >= limit).length}`;
+/** Phases beside each other, above which their numbers are small. */
+const MOST_LARGE = 28;
+const narrow = matchMedia("(max-width: 760px)");
+/** On a narrow page the phases stand below each other, so that the map fits. */
+const upright = signal(narrow.matches);
+narrow.addEventListener("change", () => (upright.value = narrow.matches));
 const ARROWS = /** @type {Record<string, string>} */ ({ up: " ↑", down: " ↓" });
 
 /** Where the model fails. */
@@ -81,22 +88,28 @@ function ResidualMap({ found }) {
     const k = index >= 0 ? index : found.traces.trials.findIndex((/** @type {any} */ t) => t.motions.some((/** @type {any} */ m) => m.name === place.motion));
     if (k < 0) return;
     trial.value = k;
+    zoom("traces", null);
     const motion = found.traces.trials[k].motions.find((/** @type {any} */ m) => m.name === place.motion);
     stretch.value = motion ? [Math.max(0, motion.start_s - 0.5), motion.end_s + 0.5] : null;
     document.getElementById(`trace-${place.channel}`)?.scrollIntoView({ block: "center" });
   };
-  return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}
-      <span class="levels">${LEVEL_NAMES.map((name, k) => html`<span class=${`h${k}${k === 2 ? " limit" : ""}`}>${name}</span>`)}</span></p>
-    <div class="scroll" tabindex="0" role="group" aria-label="Residual map"><table class="map">
-    <thead><tr><td></td>${[...columns.values()].map((p) => html`<th scope="col"><span>${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}</span></th>`)}</tr></thead>
-    <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${[...columns.keys()].map((column) => {
-      const key = `${channel}|${column}`;
-      const place = at.get(key);
-      if (!place || place.sigmas === null || place.sigmas === undefined) return html`<td></td>`;
-      const text = place.words || `${words(place.channel)}, ${words(place.motion)} ${place.state}: ${number(place.sigmas, 1)} times the noise`;
-      return html`<td><button class=${heat(place.sigmas)} title=${text} aria-label=${text} aria-pressed=${cell.value === key}
-        onClick=${() => go(place, key)}>${place.sigmas >= 9.95 ? Math.round(place.sigmas) : number(place.sigmas, 1)}</button></td>`;
-    })}</tr>`)}</tbody></table></div>`;
+  /** @param {string} channel @param {string} column */
+  const cellOf = (channel, column) => {
+    const key = `${channel}|${column}`;
+    const place = at.get(key);
+    if (!place || place.sigmas === null || place.sigmas === undefined) return html`<td></td>`;
+    const text = place.words || `${words(place.channel)}, ${words(place.motion)} ${place.state}: ${number(place.sigmas, 1)} times the noise`;
+    return html`<td><button class=${heat(place.sigmas)} title=${text} aria-label=${text} aria-pressed=${cell.value === key}
+      onClick=${() => go(place, key)}>${place.sigmas >= 9.95 ? Math.round(place.sigmas) : number(place.sigmas, 1)}</button></td>`;
+  };
+  const phases = [...columns].map(([column, p]) => ({ column, name: `${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}` }));
+  return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}</p>
+    <p class="levels" aria-label="Colours of the map, on a logarithmic scale; 3 is the limit">${[0, ...LEVELS].map((level, k) => html`<span class=${`h${k}`}>${k ? html`<b class=${level === 3 ? "limit" : ""}>${level}</b>` : null}</span>`)}<span class="quiet">× noise; 3 is the limit</span></p>
+    <div class="scroll" tabindex="0" role="group" aria-label="Residual map">${upright.value
+      ? html`<table class="map upright"><thead><tr><td></td>${channels.map((channel) => html`<th scope="col"><span>${words(String(channel))}</span></th>`)}</tr></thead>
+        <tbody>${phases.map(({ column, name }) => html`<tr><th scope="row">${name}</th>${channels.map((channel) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`
+      : html`<table class=${phases.length > MOST_LARGE ? "map dense" : "map"}><thead><tr><td></td>${phases.map(({ name }) => html`<th scope="col"><span>${name}</span></th>`)}</tr></thead>
+        <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${phases.map(({ column }) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`}</div>`;
 }
 
 /** @param {{found: any}} props */
@@ -107,23 +120,10 @@ function Traces({ found }) {
   const candidate = over.value ? known.value.diagnose?.candidates?.[over.value]?.[shown.file] : null;
   return html`<section class="card wide"><h2>Traces</h2>
     <div class="tabs" role="group" aria-label="Trials">${trials.map((/** @type {any} */ t, /** @type {number} */ i) => html`<button aria-pressed=${i === k}
-      onClick=${() => { trial.value = i; stretch.value = null; }}>${i + 1} · ${t.title}</button>`)}
+      onClick=${() => { trial.value = i; stretch.value = null; zoom("traces", null); }}>${i + 1} · ${t.title}</button>`)}
       ${stretch.value ? html`<button onClick=${() => (stretch.value = null)}>Whole trial</button>` : null}</div>
     ${trials.length < of ? html`<p class="quiet">${trials.length} of ${of} trials are drawn.</p>` : null}
     ${over.value ? html`<p>Laid over: what <strong>${words(over.value)}</strong> predicts, fitted.</p>` : null}
-    <div class="grid2">${channels.map((/** @type {any} */ channel, /** @type {number} */ c) => {
-      const noise = 2 * channel.noise;
-      const expected = shown.model[c];
-      const data = [shown.time_s, shown.measured[c], expected,
-        expected.map((/** @type {number|null} */ v) => (v === null ? null : v + noise)),
-        expected.map((/** @type {number|null} */ v) => (v === null ? null : v - noise)),
-        ...(shown.refit ? [shown.refit[c]] : []), ...(candidate ? [candidate[c]] : [])];
-      return html`<div id=${`trace-${channel.name}`}><h3>${words(channel.name)} <span class="quiet">noise ${significant(channel.noise)} ${channel.unit}</span></h3>
-        <${Plot} label=${`${channel.name} over time, measured and model`} unit=${`${words(channel.name)} / ${channel.unit}`} height=${200} band=${true} cursor="traces"
-          range=${stretch.value} marks=${shown.motions}
-          series=${[dots("measured", "--quiet"), line(shown.refit ? "as it stands" : "model", "--model"), line("noise +2σ", "--band", { width: 0.5 }), line("noise −2σ", "--band", { width: 0.5 }),
-            ...(shown.refit ? [line("refitted", "--c1", { dash: [5, 4] })] : []), ...(candidate ? [line(`with ${words(over.value)}`, "--other", { width: 2 })] : [])]}
-          data=${data} /></div>`;
-    })}</div></section>`;
+    <${Traced} channels=${channels} trial=${shown} stretch=${stretch.value} over=${candidate ? { name: over.value, values: candidate } : null} group="traces" />
+    <h3>Torque against angle</h3><${Loop} trial=${shown} name=${shown.file} /></section>`;
 }
-

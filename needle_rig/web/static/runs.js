@@ -1,9 +1,11 @@
 // What was recorded: the list, each run's own page with tags, a note and export, two side by side, and a way to the workbench.
-import { begin, done, jobs, result, Working } from "./jobs.js";
+import { Figures, forgetFigures } from "./compared.js";
+import { Working, alive, done, jobs, result } from "./jobs.js";
 import { ask, save } from "./net.js";
-import { Plot, line } from "./plot.js";
-import { dataRoute, place, refuse, route, run, said } from "./store.js";
-import { computed, effect, html, number, signal, untracked, useEffect, words } from "./ui.js";
+import { Legend, Plot, line, zoom } from "./plot.js";
+import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
+import { Loop, Traced } from "./traced.js";
+import { computed, effect, html, number, signal, untracked, useEffect, useSignal, words } from "./ui.js";
 
 /** What the server listed: runs, how many fit, how many were not read yet. @type {{value: any}} */
 const listed = signal(null);
@@ -21,6 +23,8 @@ const drafts = signal({});
 let asked = 0;
 
 const NOTE_LETTERS = 4000;
+/** The choice of the null model, which has no key. */
+const NULL = "null model";
 
 async function list() {
   const mine = (asked += 1);
@@ -91,7 +95,7 @@ const local = (utc) => (utc ? new Date(utc.endsWith("Z") || /[+-]\d\d:\d\d$/.tes
 
 export function Runs() {
   if (place.value.name) return html`<${One} name=${place.value.name} />`;
-  if (shown.value.length) return html`<h1>Runs side by side</h1><p><a href="#/runs">All runs</a></p><${Working} kinds=${["show"]} of=${jobs.value} /><${Traces} names=${shown.value} />`;
+  if (shown.value.length) return html`<h1>Runs side by side</h1><p><a href="#/runs">All runs</a></p><${Working} kinds=${["show"]} of=${jobs.value} /><${Beside} names=${shown.value} />`;
   return html`<${List} />`;
 }
 
@@ -109,7 +113,7 @@ function List() {
   /** @param {string} name */
   const toggle = (name) => (marked.value = marked.value.includes(name) ? marked.value.filter((n) => n !== name) : [...marked.value, name]);
   const go = (/** @type {number} */ to) => { start.value = to; list(); };
-  return html`<h1>Runs</h1>
+  return html`<h1>Runs</h1><p class="purpose">Look at what was recorded, hold a model against it, and choose runs to learn from.</p>
     <section class="card"><div class="orders">
       <label>Filter <input type="search" value=${filter.value} placeholder="name, status, strategy, tag" onInput=${(/** @type {any} */ e) => { filter.value = e.target.value; start.value = 0; list(); }} /></label>
       <button aria-disabled=${marked.value.length !== 2} onClick=${() => marked.value.length === 2 && (location.hash = route("runs", "", marked.value.map((name) => ["run", name])))}>Side by side</button>
@@ -134,24 +138,102 @@ function One({ name }) {
   if (lost.value) return html`<h1>${name}</h1><p class="refusal" role="alert">${lost.value} <a href="#/runs">All runs</a></p>`;
   if (!now) return html`<h1>${name}</h1><p class="quiet" role="status">Loading …</p>`;
   const draft = drafts.value[name] ?? {};
+  const of = jobs.value.filter((job) => job.data.some((/** @type {import("./store.js").Named} */ d) => d.name === name));
   return html`<h1>${name}</h1>
     <section class="card"><p>${local(now.started_utc)} · ${now.target_deg === null ? "no target" : `to ${number(now.target_deg, 1)}°`} with ${words(now.strategy) || "no strategy"} · <strong>${words(now.status)}</strong> · ${number(now.duration_s, 1)} s${now.simulated ? html` <span class="tag">simulated</span>` : null}</p>
       <p class="buttons"><a class="button go" href=${dataRoute([run(name)])}>Diagnose this run</a>
         ${["csv", "mcap", "png", "dataset"].map((form) => html`<button onClick=${() => exported(name, form)}>${{ csv: "CSV", mcap: "MCAP", png: "Picture", dataset: "Dataset" }[form]}</button>`)}
-        <a href="#/runs">All runs</a></p>
-      <${Working} kinds=${["export", "show"]} of=${jobs.value.filter((job) => job.data.some((/** @type {any} */ d) => d.name === name))} />
-      <div class="notes"><label>Tags, with commas between <input aria-label=${`Tags of ${name}`} value=${draft.tags ?? now.tags.join(", ")} onInput=${(/** @type {any} */ e) => write(name, "tags", e.target.value)} onChange=${(/** @type {any} */ e) => keep(name, "tags", e.target.value)} /></label>
-        <label>Note <textarea aria-label=${`Note on ${name}`} rows="3" maxlength=${NOTE_LETTERS} value=${draft.note ?? now.note} onInput=${(/** @type {any} */ e) => write(name, "note", e.target.value)} onChange=${(/** @type {any} */ e) => keep(name, "note", e.target.value)}></textarea></label></div></section>
-    <${Traces} names=${[name]} />`;
+        <${Removing} name=${name} /> <a href="#/runs">All runs</a></p>
+      <${Working} kinds=${["export", "show"]} of=${of} />
+      <div class="notes"><label>Tags, with commas between <input aria-label=${`Tags of ${name}`} value=${draft.tags ?? now.tags.join(", ")} onInput=${(/** @type {InputEvent} */ e) => write(name, "tags", written(e))} onChange=${(/** @type {InputEvent} */ e) => keep(name, "tags", written(e))} /></label>
+        <label>Note <textarea aria-label=${`Note on ${name}`} rows="3" maxlength=${NOTE_LETTERS} value=${draft.note ?? now.note} onInput=${(/** @type {InputEvent} */ e) => write(name, "note", written(e))} onChange=${(/** @type {InputEvent} */ e) => keep(name, "note", written(e))}></textarea></label></div></section>
+    <${Told} name=${name} />`;
+}
+
+/** @param {Event} event */
+const written = (event) => /** @type {HTMLInputElement} */ (event.target).value;
+
+/** Remove a run, after a second word. @param {{name: string}} props */
+function Removing({ name }) {
+  const sure = useSignal(false);
+  const remove = async () => {
+    try {
+      await ask("DELETE", `runs/${encodeURIComponent(name)}`);
+      marked.value = marked.value.filter((other) => other !== name);
+      location.hash = route("runs");
+    } catch (error) {
+      sure.value = false;
+      refuse(error);
+    }
+  };
+  return sure.value ? html`<span class="buttons" role="group" aria-label="Delete this run"><strong>Delete this run with its notes, for good?</strong> <button class="danger" onClick=${remove}>Delete</button> <button onClick=${() => (sure.value = false)}>Keep</button></span>`
+    : html`<button onClick=${() => (sure.value = true)}>Delete …</button>`;
+}
+
+/** What a model was held against this run. @type {{value: {of: string, found: Compared | null}}} */
+const compared = signal({ of: "", found: null });
+/** @typedef {{key: string, name: string, sentence: string, traces: {channels: import("./traced.js").Channel[], trials: import("./traced.js").Trial[]} | null}} Compared */
+
+/** Hold a model against the run; `null` is the null model, fitted. @param {string} name @param {string | null} model */
+async function hold(name, model) {
+  const of = `${name} ${model}`;
+  compared.value = { of, found: null };
+  forgetFigures();
+  const job = await done({ kind: "compare", data: [`run:${name}`], model });
+  const found = job && (await result(job.key).catch(refuse));
+  if (found && compared.value.of === of) compared.value = { of, found };
+}
+
+/** @typedef {{run: string, title: string, sensors: string[], settings: Record<string, string>, events: {time_s: number | null, kind: string, text: string}[],
+ *   result: {status: string, motions: {phase: string, base_deg: number | null, torque_nmm: number | null, hall_deg: (number | null)[]}[]} | null} & import("./traced.js").Trial} Shown */
+
+/** What a run holds: its traces, beside a model where one is chosen, settings and events. @param {{name: string}} props */
+function Told({ name }) {
+  const choice = useSignal("");
+  const piece = useSignal(0);
+  if (traces.value.id !== JSON.stringify([name])) return null;
+  /** @type {Shown} */
+  const shown = traces.value.runs[0];
+  const models = about.value?.models ?? [];
+  const key = choice.value === NULL ? null : choice.value;
+  const held = choice.value && compared.value.of === `${name} ${key}` ? compared.value.found : null;
+  const working = jobs.value.filter((job) => job.data.some((/** @type {import("./store.js").Named} */ d) => d.name === name) && !["show", "export"].includes(job.kind));
+  const pieces = held?.traces?.trials ?? [shown];
+  const trial = pieces[Math.min(piece.value, pieces.length - 1)];
+  /** @type {import("./traced.js").Channel[]} */
+  const channels = held?.traces?.channels ?? [{ name: "torque", unit: "N·mm", noise: 0 }, ...shown.sensors.map((sensor) => ({ name: sensor, unit: "°", noise: 0 }))];
+  const draw = async (/** @type {string} */ what) => {
+    const job = held && (await done({ kind: "figure", compared: held.key, what, data: [`run:${name}`], model: key }));
+    return job ? result(job.key).catch(refuse) : null;
+  };
+  return html`<section class="card"><h2>Traces</h2>
+      <p><label>Hold a model against this run <select value=${choice.value} onChange=${(/** @type {Event} */ e) => { choice.value = written(e); piece.value = 0; zoom("run", null); if (choice.value) hold(name, choice.value === NULL ? null : choice.value); }}>
+        <option value="">none: what was measured</option><option value=${NULL}>rigid tissue and uniform friction, both fitted</option>
+        ${models.map((/** @type {import("./store.js").Named} */ m) => html`<option value=${m.key}>${words(m.name)}</option>`)}</select></label></p>
+      <${Working} kinds=${["compare", "figure"]} of=${working} />
+      ${held ? html`<p><strong>${held.name}</strong> ${held.sentence}</p>` : null}
+      ${pieces.length > 1 ? html`<div class="tabs" role="group" aria-label="Parts of the run that are predicted">${pieces.map((part, k) => html`<button aria-pressed=${part === trial} onClick=${() => { piece.value = k; zoom("run", null); }}>${k + 1} · ${words(part.motions.at(-1)?.name ?? part.title)}</button>`)}</div>` : null}
+      <h3>base</h3><${Plot} name=${`${name}-base`} label="Angle of the base" unit="base / °" height=${130} cursor="run" marks=${trial.motions} series=${[line("base", "--base")]} data=${[trial.time_s, trial.base_deg]} />
+      <${Traced} channels=${channels} trial=${trial} group="run" name=${name} />
+      <h3>Torque against angle</h3><${Loop} trial=${trial} name=${name} /></section>
+    ${held ? html`<${Figures} busy=${working.some(alive)} draw=${draw} refuse=${refuse} />` : null}
+    <div class="grid2"><section class="card"><h2>Settings</h2><dl class="settings">${Object.entries(shown.settings).map(([word, value]) => html`<div><dt>${word}</dt><dd>${words(value)}</dd></div>`)}</dl>
+        ${shown.result?.motions.length ? html`<h3>Motions</h3><div class="scroll" tabindex="0" role="group" aria-label="Motions of the run"><table><thead><tr><th scope="col">motion</th><th scope="col">base / °</th><th scope="col">torque / N·mm</th>${shown.sensors.map((sensor) => html`<th scope="col">${words(sensor)} / °</th>`)}</tr></thead>
+          <tbody>${shown.result.motions.map((motion) => html`<tr><th scope="row">${words(motion.phase)}</th><td>${number(motion.base_deg, 2)}</td><td>${number(motion.torque_nmm, 4)}</td>${motion.hall_deg.map((angle) => html`<td>${number(angle, 1)}</td>`)}</tr>`)}</tbody></table></div>` : null}</section>
+      <section class="card"><h2>Events</h2>${shown.events.length ? html`<div class="scroll events" tabindex="0" role="group" aria-label="Events of the run"><table><thead><tr><th scope="col">time / s</th><th scope="col" class="text">event</th></tr></thead>
+        <tbody>${shown.events.map((event) => html`<tr class=${event.kind}><td>${number(event.time_s, 2)}</td><td class="text">${event.kind === "phase" ? "" : `${event.kind}: `}${words(event.text)}</td></tr>`)}</tbody></table></div>` : html`<p class="quiet">None were recorded.</p>`}</section></div>`;
 }
 
 /** @param {{names: string[]}} props */
-function Traces({ names }) {
+function Beside({ names }) {
   if (traces.value.id !== JSON.stringify(names)) return null;
-  return html`<div class="grid2">${traces.value.runs.map((/** @type {any} */ each) => html`<section class=${names.length === 1 ? "card wide" : "card"}>${names.length === 1 ? null : html`<h2><a href=${route("runs", each.run)}>${each.run}</a></h2>`}
+  /** @type {Shown[]} */
+  const runs = traces.value.runs;
+  const series = [line("base", "--base"), ...runs[0].sensors.map((sensor, k) => line(words(sensor), `--c${k + 1}`)), line("torque", "--c0")];
+  return html`<${Legend} series=${series} /><div class="grid2">${runs.map((each) => html`<section class="card"><h2><a href=${route("runs", each.run)}>${each.run}</a></h2>
       <p class="quiet">${each.title}${each.result ? ` · ${words(each.result.status)}` : ""}</p>
-      <${Plot} label=${`Angles of ${each.run}`} unit="angle / °" height=${240} marks=${each.motions} cursor="runs"
-        series=${[line("base", "--base"), ...each.sensors.map((/** @type {string} */ s, /** @type {number} */ k) => line(words(s), `--c${k + 1}`))]} data=${[each.time_s, each.base_deg, ...each.measured.slice(1)]} />
-      <${Plot} label=${`Torque of ${each.run}`} unit="torque / N·mm" height=${180} marks=${each.motions} cursor="runs"
+      <${Plot} name=${`${each.run}-angles`} label=${`Angles of ${each.run}`} unit="angle / °" height=${240} marks=${each.motions} cursor="runs"
+        series=${[line("base", "--base"), ...each.sensors.map((sensor, k) => line(words(sensor), `--c${k + 1}`))]} data=${[each.time_s, each.base_deg, ...each.measured.slice(1)]} />
+      <${Plot} name=${`${each.run}-torque`} label=${`Torque of ${each.run}`} unit="torque / N·mm" height=${180} marks=${each.motions} cursor="runs"
         series=${[line("torque", "--c0")]} data=${[each.time_s, each.measured[0]]} /></section>`)}</div>`;
 }

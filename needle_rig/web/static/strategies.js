@@ -54,8 +54,8 @@ function run() {
 export function Strategies() {
   const shown = found.value && found.value.of === (model.value?.key ?? null);
   const all = about.value?.models ?? [];
-  return html`<h1>Strategies</h1>
-    <section class="card"><p>Each way of aligning the needle, tried on one simulated needle with noise.</p><form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); if (!busy.value) run(); }}>
+  return html`<h1>Strategies</h1><p class="purpose">Try each way of aligning the needle on one simulated needle with noise.</p>
+    <section class="card"><form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); if (!busy.value) run(); }}>
       <label>Needle <select value=${model.value?.name ?? parameters.value} onChange=${(/** @type {any} */ e) => {
         const learnt = all.some((/** @type {any} */ m) => m.name === e.target.value);
         if (!learnt) parameters.value = e.target.value;

@@ -4,13 +4,12 @@ import { Working, begin, done } from "./jobs.js";
 import { WhatIsWhat, asConfirmed, proposal, propose, shaft } from "./mapping.js";
 import { Missing } from "./missing.js";
 import { Falls } from "./models.js";
+import { Opening } from "./opening.js";
 import { ask } from "./net.js";
 import { Compared } from "./residuals.js";
+import { take, taking } from "./taking.js";
 import { about, dataOf, dataRoute, heldModel, look, lost, modelCalled, place, refuse, route, said, subject } from "./store.js";
 import { effect, html, signal, untracked, words } from "./ui.js";
-
-/** The file that is taken in now. */
-const taking = signal("");
 
 effect(() => {
   const { guess } = found.value;
@@ -34,71 +33,12 @@ async function importProposed() {
   if (imported && subject.value?.id === of?.id) location.hash = dataRoute([imported]);
 }
 
-/** Take in dropped files, folders included.
- * @param {DataTransferItemList | FileList} items */
-async function take(items) {
-  said.value = "";
-  const files = await everyFile(items);
-  if (!files.length) return;
-  let upload = "";
-  let opens = false;
-  let data = 0;
-  try {
-    ({ upload } = await ask("POST", "uploads", { name: files[0].path.split("/")[0] }));
-    for (const { path, file } of files) {
-      taking.value = path;
-      ({ data, model: opens } = await ask("PUT", `uploads/${upload}/${path.split("/").map(encodeURIComponent).join("/")}`, file));
-    }
-  } catch (error) {
-    return refuse(error);
-  } finally {
-    taking.value = "";
-  }
-  await look();
-  if (!opens) return go(dataOf(`upload:${upload}`));
-  const job = await done({ kind: "open", upload });
-  if (!job) return;
-  await look();
-  const source = data ? dataOf(`upload:${upload}`) : null;
-  const of = source ? [source] : subject.value?.data;
-  location.hash = of ? dataRoute(of, job) : route("models", job.name);
-}
-
-/** @param {import("./store.js").Named | undefined} source */
-function go(source) {
-  if (source) location.hash = dataRoute([source]);
-}
-
-/** @param {DataTransferItemList | FileList} items @returns {Promise<{path: string, file: File}[]>} */
-async function everyFile(items) {
-  if (items instanceof FileList)
-    return [...items].map((file) => ({ path: file.webkitRelativePath || file.name, file }));
-  /** @type {{path: string, file: File}[]} */
-  const found = [];
-  /** @param {any} entry @param {string} folder */
-  const walk = async (entry, folder) => {
-    if (entry.isFile) {
-      const file = await new Promise((done, fail) => entry.file(done, fail));
-      if (!file.name.startsWith(".")) found.push({ path: folder + file.name, file });
-      return;
-    }
-    const reader = entry.createReader();
-    for (;;) {
-      const some = await new Promise((done, fail) => reader.readEntries(done, fail));
-      if (!some.length) break;
-      for (const one of some) await walk(one, `${folder}${entry.name}/`);
-    }
-  };
-  const entries = [...items].map((item) => item.webkitGetAsEntry()).filter(Boolean);
-  for (const entry of entries) await walk(entry, "");
-  return found;
-}
-
 export function Workbench() {
-  return html`<h1>Workbench</h1>
+  return html`<h1>Workbench</h1><p class="purpose">Find out where a model of the needle fails on your data, what it lacks, and add that to it.</p>
     ${lost.value ? html`<p class="refusal" role="alert">${lost.value}</p>` : null}
     <div class="grid2">
       <${Choose} />
+      ${subject.value || lost.value ? null : html`<${Opening} />`}
       <${WhatIsWhat} busy=${busy.value} sources=${about.value?.data ?? []} again=${guessAgain} take=${importProposed} discard=${() => forget(proposal.value.upload)} />
       <${Compared} />
       <${Missing} />

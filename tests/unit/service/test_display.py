@@ -37,6 +37,7 @@ def document(measurement: Measurement | None, phase: Phase = Phase.SETTLING, set
         remaining_s=1.23,
         progress=0.31,
         target_rad=rad(45.0),
+        model=None,
         strategy="reed2008",
         waypoint_rad=rad(71.3),
         velocity_rad_s=0.0,

@@ -1,4 +1,4 @@
-"""A process that stays for the lessons, since the first needs the solver compiled: lines in, lines out."""
+"""A process that stays for short answers, since the first needs the solver compiled: lines in, lines out."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Any
 
-from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.web.worker import NICE, Voice
 
 LINE_BYTES = 16 << 20
@@ -18,7 +18,7 @@ PATIENCE_S = 300.0
 """The first start compiles the solver."""
 
 
-class Lessons:
+class Resident:
     """The process as the server sees it: started at the first question, one answer at a time."""
 
     def __init__(self, directories: tuple[str, ...]) -> None:
@@ -26,36 +26,34 @@ class Lessons:
         self._process: asyncio.subprocess.Process | None = None
         self._alone = asyncio.Lock()
 
-    async def ask(self, effect: str | None, values: Mapping[str, float], data: str | None = None) -> Any:
-        """A lesson on the shaft of `data`, or the list of effects where none is named.
+    async def start(self) -> None:
+        """Have it ready before the first question."""
+        async with self._alone:
+            await self._running()
 
-        Raises BadInput, RigFault.
-        """
+    async def ask(self, question: str, **given: Any) -> Any:
+        """The answer to `effects`, `lesson` or `expect`, with what it is given. Raises BadInput, RigFault."""
         async with self._alone:
             process = await self._running()
             assert process.stdin is not None
             assert process.stdout is not None
             line = b""
             with contextlib.suppress(ConnectionError, TimeoutError):
-                process.stdin.write(
-                    json.dumps({"effect": effect, "values": values, "data": data}).encode() + b"\n"
-                )
+                process.stdin.write(json.dumps({"question": question, "given": given}).encode() + b"\n")
                 await process.stdin.drain()
                 line = await asyncio.wait_for(process.stdout.readline(), PATIENCE_S)
         if not line:
             self.close()
-            raise RigFault("the process that computes the lessons ended; try again")
+            raise RigFault("the process that computes this ended; try again")
         answer = json.loads(line)
         if "error" in answer:
-            from needle_rig.errors import BadInput
-
             raise BadInput(answer["error"])
         return answer["result"]
 
     async def _running(self) -> asyncio.subprocess.Process:
         if self._process is None or self._process.returncode is not None:
             self._process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "needle_rig.web.lessons_process", *self._directories),
+                *(sys.executable, "-m", "needle_rig.web.resident", *self._directories),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=LINE_BYTES,
@@ -79,16 +77,19 @@ def main() -> None:
 
     one_thread_each()
     from needle_rig.model import effect_directories
+    from needle_rig.web.expectation import Expectations
     from needle_rig.web.lessons import effects_document, lesson
 
     directories = effect_directories(tuple(sys.argv[1:]))
+    answers: dict[str, Callable[..., Any]] = {
+        "effects": lambda: effects_document(directories),
+        "lesson": lambda **given: lesson(directories=directories, **given),
+        "expect": Expectations().after,
+    }
     for line in sys.stdin:
         asked = json.loads(line)
         try:
-            if asked["effect"] is None:
-                voice.tell(result=effects_document(directories))
-            else:
-                voice.tell(result=lesson(asked["effect"], asked["values"], directories, asked["data"]))
+            voice.tell(result=answers[asked["question"]](**asked["given"]))
         except NeedleRigError as error:
             voice.tell(error=str(error))
 
