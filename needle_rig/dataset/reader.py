@@ -73,7 +73,9 @@ def joined(datasets: Sequence[Dataset]) -> Dataset:
 
 def _same_layout(one: Dataset, other: Dataset) -> bool:
     """Whether two datasets are of one layout, to a nanometre."""
-    if one.sensor_names != other.sensor_names or one.layout.tip_clamped != other.layout.tip_clamped:
+    if (one.sensor_names, one.machine) != (other.sensor_names, other.machine):
+        return False
+    if one.layout.tip_clamped != other.layout.tip_clamped:
         return False
     places = [
         np.array(
@@ -159,4 +161,5 @@ def _read_one(path: Path) -> Dataset:
         in_series(tuple(kept)),
         gathered(notes),
         simulated=description.simulated,
+        machine=description.rig.machine,
     )

@@ -1,0 +1,83 @@
+"""The kinds of machine that turn a line against friction, and which effects fit each.
+
+An effect names the part that it acts in (`Effect.part`), a machine the parts that it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+
+from needle_rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from needle_rig.physics.effect import Effect
+
+Kind = TypeVar("Kind", bound="type[Effect]")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One kind; its line rubs along its whole length, and its rigidity is not known."""
+
+    text: str
+    parts: frozenset[str]
+    length_mm: float
+    """Of the line in a layout that is written for it: friction is given per 100 mm."""
+    fastest_deg_s: float
+    largest_deg: float
+    """Of the base within a trial; a wrong unit exceeds one of both."""
+
+
+MachineName: TypeAlias = Literal["needle", "joint", "cable", "shaft", "linear"]
+NEEDLE: MachineName = "needle"
+MOTOR_DEG_S = 60_000.0
+"""10 000 rpm, of small servo motors."""
+MOTOR_DEG = 3.6e6
+"""Ten thousand turns in a recording."""
+MACHINES: Mapping[MachineName, Machine] = {
+    NEEDLE: Machine(
+        "a needle or wire in tissue", frozenset({"needle", "chuck", "end"}), 100.0, 1500.0, 3600.0
+    ),
+    "joint": Machine(
+        "a joint or motor that turns stiffly", frozenset({"drive"}), 100.0, MOTOR_DEG_S, MOTOR_DEG
+    ),
+    "cable": Machine(
+        "a cable, or another long line that turns or bends its far end",
+        frozenset({"drive", "end"}),
+        1000.0,
+        MOTOR_DEG_S,
+        MOTOR_DEG,
+    ),
+    "shaft": Machine(
+        "a shaft with gears or couplings between two machines",
+        frozenset({"drive", "end"}),
+        100.0,
+        MOTOR_DEG_S,
+        MOTOR_DEG,
+    ),
+    "linear": Machine(
+        "an axis that slides, over a lever of a stated length",
+        frozenset({"drive"}),
+        100.0,
+        MOTOR_DEG_S,
+        MOTOR_DEG,
+    ),
+}
+"""By the name that a layout states."""
+
+
+def fitting(library: Mapping[str, Kind], machine: MachineName) -> dict[str, Kind]:
+    """The effects of a library that act in a part that the machine has."""
+    parts = MACHINES[machine].parts
+    return {name: e for name, e in library.items() if not e.part or e.part in parts}
+
+
+def check_fits(effect: type[Effect], machine: MachineName) -> None:
+    """Raises BadInput for an effect that acts in a part that the machine lacks."""
+    if not fitting({effect.name(): effect}, machine):
+        raise BadInput(
+            f"{effect.name()}: acts in a part ({effect.part}) that a {machine} lacks; `needle-rig effects"
+            f" --machine {machine}` lists what fits"
+        )
