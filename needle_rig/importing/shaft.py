@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from needle_rig.config.check import validate
@@ -12,6 +13,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.places import read_yaml, show_path
 from needle_rig.dataset.description import NeedlePart, RigPart, SensorPart, layout_of
 from needle_rig.errors import BadInput
+from needle_rig.physics.machine import MACHINES, MachineName
 
 RIG_FORMATS = ("needle-rig/1", "needle-rig-dataset/1", "needle-rig-settled/1", "needle-rig-import/1")
 """A rig file, and those that tell the shaft below `rig`."""
@@ -40,6 +42,18 @@ def read_rig(path: Path) -> RigPart:
             raise places.error((), f"{key}: unknown key of a layout; remove it")
     layout_of(rig, places)
     return rig
+
+
+def line_of(name: MachineName, sensors: Sequence[str]) -> RigPart:
+    """A layout that fits a machine: a line of unknown rigidity that rubs all along, angles at its far end."""
+    length_mm = MACHINES[name].length_mm
+    return RigPart(
+        machine=name,
+        needle=NeedlePart(torsional_rigidity_nmm2="unknown"),
+        tissue_sections_mm=((0.0, length_mm),),
+        needle_length_mm=length_mm,
+        hall_sensors=tuple(SensorPart(name=sensor, position_mm=length_mm) for sensor in sensors),
+    )
 
 
 def _of_rig_file(path: Path) -> RigPart:

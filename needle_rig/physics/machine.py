@@ -44,7 +44,7 @@ MACHINES: Mapping[MachineName, Machine] = {
         "a joint or motor that turns stiffly", frozenset({"drive"}), 100.0, MOTOR_DEG_S, MOTOR_DEG
     ),
     "cable": Machine(
-        "a cable, or another long line that turns or bends its far end",
+        "a cable that turns or bends a far end",
         frozenset({"drive", "end"}),
         1000.0,
         MOTOR_DEG_S,
@@ -66,6 +66,14 @@ MACHINES: Mapping[MachineName, Machine] = {
     ),
 }
 """By the name that a layout states."""
+
+
+def machine_called(name: str) -> MachineName:
+    """The machine of that name. Raises BadInput."""
+    for known in MACHINES:
+        if known == name:
+            return known
+    raise BadInput(f"{name}: is no machine known here; name one of {', '.join(MACHINES)}")
 
 
 def fitting(library: Mapping[str, Kind], machine: MachineName) -> dict[str, Kind]:

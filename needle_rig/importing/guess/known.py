@@ -1,0 +1,71 @@
+"""What a person said of the machine before a guess, and the layout that follows where none was given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from needle_rig.dataset.description import RigPart
+from needle_rig.importing.axes import SLIDING
+from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart, LayoutPart
+from needle_rig.importing.shaft import line_of
+from needle_rig.importing.unit_text import unit_of
+from needle_rig.physics.machine import MACHINES, NEEDLE, Machine, MachineName
+
+
+@dataclass(frozen=True)
+class Known:
+    """A layout, the kind of machine, the lever of what slides; each None where nobody said it."""
+
+    rig: RigPart | None = None
+    name: MachineName | None = None
+    lever_mm: float | None = None
+
+    @property
+    def machine(self) -> Machine:
+        """Whose limits hold: a needle's until something else is said."""
+        return MACHINES[self.name or (self.rig.machine if self.rig else NEEDLE)]
+
+    @property
+    def slides(self) -> bool:
+        """Whether it is a linear axis."""
+        return self.machine is MACHINES["linear"]
+
+    @property
+    def torque_zero(self) -> float | Literal["start"]:
+        """What the torque counts from: a needle begins relaxed, friction may hold any other line wound."""
+        return "start" if self.rig is not None and self.machine is MACHINES[NEEDLE] else 0.0
+
+    def layout(self, channels: Sequence[ChannelPart]) -> tuple[RigPart | None, LayoutPart]:
+        """The layout with its reason: as given, of the machine, or of the one that the channels look like."""
+        if self.rig is not None:
+            return self.rig if self.name is None else self.rig.model_copy(
+                update={"machine": self.name}
+            ), LayoutPart()
+        if not channels:
+            return None, LayoutPart()
+        sensors = [c.role for c in channels if c.role not in (BASE, TORQUE, TIP_TORQUE)]
+        if self.name is not None:
+            return line_of(self.name, sensors), LayoutPart(why=_why(self.name, sensors))
+        name = _looks_like(channels, sensors)
+        others = ", ".join(other for other in MACHINES if other not in (name, NEEDLE))
+        return line_of(name, sensors), LayoutPart(
+            why=_why(name, sensors),
+            doubt=f"no layout is given; by the channels it is {MACHINES[name].text} ({name}). If it is none,"
+            f" name the machine ({others}), or give the layout of a needle",
+        )
+
+
+def _looks_like(channels: Sequence[ChannelPart], sensors: Sequence[str]) -> MachineName:
+    units = [unit_of(c.unit or "") for c in channels if c.role == BASE]
+    if any(unit is not None and unit.dimension in SLIDING for unit in units):
+        return "linear"
+    if not sensors:
+        return "joint"
+    return "shaft" if any(c.role == TORQUE for c in channels) else "cable"
+
+
+def _why(name: MachineName, sensors: Sequence[str]) -> str:
+    seen = f"{', '.join(sensors)} at its far end" if sensors else "without an angle beyond the base"
+    return f"{MACHINES[name].text}: a line of {MACHINES[name].length_mm:g} mm that rubs all along, {seen}"
