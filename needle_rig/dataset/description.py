@@ -74,6 +74,8 @@ class RigPart(_Part):
     segments: tuple[SegmentPart, ...] = ()
     hall_sensors: tuple[SensorPart, ...] = ()
     tip: Literal["free", "clamped"] = "free"
+    lever_mm: Annotated[float, Field(gt=0)] | None = None
+    """Of a linear axis, the radius that makes its mm and N angles and torques."""
 
 
 class TrialPart(_Part):
@@ -159,6 +161,11 @@ def layout_of(rig: RigPart, places: Places) -> Layout:
         )
     except BadInput as error:
         raise places.error(("rig",), str(error)) from None
+
+
+def lever_of(rig: RigPart) -> float | None:
+    """The lever in metres; None where there is none."""
+    return None if rig.lever_mm is None else rig.lever_mm * 1e-3
 
 
 def _check_needle(part: NeedlePart, places: Places) -> None:

@@ -139,6 +139,8 @@ class Dataset:
     """It was recorded on a simulated rig; no real needle was turned."""
     machine: MachineName = NEEDLE
     """What it was recorded on."""
+    lever_m: float | None = None
+    """Radius by which what slides was made to turn; None of what turns itself."""
 
     @cached_property
     def torque_scale(self) -> float:

@@ -56,6 +56,7 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
         **({"simulated": True} if dataset.simulated else {}),
         "rig": {
             **({} if dataset.machine == NEEDLE else {"machine": dataset.machine}),
+            **({} if dataset.lever_m is None else {"lever_mm": _tidy(dataset.lever_m * 1e3)}),
             "needle": _constants(needle),
             "tissue_sections_mm": [[_tidy(a * 1e3), _tidy(b * 1e3)] for a, b in layout.tissue_sections_m],
             "needle_length_mm": _tidy(layout.needle_length_m * 1e3),

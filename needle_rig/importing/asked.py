@@ -36,11 +36,9 @@ def given_mapping(
     mapping, _ = read_mapping(path)
     if layout is not None:
         mapping = mapping.model_copy(update={"rig": read_rig(layout), "layout": LayoutPart()})
-    if machine is not None:
-        rig, told = Known(mapping.rig, machine).layout(mapping.channels)
+    if machine is not None or lever_mm is not None:
+        rig, told = Known(mapping.rig, machine, lever_mm).layout(mapping.channels)
         mapping = mapping.model_copy(update={"rig": rig, "layout": told})
-    if lever_mm is not None:
-        mapping = mapping.model_copy(update={"lever_mm": lever_mm})
     if dbc is not None:
         mapping = mapping.model_copy(update={"dbc": os.path.relpath(dbc, path.parent)})
     if others:

@@ -9,7 +9,7 @@ import numpy as np
 
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
-from needle_rig.dataset.description import layout_of, needle_of
+from needle_rig.dataset.description import layout_of, lever_of, needle_of
 from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
@@ -70,6 +70,7 @@ def dataset_of(
         in_series(tuple(trials)),
         tuple(notes),
         machine=rig.machine,
+        lever_m=lever_of(rig),
     )
 
 

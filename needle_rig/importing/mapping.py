@@ -111,10 +111,13 @@ class Mapping(_Part):
     dbc: str | None = None
     """Database of a CAN bus that its logs are decoded by; without it this rig's own."""
     not_used: tuple[Annotated[NotUsedPart, BeforeValidator(_with_reason)], ...] = ()
-    lever_mm: Annotated[float, Field(gt=0)] | None = None
-    """Radius at which what slides turns: mm and N over it are radians and N·m."""
     rig: RigPart | None = None
     layout: LayoutPart = LayoutPart()
+
+    @property
+    def lever_mm(self) -> float | None:
+        """Radius at which what slides turns; None where the layout states none."""
+        return None if self.rig is None else self.rig.lever_mm
 
     def database(self, folder: Path) -> Path | None:
         """The place of `dbc`, which is relative to `folder` as the files are."""
@@ -145,8 +148,8 @@ class Mapping(_Part):
         if sliding and self.lever_mm is None:
             told = ", ".join(f"{c.role} in {c.unit}" for c in sliding)
             found.append(
-                f"lever_mm: {told}: the model turns; give the lever in mm that makes it an angle or a torque"
-                " (--lever), as the pinion's radius, or 10 for an axis without one"
+                f"rig.lever_mm: {told}: the model turns; give the lever in mm that makes it angle or torque"
+                " (--lever): the pinion's radius, or 10 for an axis without one"
             )
         if not any(c.role == BASE for c in self.channels):
             found.append(f"channels: no {BASE}; it drives the model")

@@ -37,7 +37,7 @@ def guess(
     channels look like. `lever_mm` is the radius of what slides; paths are written relative to `folder`.
     Raises BadInput when there is nothing that could be the base's angle.
     """
-    known = Known(rig, machine, lever_mm)
+    known = Known(rig, machine, lever_mm or (rig.lever_mm if rig else None))
     recordings = [part for recording in recordings for part in recording.repeats()]
     if not any(r.tables() for r in recordings):
         told = "; ".join(f"{c.name}: {c.fault}" for r in recordings for c in r.columns)
@@ -96,9 +96,9 @@ def guess(
     if trials.clock is not None and trials.clock not in clocks:
         why[trials.clock, trials.source or ""] = "numbers trials on a clock without any channel"
         trials = TrialsPart(at="rests", why=AT_RESTS)
-    clocks = doubt_speed(clocks, channels, series, known.machine, lever_mm)
+    clocks = doubt_speed(clocks, channels, series, known.machine, known.lever_mm)
     rig, layout = known.layout(channels)
-    trials = known_start(trials, channels[0], series, rig, lever_mm)
+    trials = known_start(trials, channels[0], series, rig, known.lever_mm)
     used = {(c.clock, c.source) for c in channels} | {(k, c.source) for k, c in clocks.items()}
     used.add((trials.clock or "", trials.source))
     return Mapping(
@@ -112,7 +112,6 @@ def guess(
             for key in columns_of_clock
             if key not in used
         ),
-        lever_mm=lever_mm,
         rig=rig,
         layout=layout,
     )

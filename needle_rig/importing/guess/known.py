@@ -37,23 +37,28 @@ class Known:
         """What the torque counts from: a needle begins relaxed, friction may hold any other line wound."""
         return "start" if self.rig is not None and self.machine is MACHINES[NEEDLE] else 0.0
 
-    def layout(self, channels: Sequence[ChannelPart]) -> tuple[RigPart | None, LayoutPart]:
+    def layout(self, channels: Sequence[ChannelPart]) -> tuple[RigPart, LayoutPart]:
         """The layout with its reason: as given, of the machine, or of the one that the channels look like."""
+        rig, told = self._layout(channels)
+        update = {"machine": self.name, "lever_mm": self.lever_mm}
+        return rig.model_copy(update={k: v for k, v in update.items() if v is not None}), told
+
+    def _layout(self, channels: Sequence[ChannelPart]) -> tuple[RigPart, LayoutPart]:
         if self.rig is not None:
-            return self.rig if self.name is None else self.rig.model_copy(
-                update={"machine": self.name}
-            ), LayoutPart()
-        if not channels:
-            return None, LayoutPart()
+            return self.rig, LayoutPart()
         sensors = [c.role for c in channels if c.role not in (BASE, TORQUE, TIP_TORQUE)]
-        if self.name is not None:
-            return line_of(self.name, sensors), LayoutPart(why=_why(self.name, sensors))
-        name = _looks_like(channels, sensors)
-        others = ", ".join(other for other in MACHINES if other not in (name, NEEDLE))
+        name = self.name or _looks_like(channels, sensors)
+        seen = f"{', '.join(sensors)} at its far end" if sensors else "without an angle beyond the base"
+        machine, others = (
+            MACHINES[name],
+            ", ".join(other for other in MACHINES if other not in (name, NEEDLE)),
+        )
         return line_of(name, sensors), LayoutPart(
-            why=_why(name, sensors),
-            doubt=f"no layout is given; by the channels it is {MACHINES[name].text} ({name}). If it is none,"
-            f" name the machine ({others}), or give the layout of a needle",
+            why=f"{machine.text}: a line of {machine.length_mm:g} mm that rubs all along, {seen}",
+            doubt=""
+            if self.name
+            else f"no layout is given; by the channels it is {machine.text} ({name}). If it is none, name the"
+            f" machine ({others}), or give the layout of a needle",
         )
 
 
@@ -64,8 +69,3 @@ def _looks_like(channels: Sequence[ChannelPart], sensors: Sequence[str]) -> Mach
     if not sensors:
         return "joint"
     return "shaft" if any(c.role == TORQUE for c in channels) else "cable"
-
-
-def _why(name: MachineName, sensors: Sequence[str]) -> str:
-    seen = f"{', '.join(sensors)} at its far end" if sensors else "without an angle beyond the base"
-    return f"{MACHINES[name].text}: a line of {MACHINES[name].length_mm:g} mm that rubs all along, {seen}"

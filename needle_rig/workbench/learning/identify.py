@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -18,10 +19,12 @@ from scipy.special import chdtri, ndtr, ndtri, stdtrit
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.records import UNKNOWN_SIGMA
+from needle_rig.dataset.units_check import LEAST_TWIST_DEG
 from needle_rig.errors import NeedleRigError
 from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import NEEDLE
 from needle_rig.physics.needle_model import (
     FRICTION,
     TORSIONAL_RIGIDITY,
@@ -46,6 +49,7 @@ from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.information import Information
 from needle_rig.workbench.estimation.parameters import FreeParameter, shared_names
 from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.learning.joint import joint_friction, seen, twist_is_seen
 from needle_rig.workbench.learning.steps import numbered
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Say
@@ -229,10 +233,38 @@ def _identified(
     angles_alone = not any(t.torque_ok.any() for t in baseline.dataset.trials)
     ratio_known = angles_alone and _log_ratio(alone)[1] < NARROWED * _log_ratio(stated)[1]
     estimates = _estimates(baseline, posterior, narrowed, ratio_known)
+    if (told := _of_joint(dataset)) is not None:
+        # what twists unseen has no rigidity: the rod's numbers would be those of another machine
+        estimates = told if dataset.machine != NEEDLE else (*told, *estimates)
     size = baseline.problem.size
     return Identification(
         baseline, information, posterior, estimates, float(np.sqrt(baseline.current.chi2 / max(size, 1)))
     )
+
+
+def _of_joint(dataset: Dataset) -> tuple[Estimate, ...] | None:
+    """Friction of a plain joint; None where a twist is seen or stated, or too little turns."""
+    if dataset.needle.rigidity_is_known or twist_is_seen(dataset, math.radians(LEAST_TWIST_DEG)):
+        return None
+    found = joint_friction(seen(dataset.trials))
+    if found is None:
+        return None
+    arm_mm = 1.0 if dataset.lever_m is None else dataset.lever_m * 1e3
+    torque, turn = ("N·mm", "rad") if dataset.lever_m is None else ("N", "mm")
+    of = {
+        "viscous": (f"{torque}·s/{turn}", 1e3 / arm_mm**2),
+        "stribeck_rate": (f"{turn}/s", arm_mm),
+    }
+    told = []
+    for number in found.numbers:
+        unit, size = of.get(number.name, (torque, 1e3 / arm_mm))
+        if number.value is None or number.deviation is None:
+            told.append(Estimate(number.name, unit, None, None, None, number.missing))
+            continue
+        value, deviation = size * number.value, size * number.deviation
+        ends = (value - found.reach * deviation, value + found.reach * deviation)
+        told.append(Estimate(number.name, unit, value, deviation, ends))
+    return tuple(told)
 
 
 def _stated(baseline: Baseline) -> Gaussian:
