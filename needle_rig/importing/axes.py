@@ -18,8 +18,14 @@ SLIDING = ("length", "speed", "force")
 STANDS_S = 0.2
 """So long in a row a speed within its noise is a stand."""
 NOISES = 4.0
+LARGEST_ZERO = 0.02
+"""Error of a zero over the largest speed up to which a stand is seen as one."""
 UNSEEN_ZERO = 1e-3
 """Share of the largest speed that stands for the error of a zero that is not seen, as of tachometers."""
+
+
+USUAL_LEVER_MM = 10.0
+"""Stands for a lever that nobody said yet."""
 
 
 def needs_lever(unit: Unit | None) -> bool:
@@ -59,7 +65,7 @@ def drift(time_s: Array, rate: Array) -> tuple[float, float, bool]:
     noise = white_noise(rate)
     walk = noise * math.sqrt(length_s * length_s / max(len(rate) - 1, 1))
     largest = float(np.nanmax(np.abs(rate)))
-    still = np.abs(rate) <= max(NOISES * noise, UNSEEN_ZERO * largest)
+    still = np.abs(rate) <= max(NOISES * noise, LARGEST_ZERO * largest)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], still.view(np.int8), [0]))))
     stands = [
         (a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if time_s[b - 1] - time_s[a] >= STANDS_S

@@ -13,7 +13,7 @@ from needle_rig.config.file_kinds import check_format
 from needle_rig.config.places import Places, read_yaml, write_yaml
 from needle_rig.dataset.description import RigPart, layout_of
 from needle_rig.errors import BadInput
-from needle_rig.importing.axes import OF_ANGLE, OF_TORQUE, SUMMED, needs_lever
+from needle_rig.importing.axes import OF_ANGLE, OF_TORQUE, SUMMED, USUAL_LEVER_MM, needs_lever
 from needle_rig.importing.unit_text import NAMED, Unit, unit_of
 
 FORMAT = "needle-rig-import/1"
@@ -149,7 +149,7 @@ class Mapping(_Part):
             told = ", ".join(f"{c.role} in {c.unit}" for c in sliding)
             found.append(
                 f"rig.lever_mm: {told}: the model turns; give the lever in mm that makes it angle or torque"
-                " (--lever): the pinion's radius, or 10 for an axis without one"
+                f" (--lever): the pinion's radius, or {USUAL_LEVER_MM:g} for an axis without one"
             )
         if not any(c.role == BASE for c in self.channels):
             found.append(f"channels: no {BASE}; it drives the model")

@@ -19,51 +19,35 @@ Kind = TypeVar("Kind", bound="type[Effect]")
 
 @dataclass(frozen=True)
 class Machine:
-    """One kind; its line rubs along its whole length, and its rigidity is not known."""
+    """One kind: its parts, and how fast and far its base may turn in a trial; wrong units exceed one."""
 
     text: str
     parts: frozenset[str]
-    length_mm: float
-    """Of the line in a layout that is written for it: friction is given per 100 mm."""
     fastest_deg_s: float
     largest_deg: float
-    """Of the base within a trial; a wrong unit exceeds one of both."""
 
 
 MachineName: TypeAlias = Literal["needle", "joint", "cable", "shaft", "linear"]
 NEEDLE: MachineName = "needle"
-MOTOR_DEG_S = 60_000.0
-"""10 000 rpm, of small servo motors."""
-MOTOR_DEG = 3.6e6
-"""Ten thousand turns in a recording."""
+NEEDLE_DEG_S, NEEDLE_DEG = 1500.0, 3600.0
+"""250 rpm, ten times what needle drives do."""
+MOTOR_DEG_S, MOTOR_DEG = 60_000.0, 3.6e6
+"""10 000 rpm, of small servo motors; ten thousand turns."""
 MACHINES: Mapping[MachineName, Machine] = {
     NEEDLE: Machine(
-        "a needle or wire in tissue", frozenset({"needle", "chuck", "end"}), 100.0, 1500.0, 3600.0
+        "a needle or wire in tissue", frozenset({"needle", "chuck", "end"}), NEEDLE_DEG_S, NEEDLE_DEG
     ),
-    "joint": Machine(
-        "a joint or motor that turns stiffly", frozenset({"drive"}), 100.0, MOTOR_DEG_S, MOTOR_DEG
-    ),
+    "joint": Machine("a joint or motor that turns stiffly", frozenset({"drive"}), MOTOR_DEG_S, MOTOR_DEG),
     "cable": Machine(
-        "a cable that turns or bends a far end",
-        frozenset({"drive", "end"}),
-        1000.0,
-        MOTOR_DEG_S,
-        MOTOR_DEG,
+        "a cable that turns or bends a far end", frozenset({"drive", "end"}), MOTOR_DEG_S, MOTOR_DEG
     ),
     "shaft": Machine(
         "a shaft with gears or couplings between two machines",
         frozenset({"drive", "end"}),
-        100.0,
         MOTOR_DEG_S,
         MOTOR_DEG,
     ),
-    "linear": Machine(
-        "an axis that slides, over a lever of a stated length",
-        frozenset({"drive"}),
-        100.0,
-        MOTOR_DEG_S,
-        MOTOR_DEG,
-    ),
+    "linear": Machine("an axis that slides, over a lever", frozenset({"drive"}), MOTOR_DEG_S, MOTOR_DEG),
 }
 """By the name that a layout states."""
 

@@ -54,7 +54,7 @@ class Known:
             ", ".join(other for other in MACHINES if other not in (name, NEEDLE)),
         )
         return line_of(name, sensors), LayoutPart(
-            why=f"{machine.text}: a line of {machine.length_mm:g} mm that rubs all along, {seen}",
+            why=f"{machine.text}: a line that rubs all along, {seen}",
             doubt=""
             if self.name
             else f"no layout is given; by the channels it is {machine.text} ({name}). If it is none, name the"

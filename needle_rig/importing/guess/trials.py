@@ -11,7 +11,7 @@ from needle_rig.dataset.description import RigPart
 from needle_rig.dataset.samples import AT_REST_DEG_S, rest_rate_deg_s
 from needle_rig.dataset.table import MAX_SAMPLES
 from needle_rig.importing import names
-from needle_rig.importing.axes import SUMMED, size_si, summed
+from needle_rig.importing.axes import SUMMED, USUAL_LEVER_MM, size_si, summed
 from needle_rig.importing.guess.series import Series
 from needle_rig.importing.mapping import ChannelPart, TrialsPart
 from needle_rig.importing.unit_text import unit_of
@@ -65,7 +65,7 @@ def known_start(
     s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
     if unit.dimension in SUMMED:
         s = replace(s, values=summed(s.time_s, s.values))
-    angle_rad = s.values * base.scale * size_si(unit, lever_mm)
+    angle_rad = s.values * base.scale * size_si(unit, lever_mm or USUAL_LEVER_MM)
     known = np.isfinite(angle_rad) & np.isfinite(s.time_s)
     if known.sum() < 2 or abs(rest_rate_deg_s(s.time_s[known], angle_rad[known])) <= AT_REST_DEG_S:
         return trials

@@ -191,7 +191,7 @@ def joint_friction(found: Seen) -> JointFriction | None:
         numbers = tuple(
             Number(n, None, None, other_way) for n in ("coulomb", "viscous", "offset", "stribeck")
         )
-        return JointFriction(numbers, 0.0, float("nan"))
+        return JointFriction(numbers, 0.0, float(np.std(torque)))
     columns = [np.sign(rate), np.ones_like(rate), *([rate] if two_rates else [])]
     design = np.column_stack(columns)
     begin = np.linalg.lstsq(design, torque, rcond=None)[0]
