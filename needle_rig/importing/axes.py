@@ -79,7 +79,7 @@ def drift(time_s: Array, rate: Array) -> tuple[float, float, bool]:
 def drift_sentence(
     role: str, source: str, time_s: Array, rate: Array, unit: Unit, lever_mm: float | None
 ) -> str:
-    """What a person is told of a channel that is summed from a speed."""
+    """The note on the drift of a channel that is summed from a speed."""
     size = math.degrees(size_si(unit, lever_mm))
     walk, zero, stands = drift(time_s, rate)
     length_s = float(time_s[-1] - time_s[0])

@@ -14,7 +14,7 @@ _BASES: dict[frozenset[tuple[str, int]], Dimension] = {
     frozenset({("meter", 1), ("second", -1)}): "speed",
     frozenset({("kilogram", 1), ("meter", 1), ("second", -2)}): "force",
 }
-"""Dimensions that their base units tell; a torque is told from a joule by its own."""
+"""Dimensions that follow from base units; a torque and a joule have the same ones."""
 
 
 @lru_cache(maxsize=1)

@@ -36,7 +36,7 @@ SIGMAS = 4.0
 ONE_WAY = 0.95
 """Share of a block's way that leads to its end at least: less of it, and the block holds a reversal."""
 FEWEST = 20
-"""Blocks from which five numbers are told."""
+"""Blocks that determine five numbers."""
 OUTLYING = 3.0
 """Residuals of standard deviations that count less (Cauchy's loss): friction changes sides in a block."""
 LEAST_LEFT = 1e-9
