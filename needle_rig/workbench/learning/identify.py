@@ -276,6 +276,7 @@ def _told(joint: JointFriction, lever_m: float | None) -> tuple[Estimate, ...]:
     of = {
         "viscous": (f"{torque}·s/{turn}", 1e3 / arm_mm**2),
         "stribeck_rate": (f"{turn}/s", arm_mm),
+        "inertia": (f"{torque}·s²/{turn}", 1e3 / arm_mm**2),
     }
     told = []
     for number in joint.numbers:

@@ -1,9 +1,9 @@
 """Friction of a plain joint: its torque against its rate, where no twist tells more.
 
-τ = τ₀ + sign(ω) (F + S e^{−(ω/ω_s)²}) + b ω: Coulomb friction F, offset τ₀, viscous friction b, and
-Stribeck's excess S at rest that fades with the rate ω_s. Source: Armstrong-Hélouvry, Dupont, Canudas de Wit,
-Automatica 30 (1994); as a least-squares fit: Swevers, Verdonck, De Schutter, "Dynamic model identification
-for industrial robots", IEEE Control Systems 27 (2007).
+τ = τ₀ + sign(ω) (F + S e^{−(ω/ω_s)²}) + b ω + J α: Coulomb friction F, offset τ₀, viscous friction b,
+Stribeck's excess S at rest that fades with the rate ω_s, and inertia J where it shows. Source:
+Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994); as a least-squares fit: Swevers, Verdonck,
+De Schutter, "Dynamic model identification for industrial robots", IEEE Control Systems 27 (2007).
 
 After a reversal friction builds up over the presliding, or over a play, which the stop operator z describes
 (Brokate, Sprekels, "Hysteresis and phase transitions", 1996, ch. 2). Its width is the one of a ladder that
@@ -13,7 +13,7 @@ leaves least; what lies within it is not of the law and is left aside.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,9 +57,10 @@ BEYOND = 1.25
 
 @dataclass(frozen=True)
 class Seen:
-    """Means of blocks, each (blocks,): rates in rad/s of one sign each, torques in N·m."""
+    """Means of blocks, each (blocks,): rates of one sign each in rad/s, accelerations, torques in N·m."""
 
     rate_rad_s: Array
+    acceleration_rad_s2: Array
     torque_nm: Array
     built_up: Array
     """Share of the friction, −1 to 1, that is built up at either end of each block, (widths, 2, blocks)."""
@@ -68,15 +69,20 @@ class Seen:
         """The blocks beyond the presliding, whose width is the one that leaves least."""
 
         def left(built_up: Array) -> float:
-            columns = (built_up.mean(axis=0), np.ones_like(self.rate_rad_s), self.rate_rad_s)
-            x = np.column_stack(columns)
-            return float(
-                np.sum((self.torque_nm - x @ np.linalg.lstsq(x, self.torque_nm, rcond=None)[0]) ** 2)
+            x = np.column_stack(
+                (built_up.mean(axis=0), np.ones_like(y), self.rate_rad_s, self.acceleration_rad_s2)
             )
+            return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
 
+        y = self.torque_nm
         best = max(1, min(range(len(WIDTHS)), key=lambda k: left(self.built_up[k])))
         beyond = (np.abs(self.built_up[best]) == 1.0).all(axis=0)
-        return Seen(self.rate_rad_s[beyond], self.torque_nm[beyond], self.built_up[:, :, beyond])
+        return Seen(
+            self.rate_rad_s[beyond],
+            self.acceleration_rad_s2[beyond],
+            self.torque_nm[beyond],
+            self.built_up[:, :, beyond],
+        )
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ class Number:
 
 @dataclass(frozen=True)
 class JointFriction:
-    """The law's numbers in N·m, rad and s: coulomb, viscous, offset, stribeck, stribeck_rate."""
+    """The law's numbers in N·m, rad and s: coulomb, viscous, offset, stribeck and its rate, inertia."""
 
     numbers: tuple[Number, ...]
     reach: float
@@ -120,9 +126,10 @@ def seen(trials: Sequence[DatasetTrial]) -> Seen:
     span_rad = max((float(np.ptp(t.trial.base_angle_rad)) for t in trials), default=0.0)
     blocks = [b for t in trials if t.torque_ok.any() and (b := _blocks(t, span_rad)) is not None]
     if not blocks:
-        return Seen(np.empty(0), np.empty(0), np.empty((len(WIDTHS), 2, 0)))
+        return Seen(np.empty(0), np.empty(0), np.empty(0), np.empty((len(WIDTHS), 2, 0)))
     return Seen(
         np.concatenate([b.rate_rad_s for b in blocks]),
+        np.concatenate([b.acceleration_rad_s2 for b in blocks]),
         np.concatenate([b.torque_nm for b in blocks]),
         np.concatenate([b.built_up for b in blocks], axis=2),
     )
@@ -169,7 +176,9 @@ def _blocks(trial: DatasetTrial, span_rad: float) -> Seen | None:
         for share in [_built_up(base_rad[ends], w * BEYOND * span_rad)]
     ]
     built_up = np.stack([np.tile(np.sign(rate), (2, 1)), *shares])
-    return Seen(rate[good], mean[good], built_up[:, :, good])
+    middle_s = (time_s[ends][1:] + time_s[ends][:-1]) / 2
+    acceleration = np.gradient(rate, middle_s) if len(rate) > 1 else np.zeros_like(rate)
+    return Seen(rate[good], acceleration[good], mean[good], built_up[:, :, good])
 
 
 def joint_friction(found: Seen) -> JointFriction | None:
@@ -192,14 +201,18 @@ def joint_friction(found: Seen) -> JointFriction | None:
             Number(n, None, None, other_way) for n in ("coulomb", "viscous", "offset", "stribeck")
         )
         return JointFriction(numbers, 0.0, float(np.std(torque)))
-    columns = [np.sign(rate), np.ones_like(rate), *([rate] if two_rates else [])]
-    design = np.column_stack(columns)
-    begin = np.linalg.lstsq(design, torque, rcond=None)[0]
-    left_nm = MEDIAN_TO_SIGMA * float(np.median(np.abs(torque - design @ begin)))
-    plain = _fit(lambda _, *p: design @ np.array(p), rate, torque, begin, left_nm)
-    fit, names = plain, ["coulomb", "offset", *(["viscous"] if two_rates else [])]
+    columns = {"coulomb": np.sign(rate), "offset": np.ones_like(rate)} | (
+        {"viscous": rate} if two_rates else {}
+    )
+    turned = {**columns, "inertia": found.acceleration_rad_s2}
+    left_nm = _typical(turned, torque)
+    fit, names = _linear(columns, rate, torque, left_nm), list(columns)
+    if found.acceleration_rad_s2.any():
+        heavy = _linear(turned, rate, torque, left_nm)
+        if heavy.is_better(fit):
+            columns, fit, names = turned, heavy, list(turned)
     if two_rates:
-        bent = _with_stribeck(rate, torque, plain, left_nm)
+        bent = _with_stribeck(np.column_stack(list(columns.values())), rate, torque, fit, left_nm)
         if bent is not None:
             fit, names = bent, [*names, "stribeck", "stribeck_rate"]
     values = {n: Number(n, float(v), float(s)) for n, v, s in zip(names, fit.at, fit.deviations, strict=True)}
@@ -210,7 +223,7 @@ def joint_friction(found: Seen) -> JointFriction | None:
         values.get("viscous", Number("viscous", None, None, faster)),
         values["offset"],
         values.get("stribeck", Number("stribeck", None, None, f"no excess is seen at low rates: {slower}")),
-        *([values["stribeck_rate"]] if "stribeck_rate" in values else []),
+        *(values[name] for name in ("stribeck_rate", "inertia") if name in values),
     )
     reach = float(t_distribution.ppf(0.975, max(fit.count - len(fit.at), 1.0)))
     return JointFriction(told, reach, math.sqrt(fit.chi2 / len(rate)))
@@ -223,6 +236,27 @@ class _Fit:
     chi2: float
     count: float
     """Blocks that count."""
+
+    def is_better(self, than: _Fit) -> bool:
+        """Whether its further numbers explain more than chance does (F test)."""
+        free, more = self.count - len(self.at), len(self.at) - len(than.at)
+        if free <= 1.0 or not np.isfinite(self.deviations).all():
+            return False
+        gain = (than.chi2 - self.chi2) / more / max(self.chi2 / free, 1e-300)
+        return float(f_distribution.sf(gain, more, free)) < CHANCE
+
+
+def _typical(columns: Mapping[str, Array], torque: Array) -> float:
+    """What plain least squares leave, as a standard deviation that outlying blocks do not move."""
+    design = np.column_stack(list(columns.values()))
+    left = torque - design @ np.linalg.lstsq(design, torque, rcond=None)[0]
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(left)))
+
+
+def _linear(columns: Mapping[str, Array], rate: Array, torque: Array, left_nm: float) -> _Fit:
+    design = np.column_stack(list(columns.values()))
+    begin = np.asarray(np.linalg.lstsq(design, torque, rcond=None)[0], dtype=np.float64)
+    return _fit(lambda _, *p: design @ np.array(p), rate, torque, begin, left_nm)
 
 
 def _fit(
@@ -249,26 +283,22 @@ def _fit(
     return _Fit(at, np.sqrt(np.diag(covariance) / share), float(left @ left), max(len(left) * share, 1.0))
 
 
-def _with_stribeck(rate: Array, torque: Array, plain: _Fit, left_nm: float) -> _Fit | None:
+def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_nm: float) -> _Fit | None:
     """The fit with an excess at low rates; None where it is no better than chance makes it."""
     sign, size = np.sign(rate), np.abs(rate)
 
-    def law(_: Array, coulomb: float, offset: float, viscous: float, excess: float, fading: float) -> Array:
-        bump = excess * np.exp(-((size / fading) ** 2))
-        return np.asarray(offset + sign * (coulomb + bump) + viscous * rate)
+    def law(_: Array, *numbers: float) -> Array:
+        *linear, excess, fading = numbers
+        return np.asarray(design @ np.array(linear) + sign * excess * np.exp(-((size / fading) ** 2)))
 
-    lowest, highest = float(size.min()), float(size.max())
+    lowest, highest, free = float(size.min()), float(size.max()), len(plain.at)
     tried = []
     for fading in np.geomspace(max(2.0 * lowest, 1e-3 * highest), 0.5 * highest, 4):
         begin = [*plain.at, 0.1 * abs(float(plain.at[0])), float(fading)]
-        limits = ([-np.inf] * 3 + [0.0, lowest], [np.inf] * 4 + [highest])
+        limits = ([-np.inf] * free + [0.0, lowest], [np.inf] * (free + 1) + [highest])
         try:
             tried.append(_fit(law, rate, torque, begin, left_nm, limits))
         except RuntimeError:  # no convergence from there
             continue
     best = min(tried, key=lambda f: f.chi2, default=None)
-    if best is None or best.count <= len(best.at) + 1 or not np.isfinite(best.deviations).all():
-        return None
-    free = best.count - len(best.at)
-    gain = (plain.chi2 - best.chi2) / 2.0 / max(best.chi2 / free, 1e-300)
-    return best if f_distribution.sf(gain, 2, free) < CHANCE else None
+    return best if best is not None and best.is_better(plain) else None

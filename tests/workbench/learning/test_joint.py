@@ -102,6 +102,19 @@ def test_a_play_and_its_reversals_are_left_aside(play: float) -> None:
         assert friction[name].value == pytest.approx(true, abs=0.01), name
 
 
+def test_inertia_is_told_where_it_shows() -> None:
+    time_s, angle, rate = swings()
+    rng = np.random.default_rng(6)
+    torque = Joint().torque_nm(angle, rate, rng)
+    assert all(n.name != "inertia" for n in found(trial(time_s, angle, torque)).numbers)
+    heavy = found(trial(time_s, angle, torque + 0.03 * np.gradient(rate, time_s)))
+    for name, true in (("inertia", 0.03), ("coulomb", 0.168), ("viscous", 0.05), ("offset", -0.05)):
+        number = heavy[name]
+        assert number.value is not None
+        assert number.deviation is not None
+        assert abs(number.value - true) <= 2.0 * heavy.reach * number.deviation, name
+
+
 def test_one_way_alone_tells_nothing_apart() -> None:
     time_s = np.arange(0.0, 10.0, 0.01)
     rng = np.random.default_rng(0)
