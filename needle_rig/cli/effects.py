@@ -5,13 +5,14 @@ from __future__ import annotations
 import inspect
 import json
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import click
 
 from needle_rig.cli._complete import completing
 from needle_rig.cli._workbench import effects_option
 from needle_rig.errors import BadInput
+from needle_rig.physics.machine import MACHINES, MachineName
 
 if TYPE_CHECKING:
     from needle_rig.physics.effect import Effect, ParameterInfo
@@ -20,9 +21,14 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("name", required=False, shell_complete=completing("effects"))
+@click.option(
+    "--machine",
+    type=click.Choice(get_args(MachineName)),
+    help="List those alone that fit it; without it all.",
+)
 @effects_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
-def command(name: str | None, effects: tuple[str, ...], as_json: bool) -> int:
+def command(name: str | None, machine: MachineName | None, effects: tuple[str, ...], as_json: bool) -> int:
     """List the effects, or show one: its law, source, parameters, units and ranges.
 
     Your own files are checked while they are listed. A broken one is named with its line after the others.
@@ -34,6 +40,7 @@ def command(name: str | None, effects: tuple[str, ...], as_json: bool) -> int:
     from needle_rig.physics.compiled import compiled_torque
     from needle_rig.physics.effect_text import effect_called
     from needle_rig.physics.library import built_in_effects, find_effects
+    from needle_rig.physics.machine import fitting
 
     library = find_effects(effect_directories(effects))
     for key, effect in list(library.items()):
@@ -50,12 +57,13 @@ def command(name: str | None, effects: tuple[str, ...], as_json: bool) -> int:
         else:
             _show(chosen)
         return 0
+    shown = library if machine is None else fitting(library, machine)
     if as_json:
-        found = [_described(effect, own=key not in built_in_effects()) for key, effect in library.items()]
+        found = [_described(effect, own=key not in built_in_effects()) for key, effect in shown.items()]
         _print({"effects": found, "broken": [sentence for _, sentence in library.broken]})
     else:
-        width = max(map(len, library))
-        for key, effect in library.items():
+        width = max(map(len, shown))
+        for key, effect in shown.items():
             own = "" if key in built_in_effects() else " (your own)"
             click.echo(f"{click.style(key.ljust(width), bold=True)}  {_text(effect).splitlines()[0]}{own}")
         click.echo("\nneedle-rig effects NAME shows the law, its source and the parameters.")
@@ -79,6 +87,9 @@ def _show(effect: type[Effect]) -> None:
             click.echo(f"      off {info.off:g}, typical {info.typical:g}, matters from {info.smallest:g}")
         low, high = info.literature
         click.echo(f"      allowed {info.lower:g} to {info.upper:g}, literature {low:g} to {high:g}")
+    if effect.part:
+        having = [name for name, machine in MACHINES.items() if effect.part in machine.parts]
+        click.echo(f"  acts in: {effect.part} (of a {', '.join(having) or 'machine that no layout names'})")
     if effect.relatives:
         click.echo(f"  looks like: {', '.join(effect.relatives)}")
     if effect.redundant_with:
@@ -95,6 +106,7 @@ def _described(effect: type[Effect], *, own: bool) -> JsonObject:
         "name": effect.name(),
         "text": _text(effect),
         "parameters": [_parameter(field, info) for field, info in effect.parameters().items()],
+        "part": effect.part,
         "hooks": effect.hooks(),
         "relatives": list(effect.relatives),
         "redundant_with": list(effect.redundant_with),

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from needle_rig.physics.machine import MACHINES, NEEDLE
+
 if TYPE_CHECKING:
     from needle_rig.importing import Mapping
     from needle_rig.questions.recordings import Understood
 
 PICTURE = "import.png"
+OTHERS = [name for name in MACHINES if name != NEEDLE]
 
 
 @click.command("import")
@@ -31,9 +34,28 @@ PICTURE = "import.png"
     type=click.Path(path_type=Path),
     help="Database of the CAN bus that logs among FILE are of; without it this rig's own.",
 )
+@click.option(
+    "--machine",
+    type=click.Choice(OTHERS),
+    help="What was recorded, if no needle: a layout that fits is written where --layout gives none.",
+)
+@click.option(
+    "--lever",
+    "lever_mm",
+    type=click.FloatRange(min=1e-3, max=1e5),
+    metavar="MM",
+    help="Radius at which what slides turns: mm and N over it become angle and torque.",
+)
 @click.option("--yes", is_flag=True, help="Take the guess as it is, doubts included.")
 def command(
-    files: tuple[Path, ...], out: Path, guessing: bool, layout: Path | None, dbc: Path | None, yes: bool
+    files: tuple[Path, ...],
+    out: Path,
+    guessing: bool,
+    layout: Path | None,
+    dbc: Path | None,
+    machine: str | None,
+    lever_mm: float | None,
+    yes: bool,
 ) -> None:
     """Import recordings: text with columns, spreadsheets, MATLAB, HDF5, NumPy, TDMS, MDF (MF4), Parquet,
     Feather, JSON, MCAP, ROS 1 and 2 bags, logs of a CAN bus (candump, ASC, BLF, TRC, CSV).
@@ -50,6 +72,8 @@ def command(
     needle-rig import campaign/ --layout shaft.yaml --out data/campaign
     needle-rig import log.csv --guess --layout shaft.yaml --out data/mine
     needle-rig import data/mine.yaml --out data/mine
+    needle-rig import joint.csv --guess --machine joint --out data/joint
+    needle-rig import slide.csv --guess --machine linear --lever 10 --out data/slide
     """
     from needle_rig.errors import BadInput
     from needle_rig.importing.asked import is_mapping
@@ -68,7 +92,9 @@ def command(
     guessing = guessing or (folder is not None and not named)
     if not named and not guessing:
         raise BadInput(f"{files[0]}: no mapping says what is what in it; --guess proposes one")
-    found = Understand(files=files, name=out.resolve().name, layout=layout, dbc=dbc).answer()
+    found = Understand(
+        files=files, name=out.resolve().name, layout=layout, dbc=dbc, machine=machine, lever_mm=lever_mm
+    ).answer()
     for sentence in found.left:
         click.echo(sentence, err=True)
     if guessing:
@@ -112,6 +138,8 @@ def _tell(mapping: Mapping) -> None:
     for channel in mapping.channels:
         sign = "−" if channel.sign < 0 else ""
         click.echo(f"{channel.role}: {sign}{channel.source}, {channel.unit or 'unit ?'} ({channel.why})")
+    if mapping.layout.why:
+        click.echo(f"layout: {mapping.layout.why}")
     for column in mapping.not_used:
         click.echo(f"not used: {column.source} ({column.why})")
     ends = Counter(column.how for column in became(mapping))

@@ -14,6 +14,7 @@ from needle_rig.config.hints import meant_key
 from needle_rig.config.places import DataPath, Places, read_yaml
 from needle_rig.dataset.records import UNKNOWN_SIGMA, Needle, Start, TrialCommand
 from needle_rig.errors import BadInput
+from needle_rig.physics.machine import MachineName
 from needle_rig.physics.rod import Layout
 
 FORMAT = "needle-rig-dataset/1"
@@ -64,14 +65,17 @@ class SensorPart(_Part):
 
 
 class RigPart(_Part):
-    """The rig: its needle and what lies where along it."""
+    """The rig: its needle, or the line of another machine, and what lies where along it."""
 
+    machine: MachineName = "needle"
     needle: NeedlePart
     tissue_sections_mm: tuple[tuple[float, float], ...]
     needle_length_mm: Annotated[float, Field(gt=0)]
     segments: tuple[SegmentPart, ...] = ()
-    hall_sensors: tuple[SensorPart, ...]
+    hall_sensors: tuple[SensorPart, ...] = ()
     tip: Literal["free", "clamped"] = "free"
+    lever_mm: Annotated[float, Field(gt=0)] | None = None
+    """Of a linear axis, the radius that makes its mm and N angles and torques."""
 
 
 class TrialPart(_Part):
@@ -157,6 +161,11 @@ def layout_of(rig: RigPart, places: Places) -> Layout:
         )
     except BadInput as error:
         raise places.error(("rig",), str(error)) from None
+
+
+def lever_of(rig: RigPart) -> float | None:
+    """The lever in metres; None where there is none."""
+    return None if rig.lever_mm is None else rig.lever_mm * 1e-3
 
 
 def _check_needle(part: NeedlePart, places: Places) -> None:

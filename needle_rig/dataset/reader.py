@@ -14,6 +14,7 @@ import numpy as np
 from needle_rig.config.places import show_path
 from needle_rig.dataset.description import (
     layout_of,
+    lever_of,
     needle_of,
     read_description,
     unknown_keys,
@@ -73,7 +74,9 @@ def joined(datasets: Sequence[Dataset]) -> Dataset:
 
 def _same_layout(one: Dataset, other: Dataset) -> bool:
     """Whether two datasets are of one layout, to a nanometre."""
-    if one.sensor_names != other.sensor_names or one.layout.tip_clamped != other.layout.tip_clamped:
+    if (one.sensor_names, one.machine, one.lever_m) != (other.sensor_names, other.machine, other.lever_m):
+        return False
+    if one.layout.tip_clamped != other.layout.tip_clamped:
         return False
     places = [
         np.array(
@@ -159,4 +162,6 @@ def _read_one(path: Path) -> Dataset:
         in_series(tuple(kept)),
         gathered(notes),
         simulated=description.simulated,
+        machine=description.rig.machine,
+        lever_m=lever_of(description.rig),
     )

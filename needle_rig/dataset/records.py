@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial
+from needle_rig.physics.machine import NEEDLE, MachineName
 from needle_rig.physics.rod import Layout
 from needle_rig.physics.torque_scale import torque_scale
 from needle_rig.records import JsonObject
@@ -136,6 +137,10 @@ class Dataset:
     """What was found wrong and how it was handled, those of the trials included."""
     simulated: bool = False
     """It was recorded on a simulated rig; no real needle was turned."""
+    machine: MachineName = NEEDLE
+    """What it was recorded on."""
+    lever_m: float | None = None
+    """Radius by which what slides was made to turn; None of what turns itself."""
 
     @cached_property
     def torque_scale(self) -> float:

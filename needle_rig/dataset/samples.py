@@ -214,12 +214,20 @@ def _mask_stuck(
             )
 
 
+def _first(time_s: Array) -> int:
+    """Samples in which a base that is at rest shows it."""
+    return max(3, int(np.searchsorted(time_s, time_s[0] + 0.1)))
+
+
+def rest_rate_deg_s(time_s: Array, base_rad: Array) -> float:
+    """The base's rate in the first tenth of a second."""
+    last = min(_first(time_s), len(time_s)) - 1
+    return math.degrees(float(base_rad[last] - base_rad[0]) / max(float(time_s[last] - time_s[0]), 1e-9))
+
+
 def _check_rest(time_s: Array, base_rad: Array, line: int, shown: str) -> None:
-    first = max(3, int(np.searchsorted(time_s, time_s[0] + 0.1)))
-    start = math.degrees(float(base_rad[:first].mean()))
-    rate = math.degrees(
-        float(base_rad[first - 1] - base_rad[0]) / max(float(time_s[first - 1] - time_s[0]), 1e-9)
-    )
+    rate = rest_rate_deg_s(time_s, base_rad)
+    start = math.degrees(float(base_rad[: _first(time_s)].mean()))
     if abs(rate) > AT_REST_DEG_S:
         raise LeftOut(
             f"{shown}:{line}",

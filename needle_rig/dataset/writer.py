@@ -13,6 +13,7 @@ from needle_rig.config.places import show_path, write_yaml
 from needle_rig.dataset.description import FORMAT, MODULUS_GPA
 from needle_rig.dataset.records import Dataset, DatasetTrial, Needle
 from needle_rig.errors import BadInput
+from needle_rig.physics.machine import NEEDLE
 from needle_rig.records import JsonObject
 
 
@@ -54,6 +55,8 @@ def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
         "name": dataset.name,
         **({"simulated": True} if dataset.simulated else {}),
         "rig": {
+            **({} if dataset.machine == NEEDLE else {"machine": dataset.machine}),
+            **({} if dataset.lever_m is None else {"lever_mm": _tidy(dataset.lever_m * 1e3)}),
             "needle": _constants(needle),
             "tissue_sections_mm": [[_tidy(a * 1e3), _tidy(b * 1e3)] for a, b in layout.tissue_sections_m],
             "needle_length_mm": _tidy(layout.needle_length_m * 1e3),

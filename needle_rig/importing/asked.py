@@ -8,9 +8,11 @@ from pathlib import Path
 
 from needle_rig.importing.campaign import with_files
 from needle_rig.importing.guess import guess
-from needle_rig.importing.mapping import Mapping, read_mapping
+from needle_rig.importing.guess.known import Known
+from needle_rig.importing.mapping import LayoutPart, Mapping, read_mapping
 from needle_rig.importing.reader import Recordings
 from needle_rig.importing.shaft import read_rig
+from needle_rig.physics.machine import MachineName
 
 
 def is_mapping(file: Path) -> bool:
@@ -24,6 +26,8 @@ def given_mapping(
     layout: Path | None,
     recordings: Recordings,
     dbc: Path | None = None,
+    machine: MachineName | None = None,
+    lever_mm: float | None = None,
 ) -> tuple[Mapping, Path]:
     """The mapping in a file, and the folder that its files are relative to; `others` take their place.
 
@@ -31,7 +35,10 @@ def given_mapping(
     """
     mapping, _ = read_mapping(path)
     if layout is not None:
-        mapping = mapping.model_copy(update={"rig": read_rig(layout)})
+        mapping = mapping.model_copy(update={"rig": read_rig(layout), "layout": LayoutPart()})
+    if machine is not None or lever_mm is not None:
+        rig, told = Known(mapping.rig, machine, lever_mm).layout(mapping.channels)
+        mapping = mapping.model_copy(update={"rig": rig, "layout": told})
     if dbc is not None:
         mapping = mapping.model_copy(update={"dbc": os.path.relpath(dbc, path.parent)})
     if others:
@@ -47,6 +54,8 @@ def guessed_mapping(
     recordings: Recordings,
     root: Path,
     dbc: Path | None = None,
+    machine: MachineName | None = None,
+    lever_mm: float | None = None,
 ) -> Mapping:
     """What the files themselves say of their columns, with reasons and doubts; it names them from `root` on.
 
@@ -55,5 +64,5 @@ def guessed_mapping(
     Raises BadInput.
     """
     rig = None if layout is None else read_rig(layout)
-    mapping = guess([recordings.read(file, dbc) for file in files], name, rig, root)
+    mapping = guess([recordings.read(file, dbc) for file in files], name, rig, root, machine, lever_mm)
     return mapping if dbc is None else mapping.model_copy(update={"dbc": os.path.relpath(dbc, root)})

@@ -9,11 +9,12 @@ import numpy as np
 
 from needle_rig.config.places import Places, show_path
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
-from needle_rig.dataset.description import layout_of, needle_of
+from needle_rig.dataset.description import layout_of, lever_of, needle_of
 from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
 from needle_rig.errors import BadInput
 from needle_rig.importing import signals
+from needle_rig.importing.axes import SUMMED, drift_sentence, summed
 from needle_rig.importing.commands import commanded
 from needle_rig.importing.guess.series import LEAST_FILLED, TURN_RAD
 from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart, Mapping, found_file
@@ -23,8 +24,9 @@ from needle_rig.importing.recording import Recording
 from needle_rig.importing.rows import Channel, at_rows, clock_times, column_of, row_times
 from needle_rig.importing.si import to_si
 from needle_rig.importing.trial_cuts import REST_S, cuts_of, turns_before
-from needle_rig.importing.unit_text import unit_of
+from needle_rig.importing.unit_text import Unit, unit_of
 from needle_rig.numerics import Array
+from needle_rig.physics.machine import MACHINES
 
 
 def dataset_of(
@@ -53,7 +55,7 @@ def dataset_of(
     if not trials:
         raise BadInput("\n".join([*notes, "no trial is left that can be used"]))
     trials = commanded(trials)
-    problems = impossible(trials, sensors, layout, needle_of(rig.needle))
+    problems = impossible(trials, sensors, layout, needle_of(rig.needle), MACHINES[rig.machine])
     sure = {part.role for part in mapping.channels if part.sure}
     refused = [p.said for p in problems if not (p.of_size and p.role in sure)]
     if refused:
@@ -61,7 +63,14 @@ def dataset_of(
     notes += [f"taken as confirmed: {p.said}" for p in problems]
     notes += [note for trial in trials for note in trial.notes]
     return Dataset(
-        mapping.name, layout, sensors, needle_of(rig.needle), in_series(tuple(trials)), tuple(notes)
+        mapping.name,
+        layout,
+        sensors,
+        needle_of(rig.needle),
+        in_series(tuple(trials)),
+        tuple(notes),
+        machine=rig.machine,
+        lever_m=lever_of(rig),
     )
 
 
@@ -97,6 +106,7 @@ def _recording(
 
     zero_s = float(np.nanmin(times_of(base_part)))
     channels = {}
+    rates: list[tuple[ChannelPart, Unit, Array, Array]] = []
     for part in mapping.channels:
         column = column_of(of[part.clock], part.source, f"channels.{part.role}")
         if column.labels:
@@ -117,6 +127,10 @@ def _recording(
         if filled.sum() < LEAST_FILLED * good.sum():
             good = filled  # topics side by side, each with rows of its own
         time_s, values = time_s[good], values[good]
+        if unit is not None and unit.dimension in SUMMED:
+            assert part.zero != "start"
+            rates.append((part, unit, time_s, values - part.zero))
+            values = summed(time_s, values - part.zero)
         back = np.flatnonzero(np.diff(time_s) < 0)
         if back.size:
             raise BadInput(
@@ -131,6 +145,10 @@ def _recording(
                 f"{show_path(of[part.clock].path)}: {part.source} has fewer than {FEWEST_SAMPLES} samples at "
                 f"times of their own; is {part.clock} its clock?"
             )
+    notes += [
+        f"{source}: {drift_sentence(part.role, part.source, time_s, rate, unit, mapping.lever_mm)}"
+        for part, unit, time_s, rate in rates
+    ]
     length_s = float(channels[BASE].time_s[-1])
     rows_s = row_times(channels, mapping.rate_hz)
     loaded = [TIP_TORQUE] if TIP_TORQUE in channels else []
@@ -150,7 +168,7 @@ def _recording(
     before: list[tuple[tuple[float, ...], tuple[float, ...]]] = [((), ())] * len(cuts)
     if mapping.trials.at == "rests" and start == "relaxed":
         whole = table.copy()
-        to_si(whole, parts, sensors)
+        to_si(whole, parts, sensors, mapping.lever_mm)
         before = turns_before(whole, cuts)
         remembered = sum(bool(turns) for turns, _ in before)
         if remembered:
@@ -164,7 +182,7 @@ def _recording(
         values = table[first:last].copy()
         start_s = begin_s + float(values[0, 0])
         values[:, 0] -= values[0, 0]
-        to_si(values, parts, sensors)
+        to_si(values, parts, sensors, mapping.lever_mm)
         absent = {role for role in (TORQUE, *sensors) if role not in parts}
         lines = np.arange(first + 1, first + 1 + len(values), dtype=np.int64)
         phase = np.full(len(values), "", dtype=np.str_)

@@ -13,6 +13,7 @@ from needle_rig.config.file_kinds import as_read_here
 from needle_rig.config.places import Places, read_yaml, write_yaml
 from needle_rig.dataset.description import RigPart, layout_of
 from needle_rig.errors import BadInput
+from needle_rig.importing.axes import OF_ANGLE, OF_TORQUE, SUMMED, USUAL_LEVER_MM, needs_lever
 from needle_rig.importing.unit_text import NAMED, Unit, unit_of
 
 FORMAT = "needle-rig-import/1"
@@ -90,6 +91,13 @@ class TrialsPart(_Part):
     doubt: str = ""
 
 
+class LayoutPart(_Part):
+    """Where `rig` comes from."""
+
+    why: str = ""
+    doubt: str = ""
+
+
 class Mapping(_Part):
     """A whole mapping file."""
 
@@ -104,6 +112,12 @@ class Mapping(_Part):
     """Database of a CAN bus that its logs are decoded by; without it this rig's own."""
     not_used: tuple[Annotated[NotUsedPart, BeforeValidator(_with_reason)], ...] = ()
     rig: RigPart | None = None
+    layout: LayoutPart = LayoutPart()
+
+    @property
+    def lever_mm(self) -> float | None:
+        """Radius at which what slides turns; None where the layout states none."""
+        return None if self.rig is None else self.rig.lever_mm
 
     def database(self, folder: Path) -> Path | None:
         """The place of `dbc`, which is relative to `folder` as the files are."""
@@ -115,6 +129,8 @@ class Mapping(_Part):
         found += [f"{c.role} ({c.source}): {c.doubt}" for c in self.channels if c.doubt]
         if self.trials.doubt:
             found.append(f"trials: {self.trials.doubt}")
+        if self.layout.doubt:
+            found.append(f"layout: {self.layout.doubt}")
         return found
 
     def lacks(self) -> list[str]:
@@ -128,13 +144,21 @@ class Mapping(_Part):
         for name, clock in self.clocks.items():
             if clock.rate_hz is None and (clock.source is None or clock.unit is None):
                 found.append(f"clocks.{name}: neither a column with its unit nor rate_hz is known; write one")
+        sliding = [c for c in self.channels if c.unit and needs_lever(unit_of(c.unit))]
+        if sliding and self.lever_mm is None:
+            told = ", ".join(f"{c.role} in {c.unit}" for c in sliding)
+            found.append(
+                f"rig.lever_mm: {told}: the model turns; give the lever in mm that makes it angle or torque"
+                f" (--lever): the pinion's radius, or {USUAL_LEVER_MM:g} for an axis without one"
+            )
         if not any(c.role == BASE for c in self.channels):
             found.append(f"channels: no {BASE}; it drives the model")
         if all(c.role in (BASE, TIP_TORQUE) for c in self.channels):
             found.append("channels: neither torque nor an angle of the needle; there is nothing to compare")
         if self.rig is None:
             found.append(
-                "rig: what the shaft looks like is not known; give a file with its layout, or write `rig`"
+                "rig: what the shaft looks like is not known; give a file with its layout, name the machine,"
+                " or write `rig`"
             )
         return found
 
@@ -152,6 +176,7 @@ class Mapping(_Part):
                     for c in self.channels
                 ),
                 "trials": self.trials.model_copy(update=taken(self.trials.why, self.trials.doubt)),
+                "layout": self.layout.model_copy(update=taken(self.layout.why, self.layout.doubt)),
             }
         )
 
@@ -194,7 +219,12 @@ def _check(mapping: Mapping, places: Places) -> None:
             choices = ", ".join([BASE, TORQUE, TIP_TORQUE, *sorted(sensors or ())])
             raise places.error(("channels", k, "role"), f"{channel.role} is none of {choices}")
         if channel.unit is not None:
-            _unit(channel.unit, (dimension_of(channel.role),), places, ("channels", k, "unit"))
+            unit = _unit(channel.unit, dimensions_of(channel.role), places, ("channels", k, "unit"))
+            if unit.dimension in SUMMED and channel.zero == "start":
+                raise places.error(
+                    ("channels", k, "zero"),
+                    f"{channel.source} is a speed, whose zero no start shows; write its reading at rest or 0",
+                )
     trials = mapping.trials
     if trials.at == "column" and (trials.source is None or trials.clock not in mapping.clocks):
         raise places.error(("trials",), "cut at a column: write its `source` and `clock`")
@@ -221,9 +251,9 @@ def _unit(text: str, dimensions: tuple[str, ...], places: Places, path: tuple[st
     return unit
 
 
-def dimension_of(role: str) -> str:
-    """Dimension of a role: torque or angle."""
-    return "torque" if role in (TORQUE, TIP_TORQUE) else "angle"
+def dimensions_of(role: str) -> tuple[str, ...]:
+    """Dimensions that a channel of this role can be recorded in."""
+    return OF_TORQUE if role in (TORQUE, TIP_TORQUE) else OF_ANGLE
 
 
 def write_mapping(mapping: Mapping, path: Path, folder: Path) -> None:

@@ -31,6 +31,8 @@ OTHER = re.compile(
     r".*(vel|speed|omega|\brate|current|curr\b|strom|volt|temp|force|\bf[xyz]\b|depth|index|counter|count$|sample|"
     r"accel|pwm|status|flag|comment|error|seq|row|\bm[xy]\b|\bt[xy]\b).*"
 )
+RATE = re.compile(r".*(vel|speed|omega|\brate|drehzahl|\bd?q?dot\b|rpm).*")
+"""Of what turns or slides."""
 TRIAL = re.compile(
     r"(trial|run|cycle|rep|repetition|versuch|segment|block|experiment|test)s?[\s_-]?(id|no|nr|num|number|index)?\.?"
 )

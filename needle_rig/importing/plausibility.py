@@ -13,14 +13,12 @@ from needle_rig.importing import signals
 from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE
 from needle_rig.importing.signals import CLEAR_LAG, CLEAR_WORK
 from needle_rig.numerics import Array
+from needle_rig.physics.machine import MACHINES, NEEDLE, Machine
 from needle_rig.physics.rod import Layout
 
-FASTEST_DEG_S = 1500.0
-"""250 rpm: ten times what needle drives do."""
 LEAST_FOLLOWED, MOST_FOLLOWED = 0.02, 1.3
 """Share of the base's travel that a sensor on the needle sees; above 1 by noise and overshoot alone."""
 SLOWEST_IN_TRIAL_DEG_S = 0.05
-LARGEST_IN_TRIAL_DEG = 3600.0
 MOVING_SHARE = 0.2
 """Of the largest rate: slower samples are of a reversal, where friction changes."""
 LEAST_CARRIED = 0.3
@@ -46,11 +44,15 @@ class Problem:
 
 
 def impossible(
-    trials: Sequence[DatasetTrial], sensors: Sequence[str], layout: Layout, needle: Needle
+    trials: Sequence[DatasetTrial],
+    sensors: Sequence[str],
+    layout: Layout,
+    needle: Needle,
+    machine: Machine = MACHINES[NEEDLE],
 ) -> list[Problem]:
-    """Everything that no needle does, over all trials; empty when there is nothing."""
+    """Everything that no such machine does, over all trials; empty when there is nothing."""
     base = [t.trial.base_angle_rad - t.trial.base_angle_rad[0] for t in trials]
-    found = list(_base(trials, base))
+    found = list(_base(trials, base, machine))
     torque = [_from_start(t.torque_nm, b) for t, b in zip(trials, base, strict=True)]
     if any(np.isfinite(x).any() for x in torque):
         work = _weighed([signals.work_share(b, x) for b, x in zip(base, torque, strict=True)], base)
@@ -74,19 +76,18 @@ def impossible(
     return found
 
 
-def _base(trials: Sequence[DatasetTrial], base: Sequence[Array]) -> Iterator[Problem]:
+def _base(trials: Sequence[DatasetTrial], base: Sequence[Array], machine: Machine) -> Iterator[Problem]:
     rate = math.degrees(max(signals.peak_rate(t.trial.time_s, b) for t, b in zip(trials, base, strict=True)))
     reach = math.degrees(max(float(np.abs(b).max()) for b in base))
     if reach == 0.0:
         yield Problem(BASE, "base_angle never changes; nothing drives the needle: is it the right column?")
-    elif reach > LARGEST_IN_TRIAL_DEG or rate > FASTEST_DEG_S:
+    elif reach > machine.largest_deg or rate > machine.fastest_deg_s:
         yield Problem(
             BASE,
             (
-                f"base_angle reaches {reach:.4g}° at {rate:.4g}°/s, limits are {LARGEST_IN_TRIAL_DEG:g}° and "
-                f"{FASTEST_DEG_S:g}°/s: is it in degrees where the mapping says radians (57.3 times too "
-                f"large), "
-                "or is its clock in milliseconds?"
+                f"base_angle reaches {reach:.4g}° at {rate:.4g}°/s, limits are {machine.largest_deg:g}° and "
+                f"{machine.fastest_deg_s:g}°/s: is it in degrees where the mapping says radians (57.3 times "
+                "too large), or is its clock in milliseconds?"
             ),
             of_size=True,
         )

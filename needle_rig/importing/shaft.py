@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from needle_rig.config.check import validate
@@ -12,9 +13,13 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.places import read_yaml, show_path
 from needle_rig.dataset.description import NeedlePart, RigPart, SensorPart, layout_of
 from needle_rig.errors import BadInput
+from needle_rig.physics.machine import MachineName
 
 RIG_FORMATS = ("needle-rig/1", "needle-rig-dataset/1", "needle-rig-settled/1", "needle-rig-import/1")
 """A rig file, and those that tell the shaft below `rig`."""
+LINE_MM = 100.0
+"""Of a machine that is no needle. Only friction over rigidity shows, so any length serves; with this one
+friction per 100 mm is that of the whole machine."""
 
 
 def read_rig(path: Path) -> RigPart:
@@ -40,6 +45,17 @@ def read_rig(path: Path) -> RigPart:
             raise places.error((), f"{key}: unknown key of a layout; remove it")
     layout_of(rig, places)
     return rig
+
+
+def line_of(name: MachineName, sensors: Sequence[str]) -> RigPart:
+    """A layout that fits a machine: a line of unknown rigidity that rubs all along, angles at its far end."""
+    return RigPart(
+        machine=name,
+        needle=NeedlePart(torsional_rigidity_nmm2="unknown"),
+        tissue_sections_mm=((0.0, LINE_MM),),
+        needle_length_mm=LINE_MM,
+        hall_sensors=tuple(SensorPart(name=sensor, position_mm=LINE_MM) for sensor in sensors),
+    )
 
 
 def _of_rig_file(path: Path) -> RigPart:

@@ -72,7 +72,7 @@ def cuts_of(
         edges = [0, *(np.flatnonzero(np.diff(value)) + 1).tolist(), len(rows_s)]
         return list(pairwise(edges)), []
     si = table.copy()
-    to_si(si, parts, sensors)
+    to_si(si, parts, sensors, mapping.lever_mm)
     return at_rests(si[:, : 3 + len(sensors)])
 
 

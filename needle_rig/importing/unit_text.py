@@ -13,17 +13,21 @@ _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)"
 
 @dataclass(frozen=True)
 class Unit:
-    """One unit: `si` is what one of it is in s, rad or N·m; `text` is how it is written here."""
+    """One unit: `si` is what one of it is in SI, angles in rad; `text` is how it is written here."""
 
     text: str
     dimension: Dimension
-    """other: a unit that is known to be none of time, angle and torque."""
+    """other: a unit that is known to be none of those that a channel can have."""
     si: float
 
 
 NAMED = {
     "time": ("s", "ms", "µs", "ns", "min", "h"),
     "angle": ("deg", "rad", "mrad", "turn", "arcmin"),
+    "rate": ("rad/s", "deg/s", "rpm"),
+    "length": ("mm", "m"),
+    "speed": ("mm/s", "m/s"),
+    "force": ("N", "kN"),
     "torque": ("N·m", "N·cm", "N·mm", "mN·m", "µN·m", "ozf·in", "lbf·in", "lbf·ft", "gf·cm", "kgf·cm"),
 }
 """What an error offers, by dimension; any other unit of it that pint knows serves as well."""
@@ -40,11 +44,11 @@ _WORDS = {
     "mrad": "mrad", "mrads": "mrad", "milliradian": "mrad", "milliradians": "mrad",
     "turn": "turn", "turns": "turn", "rev": "turn", "revs": "turn", "revolution": "turn",
     "revolutions": "turn", "arcmin": "arcmin",
+    "rpm": "rpm", "rev/min": "rpm", "u/min": "rpm", "1/min": "rpm", "min-1": "rpm", "min^-1": "rpm",
+    "rev/s": "turn/s", "rps": "turn/s", "mm": "mm",
 }  # fmt: skip
-"""The field's spellings of times and angles in small letters, as pint has them."""
-_OTHER = frozenset(
-    {"%", "v", "volts", "a", "amps", "hz", "khz", "lsb", "cts", "ticks", "steps", "raw", "rpm", "c"}
-)
+"""The field's spellings of times, angles and rates in small letters, as pint has them."""
+_OTHER = frozenset({"%", "v", "volts", "a", "amps", "hz", "khz", "lsb", "cts", "ticks", "steps", "raw", "c"})
 """What columns of raw readings are in, which is no unit in pint, or another one there."""
 COUNTED = frozenset(
     {"count", "counts", "cts", "lsb", "tick", "ticks", "step", "steps", "raw", "v", "mv", "volt", "volts"}

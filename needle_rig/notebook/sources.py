@@ -70,18 +70,23 @@ def import_recording(
     out: PathLike,
     layout: PathLike | None = None,
     dbc: PathLike | None = None,
+    machine: str | None = None,
+    lever_mm: float | None = None,
     accept_doubts: bool = False,
 ) -> Data:
     """Recordings of another laboratory as a new dataset folder `out`, which keeps the mapping.
 
     A mapping (YAML) among `files` says what is what; without one it is guessed. `layout` says what the shaft
-    looks like, `dbc` decodes logs of a CAN bus that is not this rig's. A guess with doubts is refused, doubt
-    by doubt, unless `accept_doubts`. Raises BadInput.
+    looks like, or `machine` which other machine it is (joint, cable, shaft, linear); `lever_mm` is the radius
+    of what slides. `dbc` decodes logs of a CAN bus that is not this rig's. A guess with doubts is refused,
+    doubt by doubt, unless `accept_doubts`. Raises BadInput.
     """
     target = Path(out)
     if os.path.lexists(target):
         raise BadInput(f"{target}: exists already; name another folder with out or remove it first")
-    found = Understand(files=files, name=target.resolve().name, layout=layout, dbc=dbc).answer(at_work())
+    found = Understand(
+        files=files, name=target.resolve().name, layout=layout, dbc=dbc, machine=machine, lever_mm=lever_mm
+    ).answer(at_work())
     waiting = found.lacks() if accept_doubts else [*found.lacks(), *found.doubts()]
     if waiting:
         accept = "" if found.lacks() else ", or take the guess as it is with accept_doubts=True"

@@ -163,6 +163,8 @@ class Effect:
     model knows them, and asks `check_for`.
     """
 
+    part: ClassVar[str] = ""
+    """Part of a machine that it acts in (`machine.MACHINES`); empty for one that every machine has."""
     relatives: ClassVar[tuple[str, ...]] = ()
     """Effects that look alike."""
     limits: ClassVar[dict[str, dict[str, float]]] = {}

@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from needle_rig.errors import BadInput
 from needle_rig.questions.doing import SILENT, Doing
+from needle_rig.questions.fields import Within
 from needle_rig.questions.question import PathLike, Request
 
 if TYPE_CHECKING:
@@ -75,12 +76,17 @@ class Understand(Request):
     """File with the shaft, which takes the place of a mapping's own."""
     dbc: PathLike | None = None
     """Database of the CAN bus, of logs of which is read; without it this rig's own, or a mapping's."""
+    machine: str | None = None
+    """Kind of machine, whose layout is written where none is given."""
+    lever_mm: Annotated[float, Within(1e-3, 1e5)] | None = None
+    """Radius at which what slides turns."""
 
     def answer(self, doing: Doing = SILENT) -> Understood:
         """Raises BadInput."""
         from needle_rig.importing import Recordings
         from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
         from needle_rig.importing.campaign import MAPPING, campaign_in, is_campaign
+        from needle_rig.physics.machine import machine_called
 
         root, layout = Path(self.folder), None if self.layout is None else Path(self.layout)
         files = [root / file for file in self.files]
@@ -94,6 +100,7 @@ class Understand(Request):
         if not files:
             raise BadInput("there is no recording; give one, or a mapping")
         dbc = None if self.dbc is None else Path(self.dbc)
+        machine = None if self.machine is None else machine_called(self.machine)
         recordings = Recordings()
         left: tuple[str, ...] = ()
         for folder in folders:
@@ -103,8 +110,8 @@ class Understand(Request):
             left += found.left
         if named:
             doing.say("reading the mapping")
-            mapping, folder = given_mapping(named[0], others, layout, recordings, dbc)
+            mapping, folder = given_mapping(named[0], others, layout, recordings, dbc, machine, self.lever_mm)
             return Understood(mapping, folder, True, recordings, left)
         doing.say("reading the recordings")
-        mapping = guessed_mapping(others, self.name, layout, recordings, root, dbc)
+        mapping = guessed_mapping(others, self.name, layout, recordings, root, dbc, machine, self.lever_mm)
         return Understood(mapping, root, False, recordings, left)

@@ -45,6 +45,8 @@ NAMES = [
     "chuck_backlash",
     "chuck_inertia",
     "bearing_drag",
+    "gear_backlash",
+    "rotor_inertia",
     "bending_torque",
     "direction_asymmetry",
     "friction_wear",

@@ -436,7 +436,8 @@ def test_a_mapping_with_a_mistake_says_where(tmp_path: Path, rig: RigPart, table
     mapping = mapped(written(tmp_path / "log.csv", table), rig)
     told = mapping.model_dump(mode="json")
     for change, said in (
-        ({"unit": "furlong"}, "is no unit of angle"),
+        ({"unit": "kelvin"}, "is no unit of angle or rate or length or speed"),
+        ({"unit": "rad/s", "zero": "start"}, "is a speed, whose zero no start shows"),
         ({"clock": "wall"}, "wall is no clock of this file"),
         ({"role": "hall_9"}, "hall_9 is none of"),
         ({"colour": "red"}, "unknown key"),

@@ -15,18 +15,29 @@ from needle_rig.importing import names
 from needle_rig.importing.guess.channels import channels_of
 from needle_rig.importing.guess.clocks import clock_of, doubt_speed, is_even, on_one_clock
 from needle_rig.importing.guess.kinds import kind_of
+from needle_rig.importing.guess.known import Known
 from needle_rig.importing.guess.series import Series, series_of
-from needle_rig.importing.guess.trials import AT_RESTS, rate_of_dataset, trials_of
+from needle_rig.importing.guess.trials import AT_RESTS, known_start, rate_of_dataset, trials_of
 from needle_rig.importing.mapping import ClockPart, FilePart, Mapping, NotUsedPart, TrialsPart
 from needle_rig.importing.recording import Column, Recording
+from needle_rig.physics.machine import MachineName
 
 
-def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folder: Path) -> Mapping:
+def guess(
+    recordings: Sequence[Recording],
+    name: str,
+    rig: RigPart | None,
+    folder: Path,
+    machine: MachineName | None = None,
+    lever_mm: float | None = None,
+) -> Mapping:
     """The mapping of `recordings`: files with the same columns are one recording after the other.
 
-    `rig` says what the shaft looks like, where it is known; paths are written relative to `folder`. Raises
-    BadInput when there is nothing that could be the base's angle.
+    `rig` says what the shaft looks like, where it is known; else one of `machine` is written, or of what the
+    channels look like. `lever_mm` is the radius of what slides; paths are written relative to `folder`.
+    Raises BadInput when there is nothing that could be the base's angle.
     """
+    known = Known(rig, machine, lever_mm or (rig.lever_mm if rig else None))
     recordings = [part for recording in recordings for part in recording.repeats()]
     if not any(r.tables() for r in recordings):
         told = "; ".join(f"{c.name}: {c.fault}" for r in recordings for c in r.columns)
@@ -79,13 +90,15 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
         )
     trials, series = trials_of(series)
     clocks, series = on_one_clock(clocks, series)
-    channels, reasons = channels_of(series, rig, recordings, why)
+    channels, reasons = channels_of(series, known, recordings, why)
     why |= reasons
     clocks = {k: v for k, v in clocks.items() if any(c.clock == k for c in channels)}
     if trials.clock is not None and trials.clock not in clocks:
         why[trials.clock, trials.source or ""] = "numbers trials on a clock without any channel"
         trials = TrialsPart(at="rests", why=AT_RESTS)
-    clocks = doubt_speed(clocks, channels, series)
+    clocks = doubt_speed(clocks, channels, series, known.machine, known.lever_mm)
+    rig, layout = known.layout(channels)
+    trials = known_start(trials, channels[0], series, rig, known.lever_mm)
     used = {(c.clock, c.source) for c in channels} | {(k, c.source) for k, c in clocks.items()}
     used.add((trials.clock or "", trials.source))
     return Mapping(
@@ -100,6 +113,7 @@ def guess(recordings: Sequence[Recording], name: str, rig: RigPart | None, folde
             if key not in used
         ),
         rig=rig,
+        layout=layout,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 from needle_rig.importing import names
+from needle_rig.importing.axes import OF_ANGLE
 from needle_rig.importing.guess.generic_shaft import Driver
 from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import Series, is_copy
@@ -224,7 +225,7 @@ class _Columns:
 
 
 def _is_angle(s: Series) -> bool:
-    return kind_of(s.column)[0] == "angle"
+    return kind_of(s.column)[0] in OF_ANGLE
 
 
 def _base_rank(s: Series) -> int:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from needle_rig.config.places import show_path
-from needle_rig.dataset.description import RigPart
 from needle_rig.errors import BadInput
 from needle_rig.importing import names, signals
+from needle_rig.importing.axes import OF_ANGLE, OF_TORQUE, SUMMED, size_si, summed
 from needle_rig.importing.guess.assignment import Choice, assign
 from needle_rig.importing.guess.kinds import kind_of, sensor_roles
+from needle_rig.importing.guess.known import Known
 from needle_rig.importing.guess.series import (
     FEWEST,
     Series,
@@ -29,6 +32,7 @@ from needle_rig.importing.signals import CLEAR_WORK
 from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
 
+SLIDES = ("length", "speed")
 Reasons = dict[tuple[str, str], str]
 """By clock and name of a column."""
 WEAK = 0.4
@@ -36,16 +40,17 @@ WEAK = 0.4
 
 
 def channels_of(
-    series: Sequence[Series], rig: RigPart | None, recordings: Sequence[Recording], left: Reasons
+    series: Sequence[Series], known: Known, recordings: Sequence[Recording], left: Reasons
 ) -> tuple[list[ChannelPart], Reasons]:
     """The channels of all series, and for each series why it is none, should it be none.
 
-    `left` are the reasons of columns that are no series, for an error.
+    `known` is what a person said of the machine, `left` the reasons of columns that are no series, for an
+    error.
 
     Raises BadInput when there is nothing that could be the base's angle.
     """
-    of_kind: dict[str, list[Series]] = {"angle": [], "torque": [], "": [], "other": []}
-    why: Reasons = {}
+    of_kind: defaultdict[str, list[Series]] = defaultdict(list)
+    rig, why = known.rig, Reasons()
     for s in series:
         kind, reason = kind_of(s.column)
         count = int(np.isfinite(s.values).sum())
@@ -55,7 +60,8 @@ def channels_of(
             kind, reason = "other", "never changes"
         of_kind[kind].append(s)
         why[key_of(s)] = reason
-    angles, torques, unnamed = of_kind["angle"], of_kind["torque"], of_kind[""]
+    unnamed = of_kind[""]
+    angles, torques = _axes(of_kind, known)
     if not angles and not unnamed:
         told = "; ".join(f"{name}: {reason}" for (_, name), reason in {**why, **left}.items())
         raise BadInput(
@@ -77,20 +83,22 @@ def channels_of(
         else:
             together = signals.follow_sign(base.values, values_at(base, s))
             why[key_of(s)] = f"does not move with {base.column.name} (correlation {together:.2f})"
-    unit = base_unit(base, sensors)
+    unit = base_unit(base, sensors, known.machine)
     channels = [
         ChannelPart(
             role=BASE,
             clock=base.clock,
             source=base.column.name,
             unit=None if unit.unit is None else unit.unit.text,
-            zero="start",
+            zero=_zero(base),
             why="; ".join(filter(None, (found.base.told, unit.why))),
             doubt="; ".join(filter(None, (found.base.doubt, _against_its_name(base), unit.doubt))),
         )
     ]
     roles = sensor_roles(sensors, base, rig)
-    base_si = None if unit.unit is None else from_start(base) * unit.unit.si
+    base_si = None if unit.unit is None else from_start(base) * size_si(unit.unit, known.lever_mm)
+    if base_si is not None and not np.isfinite(base_si).any():
+        base_si = None
     for s, (role, said, doubt) in zip(sensors, roles, strict=True):
         if role is not None:
             channels.append(_sensor(s, role, base, base_si, said, doubt))
@@ -100,17 +108,39 @@ def channels_of(
         rest = [s for s in torques if s is not torque.series]
         for s in rest:
             why[key_of(s)] = f"a torque, and {torque.series.column.name} is taken for that of the base"
-        channels.append(_torque_channel(torque, base, base_si, sensors, channels, rig))
+        channels.append(_torque_channel(torque, base, base_si, sensors, channels, known))
         at_tip = [s for s in rest if names.says(s.column.name, names.TIP)]
         if len(at_tip) == 1:
             channels.append(_tip_torque_channel(at_tip[0]))
     return channels, why
 
 
+def _axes(of_kind: Mapping[str, list[Series]], known: Known) -> tuple[list[Series], list[Series]]:
+    """What turns, or else what becomes a turn, and the torques or else the forces; speeds are summed up."""
+    slides = known.slides
+    for kind in (*(SLIDES if slides else ()), "angle", "rate", *(() if of_kind.get("") else SLIDES)):
+        moving = of_kind.get(kind, [])
+        if moving:
+            break
+    else:
+        return [], of_kind.get("torque", [])
+    if kind in SUMMED:
+        moving = [replace(s, values=summed(s.time_s, s.values)) for s in moving]
+    torques, forces = of_kind.get("torque", []), of_kind.get("force", [])
+    if kind in SLIDES or (known.lever_mm is not None and not torques):
+        return moving, forces or torques
+    return moving, torques
+
+
+def _zero(s: Series) -> float | Literal["start"]:
+    """What a channel counts from: its start, but for a speed, which no start tells."""
+    return 0.0 if kind_of(s.column)[0] in SUMMED else "start"
+
+
 def _against_its_name(base: Series) -> str:
     """What is asked of a base whose name and unit do not say that it is one."""
     name = base.column.name
-    if kind_of(base.column)[0] != "angle":
+    if kind_of(base.column)[0] not in OF_ANGLE:
         return "neither its name nor its unit says that it is an angle"
     if names.says(name, names.SENSOR) and not names.is_base(name):
         return "its name is that of a sensor on the needle; is it the base's encoder?"
@@ -137,7 +167,7 @@ def _sensor(s: Series, role: str, base: Series, base_si: Array | None, why: str,
         source=s.column.name,
         unit=None if unit.unit is None else unit.unit.text,
         sign=sign,
-        zero="start",
+        zero=_zero(s),
         why="; ".join(filter(None, (why, unit.why, turned))),
         doubt="; ".join(filter(None, (doubt, unit.doubt, weak))),
     )
@@ -162,7 +192,7 @@ def _torque_channel(
     base_si: Array | None,
     sensors: Sequence[Series],
     channels: Sequence[ChannelPart],
-    rig: RigPart | None,
+    known: Known,
 ) -> ChannelPart:
     s = choice.series
     work = signals.work_share(from_start(base), torque_from_start(base, s))
@@ -174,12 +204,12 @@ def _torque_channel(
         doubts.append(
             f"torque and angle agree in sign for {50 + 50 * work:.0f} % of the work; check the sign"
         )
-    named = names.says(s.column.name, names.TORQUE) or written_dimension(s.column) == "torque"
+    named = names.says(s.column.name, names.TORQUE) or written_dimension(s.column) in OF_TORQUE
     if not named:
         doubts.append("neither name nor unit says that it is a torque")
     if choice.doubt:
         doubts.append(choice.doubt)
-    unit = torque_unit(s, base_si, sensors, base, channels, rig)
+    unit = torque_unit(s, base_si, sensors, base, channels, known.rig)
     if unit.doubt:
         doubts.append(unit.doubt)
     agreed = (
@@ -193,7 +223,7 @@ def _torque_channel(
         source=s.column.name,
         unit=None if unit.unit is None else unit.unit.text,
         sign=1 if work >= 0 else -1,
-        zero="start",
+        zero=known.torque_zero,
         why="; ".join(filter(None, (choice.told, unit.why, agreed))),
         doubt="; ".join(doubts),
     )

@@ -8,14 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from needle_rig.importing import names, signals
+from needle_rig.importing.axes import size_si
 from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import COMMON, Series, UnitGuess, written_dimension
 from needle_rig.importing.mapping import ChannelPart, ClockPart, FilePart
 from needle_rig.importing.messages import STAMP
-from needle_rig.importing.plausibility import FASTEST_DEG_S
 from needle_rig.importing.recording import Column, Recording
 from needle_rig.importing.unit_text import known_unit, unit_of
 from needle_rig.numerics import Array
+from needle_rig.physics.machine import Machine
 
 FASTEST_HZ = 200_000.0
 """Above any data logger of a needle; a millisecond taken for a second, or the reverse, is a factor 1000."""
@@ -206,16 +207,20 @@ def _smooth_same(values: Array) -> Array:
 
 
 def doubt_speed(
-    clocks: dict[str, ClockPart], channels: Sequence[ChannelPart], series: Sequence[Series]
+    clocks: dict[str, ClockPart],
+    channels: Sequence[ChannelPart],
+    series: Sequence[Series],
+    machine: Machine,
+    lever_mm: float | None,
 ) -> dict[str, ClockPart]:
-    """A doubt on the base's clock when the base then turns too slowly or too fast."""
+    """A doubt on the base's clock when the base then turns too slowly or too fast for the machine."""
     base = channels[0]
     part = clocks[base.clock]
     s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
     if base.unit is None or part.doubt or (part.unit is None and part.rate_hz is None):
         return clocks
-    rate = signals.peak_rate(s.time_s, s.values) * math.degrees(known_unit(base.unit).si)
-    if SLOWEST_DEG_S <= rate <= FASTEST_DEG_S:
+    rate = signals.peak_rate(s.time_s, s.values) * math.degrees(size_si(known_unit(base.unit), lever_mm))
+    if not math.isfinite(rate) or SLOWEST_DEG_S <= rate <= machine.fastest_deg_s:
         return clocks
     doubt = f"the base would turn at {rate:.3g}°/s; is the unit of time right?"
     return {**clocks, base.clock: part.model_copy(update={"doubt": doubt})}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from needle_rig.dataset.description import RigPart
 from needle_rig.importing import names
+from needle_rig.importing.axes import OF_ANGLE, OF_TORQUE
 from needle_rig.importing.guess.series import Series, lag_of, written_dimension
 from needle_rig.importing.recording import Column
 from needle_rig.importing.signals import CLEAR_LAG
@@ -11,21 +12,26 @@ from needle_rig.importing.unit_text import is_counted
 
 
 def kind_of(column: Column) -> tuple[str, str]:
-    """Kind of a column: angle, torque, other, or empty where neither name nor unit says it; and the reason.
+    """Kind of a column: what it measures, other, or empty where neither name nor unit says it; with reason.
 
-    A torque or an angle by name whose unit is not known stays one: its unit is asked.
+    Kinds are the dimensions of units. A torque or an angle by name whose unit is not known stays one: its
+    unit is asked.
     """
     dimension, name, unit = written_dimension(column), column.name, column.unit
     if names.says(name, names.COMMAND):
         return "other", "called what was commanded, and what was measured is asked for"
     if dimension in ("angle", "torque"):
         return dimension, f"unit {unit!r}"
+    if dimension in (*OF_ANGLE, *OF_TORQUE):
+        return dimension, f"its unit {unit} is that of a {dimension}, and other columns tell angle and torque"
     torque = names.says(name, names.TORQUE)
     angle = any(names.says(name, p) for p in (names.ANGLE, names.BASE, names.SENSOR))
     if dimension and not is_counted(unit):
         return "other", f"its unit {unit} is neither one of an angle nor of a torque"
     if torque:
         return "torque", "name"
+    if names.says(name, names.RATE) and not unit:
+        return "rate", "called a speed, and other columns tell the angle"
     if names.says(name, names.OTHER):
         return "other", "called what is neither an angle nor a torque"
     if angle:

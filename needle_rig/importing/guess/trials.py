@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from needle_rig.dataset.description import RigPart
+from needle_rig.dataset.samples import AT_REST_DEG_S, rest_rate_deg_s
 from needle_rig.dataset.table import MAX_SAMPLES
 from needle_rig.importing import names
+from needle_rig.importing.axes import SUMMED, USUAL_LEVER_MM, size_si, summed
 from needle_rig.importing.guess.series import Series
 from needle_rig.importing.mapping import ChannelPart, TrialsPart
+from needle_rig.importing.unit_text import unit_of
+from needle_rig.physics.machine import NEEDLE
 
 AT_RESTS = "cut where the base rests as it stood at the start, without torque or twist"
 
@@ -40,3 +46,27 @@ def rate_of_dataset(series: Sequence[Series], channels: Sequence[ChannelPart]) -
     allowed = min(MAX_SAMPLES / length_s, rows / length_s)
     nice = [m * 10.0**e for e in range(-3, 6) for m in (1.0, 2.0, 5.0)]
     return max(r for r in nice if r <= allowed)
+
+
+def known_start(
+    trials: TrialsPart,
+    base: ChannelPart,
+    series: Sequence[Series],
+    rig: RigPart | None,
+    lever_mm: float | None,
+) -> TrialsPart:
+    """How the line is at first: a needle is relaxed, another machine wound where its base turns already.
+
+    One that turns already is one trial whole: it may come by its first angle at any speed.
+    """
+    unit = unit_of(base.unit or "")
+    if rig is None or rig.machine == NEEDLE or unit is None or trials.at == "column":
+        return trials
+    s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
+    if unit.dimension in SUMMED:
+        s = replace(s, values=summed(s.time_s, s.values))
+    angle_rad = s.values * base.scale * size_si(unit, lever_mm or USUAL_LEVER_MM)
+    known = np.isfinite(angle_rad) & np.isfinite(s.time_s)
+    if known.sum() < 2 or abs(rest_rate_deg_s(s.time_s[known], angle_rad[known])) <= AT_REST_DEG_S:
+        return trials
+    return TrialsPart(at="whole", start="wound", why="the base turns already when the recording begins")

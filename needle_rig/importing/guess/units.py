@@ -9,6 +9,8 @@ import numpy as np
 
 from needle_rig.dataset.description import RigPart, needle_of
 from needle_rig.importing import signals
+from needle_rig.importing.axes import SLIDING, SUMMED
+from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import (
     Series,
     UnitGuess,
@@ -19,9 +21,10 @@ from needle_rig.importing.guess.series import (
     written_dimension,
 )
 from needle_rig.importing.mapping import ChannelPart
-from needle_rig.importing.plausibility import FASTEST_DEG_S, LEAST_FOLLOWED, MOST_FOLLOWED, expected_torque_nm
+from needle_rig.importing.plausibility import LEAST_FOLLOWED, MOST_FOLLOWED, expected_torque_nm
 from needle_rig.importing.unit_text import Unit, known_unit, unit_of
 from needle_rig.numerics import Array
+from needle_rig.physics.machine import Machine
 
 TORQUE_UNITS = ("N·m", "N·cm", "N·mm", "µN·m")
 """Units in which torques of needles are written."""
@@ -31,7 +34,8 @@ LEAST_TWIST_RAD = math.radians(2.0)
 """Below it the sensors' noise is the twist."""
 FIRST_DEG = 5.0
 """Part of the base's first motion over which stiffness is taken, before much of the shaft slips."""
-LARGEST_DEG = 1800.0
+LARGEST_ROUND_DEG = 1800.0
+"""Beyond it any level is within the tolerance of a round one."""
 SMALLEST_DEG = 3.0
 """A base that turns less winds nothing up that a model could be held against."""
 ROUND = 0.75
@@ -40,8 +44,11 @@ LEAST_RADIANS = 0.6
 """A range without unit that is below it can be radians or turns: 34° or 216°."""
 
 
-def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
+def base_unit(base: Series, sensors: Sequence[Series], machine: Machine) -> UnitGuess:
     """Unit of the base's angle: as written, or from its range, its speed and its round targets."""
+    other = _of_another_axis(base)
+    if other is not None:
+        return other
     written = unit_of(base.column.unit)
     if written is None and base.column.unit:
         return UnitGuess(None, "", unknown_unit(base.column.unit, "deg"))
@@ -56,8 +63,9 @@ def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
     fitting, round_share = [], {}
     for text in ("deg", "rad", "turn"):
         degrees = math.degrees(known_unit(text).si)
-        round_share[text] = signals.roundness(at * degrees)
-        if SMALLEST_DEG <= peak * degrees <= LARGEST_DEG and rate * degrees <= FASTEST_DEG_S:
+        round_share[text] = signals.roundness(at * degrees) if peak * degrees <= LARGEST_ROUND_DEG else 0.0
+        reach, turns = peak * degrees, rate * degrees
+        if SMALLEST_DEG <= reach <= machine.largest_deg / 2 and turns <= machine.fastest_deg_s:
             fitting.append(text)
     rounds = [u for u in fitting if round_share[u] >= ROUND]
     # Turns are written as such, or are seen by their round degrees; as a range alone they are a radian's.
@@ -66,7 +74,7 @@ def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
     if written is not None and written.dimension == "angle":
         degrees = math.degrees(written.si)
         better = [u for u in rounds if u != written.text]
-        if not (1.0 <= peak * degrees <= 2 * LARGEST_DEG) or rate * degrees > FASTEST_DEG_S:
+        if not (1.0 <= peak * degrees <= machine.largest_deg) or rate * degrees > machine.fastest_deg_s:
             likely = next(iter(rounds or fitting), None)
             return UnitGuess(
                 written,
@@ -118,6 +126,19 @@ def base_unit(base: Series, sensors: Sequence[Series]) -> UnitGuess:
     return UnitGuess(None, "", f"the unit is not written; {' or '.join(fitting)} would do")
 
 
+def _of_another_axis(s: Series) -> UnitGuess | None:
+    """What is said of a speed, and of what slides; None for an angle."""
+    written = unit_of(s.column.unit)
+    if kind_of(s.column)[0] in SUMMED and written is None:
+        return UnitGuess(None, "", "the unit of this speed is not written; write rad/s, deg/s or rpm")
+    if written is None or written.dimension not in (*SUMMED, *SLIDING):
+        return None
+    ways = [f"unit {s.column.unit!r}"]
+    ways += ["integrated over time"] if written.dimension in SUMMED else []
+    ways += ["over the lever"] if written.dimension in SLIDING else []
+    return UnitGuess(written, ", ".join(ways))
+
+
 def unknown_unit(text: str, example: str) -> str:
     """What is asked of a unit that is written and not known."""
     return (
@@ -132,6 +153,9 @@ def _told(degrees: Array) -> str:
 
 def sensor_unit(s: Series, base_si: Array | None) -> UnitGuess:
     """Unit of an angle on the needle: as written, or from its share of the base's travel (rad)."""
+    other = _of_another_axis(s)
+    if other is not None:
+        return other
     written = unit_of(s.column.unit)
     if base_si is None:
         angle = written if written is not None and written.dimension == "angle" else None
@@ -179,6 +203,8 @@ def torque_unit(
     written = unit_of(s.column.unit)
     if written is None and s.column.unit:
         return UnitGuess(None, "", unknown_unit(s.column.unit, "N·mm"))
+    if written is not None and written.dimension == "force":
+        return UnitGuess(written, f"unit {s.column.unit!r}, over the lever")
     if written is not None and written.dimension == "other":
         return UnitGuess(
             None, "", f"its unit is {s.column.unit}; write `unit` and `scale` of its calibration"

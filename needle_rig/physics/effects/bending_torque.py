@@ -21,6 +21,7 @@ from needle_rig.units import N_PER_NMM_PER_100MM
 class BendingTorque(Effect):
     """Once-a-turn torque along the tissue."""
 
+    part = "needle"
     relatives = ("direction_asymmetry", "torque_bias", "hall_eccentricity")
 
     sine_nmm_per_100mm: float = parameter(

@@ -10,9 +10,8 @@ Shows best: the first degrees of a reversal: the torque stays flat for the width
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from needle_rig.numerics import Array
+from needle_rig.physics.base_motion import after_play
 from needle_rig.physics.effect import Effect, Trial, parameter
 from needle_rig.units import rad
 
@@ -21,6 +20,7 @@ from needle_rig.units import rad
 class ChuckBacklash(Effect):
     """Play between the base encoder and the needle's held end."""
 
+    part = "chuck"
     relatives = ("chuck_compliance", "hall_offset", "torque_bias")
     resistive = True
 
@@ -36,12 +36,4 @@ class ChuckBacklash(Effect):
 
     def drive(self, trial: Trial) -> Array:
         """The held end's path: the base's, followed at half the play."""
-        half_rad = rad(self.play_deg) / 2
-        if trial.base_angle_rad.size == 0:
-            return trial.base_angle_rad
-        held = float(trial.base_angle_rad[0]) if trial.held_rad is None else trial.held_rad
-        path = np.empty_like(trial.base_angle_rad)
-        for i, base in enumerate(trial.base_angle_rad.tolist()):
-            held = min(max(held, base - half_rad), base + half_rad)
-            path[i] = held
-        return path
+        return after_play(trial.base_angle_rad, rad(self.play_deg), trial.held_rad)

@@ -20,6 +20,7 @@ from needle_rig.units import nm
 class ChuckCompliance(Effect):
     """Series spring between the turned base and the needle."""
 
+    part = "chuck"
     relatives = ("tissue_elasticity", "torque_gain", "chuck_backlash", "guide_friction")
     resistive = True
 

@@ -12,9 +12,7 @@ It shows only where several samples fall into the acceleration.
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from needle_rig.numerics import Array
+from needle_rig.physics.base_motion import acceleration_rad_s2
 from needle_rig.physics.effect import Effect, Reading, parameter
 
 KG_M2_PER_G_CM2 = 1e-7
@@ -24,6 +22,7 @@ KG_M2_PER_G_CM2 = 1e-7
 class ChuckInertia(Effect):
     """Moment of inertia of what turns between torque cell and needle."""
 
+    part = "chuck"
     relatives = ("torque_low_pass", "clock_offset", "bearing_drag", "viscous_slip")
     stage = -2
 
@@ -39,16 +38,6 @@ class ChuckInertia(Effect):
 
     def observe(self, reading: Reading) -> Reading:
         """Add the torque that accelerates J to every torque sample."""
-        alpha_rad_s2 = _acceleration(reading.trial.time_s, reading.trial.base_angle_rad)
+        alpha_rad_s2 = acceleration_rad_s2(reading.trial.time_s, reading.trial.base_angle_rad)
         inertia_kgm2 = self.inertia_gcm2 * KG_M2_PER_G_CM2
         return replace(reading, torque_nm=reading.torque_nm + inertia_kgm2 * alpha_rad_s2)
-
-
-def _acceleration(time_s: Array, angle_rad: Array) -> Array:
-    """Mean acceleration around each sample (samples,); the ends take their neighbour's."""
-    if time_s.size < 3:
-        return np.zeros_like(angle_rad)
-    interval_s = np.diff(time_s)
-    rate_rad_s = np.diff(angle_rad) / interval_s
-    inside = np.diff(rate_rad_s) / (0.5 * (interval_s[1:] + interval_s[:-1]))
-    return np.concatenate((inside[:1], inside, inside[-1:]))

@@ -20,6 +20,7 @@ from needle_rig.units import nm
 class GuideFriction(Effect):
     """Lumped Coulomb friction at the entry's node."""
 
+    part = "needle"
     relatives = ("insertion_depth", "chuck_compliance", "torque_gain")
     resistive = True
 

@@ -23,6 +23,7 @@ from needle_rig.physics.effect import Effect, Reading, parameter
 class HallCrosstalk(Effect):
     """Share of each neighbour's field in what a Hall sensor sees."""
 
+    part = "needle"
     relatives = ("hall_gain", "hall_harmonics", "platform_friction", "layered_friction")
     stage = -2
 

@@ -24,6 +24,7 @@ from needle_rig.units import m, mm
 class InsertionDepth(Effect):
     """Shift of everything before the last section towards the base, and a longer last section."""
 
+    part = "needle"
     relatives = ("guide_friction", "layered_friction", "tip_friction", "chuck_compliance")
     redundant_with = ("friction_nmm_per_100mm",)
     resistive = True

@@ -21,6 +21,7 @@ from needle_rig.physics.rod import Rod
 class LayeredFriction(Effect):
     """Factor on the friction of each tissue section."""
 
+    part = "needle"
     relatives = ("tip_friction", "platform_friction", "insertion_depth")
     redundant_with = ("friction_nmm_per_100mm",)
     resistive = True

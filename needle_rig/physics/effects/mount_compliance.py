@@ -23,6 +23,7 @@ from needle_rig.units import nm
 class MountCompliance(Effect):
     """Spring between the phantom as a whole and the bench."""
 
+    part = "needle"
     relatives = ("tissue_elasticity", "chuck_compliance", "tip_friction", "guide_friction")
     resistive = True
 

@@ -21,6 +21,7 @@ from needle_rig.units import nm
 class PlatformFriction(Effect):
     """Lumped Coulomb friction at the node of each sensor."""
 
+    part = "needle"
     relatives = ("layered_friction", "tip_friction")
     resistive = True
 

@@ -20,6 +20,7 @@ from needle_rig.units import nm
 class TipFriction(Effect):
     """Lumped Coulomb friction at the tip's node."""
 
+    part = "end"
     relatives = ("layered_friction", "platform_friction")
     resistive = True
 

@@ -23,6 +23,7 @@ from needle_rig.units import per_length_n
 class TissueElasticity(Effect):
     """Spring between needle and tissue, in series with whatever gives way already."""
 
+    part = "needle"
     relatives = ("tissue_viscoelasticity", "chuck_compliance", "torque_gain")
     resistive = True
 

@@ -25,6 +25,7 @@ from needle_rig.units import per_length_n
 class TissueViscoelasticity(Effect):
     """Spring and relaxing spring between needle and tissue, in series with what gives way already."""
 
+    part = "needle"
     relatives = ("tissue_elasticity", "viscous_slip")
     limits = {"tissue_elasticity": {"relaxing_stiffness_nmm_per_rad_per_100mm": 0.0}}  # noqa: RUF012
     resistive = True

@@ -50,6 +50,7 @@ export function asConfirmed() {
     clocks: Object.fromEntries(Object.entries(mapping.clocks).map(([name, c]) => [name, taken(c, `clock ${name}`)])),
     channels: used.map((/** @type {any} */ c) => taken(c, `channel ${c.clock} ${c.source}`)),
     trials: taken(mapping.trials, "trials"),
+    layout: taken(mapping.layout, "layout"),
     not_used: [...mapping.not_used, ...mapping.channels.filter((/** @type {any} */ c) => c.role === NOT_USED).map((/** @type {any} */ c) => ({ source: c.source, clock: c.clock, why: "left aside by hand" }))],
   };
 }
@@ -108,6 +109,8 @@ export function WhatIsWhat({ busy, sources, again, take, discard }) {
         ${sources.map((s) => html`<option value=${s.key} selected=${s.key === layoutOf.value}>${s.name}</option>`)}</select></label>
       <button disabled=${busy || !layoutOf.value} onClick=${again}>Propose again with this shaft</button></div>
     ${layoutOf.value === WRITTEN ? html`<label class="all">The shaft in lines of YAML<textarea rows="8" value=${layoutText.value} onInput=${(/** @type {any} */ e) => (layoutText.value = value(e))}></textarea></label>` : null}
+    ${mapping.layout.why ? html`<p class="quiet">${mapping.layout.why}</p>` : null}<${Doubt} part=${mapping.layout} of="layout" />
+    ${mapping.rig?.lever_mm || found.lacks.some((/** @type {string} */ s) => s.startsWith("rig.lever_mm")) ? html`<label class="row">lever of what slides, in mm <input class="short" value=${mapping.rig?.lever_mm ?? ""} onChange=${(/** @type {any} */ e) => edit((m) => ({ ...m, rig: { ...m.rig, lever_mm: Number(value(e)) || null } }))} /></label>` : null}
     ${found.lacks.length ? html`<ul class="lacks">${found.lacks.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
     <p class="buttons"><button class="go" disabled=${busy || !mapping.rig} onClick=${take}>Import</button>
       <button disabled=${busy} onClick=${discard}>Discard</button>${mapping.rig ? null : html` <span class="lacks">Choose a shaft above, or describe one, before importing.</span>`}</p>

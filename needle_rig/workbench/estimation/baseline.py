@@ -13,6 +13,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import fitting
 from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.discretisation_error import (
@@ -143,7 +144,7 @@ def fit_baseline(
     problem = Problem(
         dataset.name,
         base,
-        {**library, **effects},
+        {**fitting(library, dataset.machine), **effects},
         binned,
         noise,
         max(dataset.needle.rigidity_sigma, EXACT),

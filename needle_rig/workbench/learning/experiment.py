@@ -11,6 +11,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import check_fits
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.records import JsonObject
 from needle_rig.simulation.protocol import Protocol, save_protocol
@@ -113,6 +114,7 @@ def propose_experiment(
     for name in between:
         if name not in library:
             raise BadInput(f"{name}: no such effect; there are {', '.join(sorted(library))}")
+        check_fits(library[name], dataset.machine)
     if between[0] == between[1]:
         raise BadInput(f"between {between[0]} {between[1]}: name two different effects")
     say("fitting both effects")

@@ -16,6 +16,7 @@ from needle_rig.dataset import Dataset
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import check_fits
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import fit_baseline, null_model
 from needle_rig.workbench.estimation.file_units import in_file_units, within_bounds
@@ -46,6 +47,7 @@ def fit_effects(
     for name in effects:
         if name not in library:
             raise BadInput(f"{name}: no such effect; there are {', '.join(sorted(library))}")
+        check_fits(library[name], dataset.machine)
     present = {effect.name() for effect in model.effects}
     added = [name for name in dict.fromkeys(effects) if name not in present]
     whole = model.with_effects(*(library[name]() for name in added))

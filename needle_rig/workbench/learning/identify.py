@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -18,10 +19,12 @@ from scipy.special import chdtri, ndtr, ndtri, stdtrit
 
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.records import UNKNOWN_SIGMA
+from needle_rig.dataset.units_check import LEAST_TWIST_DEG
 from needle_rig.errors import NeedleRigError
 from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import NEEDLE
 from needle_rig.physics.needle_model import (
     FRICTION,
     TORSIONAL_RIGIDITY,
@@ -46,6 +49,7 @@ from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.information import Information
 from needle_rig.workbench.estimation.parameters import FreeParameter, shared_names
 from needle_rig.workbench.estimation.posterior import excess
+from needle_rig.workbench.learning.joint import JointFriction, joint_friction, seen, twist_is_seen
 from needle_rig.workbench.learning.steps import numbered
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Say
@@ -117,6 +121,8 @@ class Identification:
     where angles alone give it, scatter of friction."""
     misfit: float
     """Root mean square of what the model leaves, in units of the noise: 1 is the floor."""
+    joint: JointFriction | None = None
+    """Friction of a plain joint, where no twist is seen; for another machine than a needle the answer."""
 
     @property
     def parameters(self) -> tuple[FreeParameter, ...]:
@@ -132,12 +138,23 @@ class Identification:
         """Every estimate, what the model leaves, and notes."""
         said = [e.sentence() for e in self.estimates]
         current, problem = self.baseline.current, self.baseline.problem
-        if excess(problem, current.chi2) > 0.0:
+        of_model = self.joint is None or self.baseline.dataset.machine == NEEDLE
+        if self.joint is not None:
+            said.insert(len(self.joint.numbers), self._of_joint(self.joint))
+        if of_model and excess(problem, current.chi2) > 0.0:
             said.append(
                 f"the model leaves {self.misfit:.2f} × the noise: the uncertainties hold for a model that"
                 " meets the data; a diagnosis finds what it lacks"
             )
         return [*said, *(f"note: {n}" for n in self.baseline.dataset.notes)]
+
+    def _of_joint(self, joint: JointFriction) -> str:
+        lever_m = self.baseline.dataset.lever_m
+        left = f"{joint.left_nm * 1e3:.3g} N·mm" if lever_m is None else f"{joint.left_nm / lever_m:.3g} N"
+        return (
+            "these are of torque against speed, as no twist is seen beside it; they leave"
+            f" {left} (root mean square), reversals left aside"
+        )
 
     def as_json(self) -> JsonObject:
         """As it stands in the JSON answer."""
@@ -229,10 +246,48 @@ def _identified(
     angles_alone = not any(t.torque_ok.any() for t in baseline.dataset.trials)
     ratio_known = angles_alone and _log_ratio(alone)[1] < NARROWED * _log_ratio(stated)[1]
     estimates = _estimates(baseline, posterior, narrowed, ratio_known)
+    joint = _joint_of(dataset)
+    if joint is not None:
+        # what twists unseen has no rigidity: the rod's numbers would be those of another machine
+        told = _told(joint, dataset.lever_m)
+        estimates = told if dataset.machine != NEEDLE else (*told, *estimates)
     size = baseline.problem.size
     return Identification(
-        baseline, information, posterior, estimates, float(np.sqrt(baseline.current.chi2 / max(size, 1)))
+        baseline,
+        information,
+        posterior,
+        estimates,
+        float(np.sqrt(baseline.current.chi2 / max(size, 1))),
+        joint,
     )
+
+
+def _joint_of(dataset: Dataset) -> JointFriction | None:
+    """Friction of a plain joint; None where a twist is seen or stated, or too little turns."""
+    if dataset.needle.rigidity_is_known or twist_is_seen(dataset, math.radians(LEAST_TWIST_DEG)):
+        return None
+    return joint_friction(seen(dataset.trials))
+
+
+def _told(joint: JointFriction, lever_m: float | None) -> tuple[Estimate, ...]:
+    """Its numbers in N·mm and rad, or in N and mm at a lever."""
+    arm_mm = 1.0 if lever_m is None else lever_m * 1e3
+    torque, turn = ("N·mm", "rad") if lever_m is None else ("N", "mm")
+    of = {
+        "viscous": (f"{torque}·s/{turn}", 1e3 / arm_mm**2),
+        "stribeck_rate": (f"{turn}/s", arm_mm),
+        "inertia": (f"{torque}·s²/{turn}", 1e3 / arm_mm**2),
+    }
+    told = []
+    for number in joint.numbers:
+        unit, size = of.get(number.name, (torque, 1e3 / arm_mm))
+        if number.value is None or number.deviation is None:
+            told.append(Estimate(number.name, unit, None, None, None, number.missing))
+            continue
+        value, deviation = size * number.value, size * number.deviation
+        ends = (value - joint.reach * deviation, value + joint.reach * deviation)
+        told.append(Estimate(number.name, unit, value, deviation, ends))
+    return tuple(told)
 
 
 def _stated(baseline: Baseline) -> Gaussian:

@@ -18,6 +18,7 @@ from needle_rig.dataset.settled import SettledData
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import NEEDLE, check_fits
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
 from needle_rig.workbench.estimation.baseline import as_baseline, fit_baseline
@@ -184,6 +185,7 @@ class Traces:
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where that cannot be solved. Raises BadInput, SolverError."""
+        check_fits(library[effect], self.data.machine)
         baseline = fit_baseline(self.data, model, library)
         tried = try_effect(baseline.problem, baseline.current, effect)
         if tried.fit is None or tried.validation is None:
@@ -256,6 +258,7 @@ class SettledValues:
 
     def explain(self, library: Library, model: NeedleModel | None, effect: str) -> Explanation | None:
         """The model with `effect`, fitted; None where it changes none of the values. Raises BadInput."""
+        check_fits(library[effect], NEEDLE)
         problem, root = settled_problem(self.data, library, model)
         found = try_settled(problem, root, effect, 1).fit
         return None if found is None else settled_explanation(problem, root, found)

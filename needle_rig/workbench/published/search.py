@@ -16,6 +16,7 @@ from scipy.special import chdtrc
 from needle_rig.dataset.settled import SettledData
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
+from needle_rig.physics.machine import NEEDLE, fitting
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.baseline import FRICTIONS_N, element_length
 from needle_rig.workbench.estimation.parameters import FreeParameter, scaled_values_of
@@ -97,7 +98,7 @@ def values_to_meet(
         element_length_m=element_length(current),
     )
     effects = {e.name(): type(e) for e in current.effects}
-    return SettledProblem(data, base, {**library, **effects}, data.weighed)
+    return SettledProblem(data, base, {**fitting(library, NEEDLE), **effects}, data.weighed)
 
 
 def try_effect(problem: SettledProblem, root: SettledFit, name: str, library: int) -> Candidate:
