@@ -88,7 +88,7 @@ class Answers:
         answer = kept[_DIGEST_BYTES:]
         if kept[:_DIGEST_BYTES] != _digest(key.encode(), answer):
             return None
-        if not self._told:
+        if self._done and not self._told:  # one of this run's own is no earlier one
             self._told = True
             self._say(f"going on after {self._done} tasks that were done before this was stopped")
         return (pickle.loads(answer),)

@@ -87,6 +87,14 @@ def test_a_stopped_question_goes_on_and_an_answered_one_leaves_nothing(
     assert asking.told == []
 
 
+def test_a_task_that_is_asked_twice_is_done_once_and_is_no_earlier_answer(asking: Asking) -> None:
+    (asking.place / "done").write_text("")
+    with asking.work(1) as work:
+        assert work.run(noted, [(4,)]) == work.run(noted, [(4,)]) == ["answer 4"]
+    assert (asking.place / "done").read_text().split() == ["4"]
+    assert asking.said == []
+
+
 def test_a_stop_in_the_middle_of_a_step_keeps_what_was_done_of_it(asking: Asking) -> None:
     """The third task never ends: the stop comes while it runs, and the fourth is done beside it."""
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
