@@ -390,10 +390,11 @@ def _experiment(name: str, baseline: Baseline, ratio_known: bool) -> str:
     """What would give a parameter that the recording does not narrow."""
     torque = any(t.torque_ok.any() for t in baseline.dataset.trials)
     angle = any(t.hall_ok.any() for t in baseline.dataset.trials)
+    line = "needle" if baseline.dataset.machine == NEEDLE else "line"
     if name in (FRICTION, TORSIONAL_RIGIDITY) and not torque:
         if ratio_known:
             return f"angles alone give {RATIO}: record the base torque beside them"
-        return "turn the base until the needle slips below a sensor, and record the base torque beside it"
+        return f"turn the base until the {line} slips below a sensor, and record the base torque beside it"
     if name == TORSIONAL_RIGIDITY and not angle:
         return (
             "record an angle beyond the first tissue beside the torque, or clamp the tip and turn the base by"
