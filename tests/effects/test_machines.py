@@ -28,7 +28,7 @@ def test_a_needle_has_all_but_what_a_drive_has() -> None:
     assert set(fitting(LIBRARY, NEEDLE)) == set(LIBRARY) - OF_DRIVES
 
 
-@pytest.mark.parametrize("machine", set(MACHINES) - {NEEDLE})
+@pytest.mark.parametrize("machine", sorted(set(MACHINES) - {NEEDLE}))
 def test_another_machine_has_no_chuck_and_no_tissue(machine: MachineName) -> None:
     found = set(fitting(LIBRARY, machine))
     assert found > OF_DRIVES | {
