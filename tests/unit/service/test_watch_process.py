@@ -38,7 +38,7 @@ def ended(watch: WatchProcess) -> int:
 
 
 def test_a_watch_that_hangs_ends_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watch_process, "LONGEST_S", 1)
+    monkeypatch.setattr(watch_process, "LONGEST_S", 2)
     watch = made_to(monkeypatch, "import time; time.sleep(60)")
     assert watch.start(tmp_path)
     assert not watch.start(tmp_path)  # one at a time

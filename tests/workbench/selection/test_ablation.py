@@ -124,11 +124,11 @@ def test_answers_are_graded_by_what_is_hidden(
 
 
 def test_the_plan_is_a_mixture_of_all_kinds(ablation: ModuleType) -> None:
-    tasks = ablation.plan(60)
+    tasks = ablation.plan(60, 900)
     assert [task["number"] for task in tasks] == list(range(60))
     assert {task["kind"] for task in tasks} == {"one", "none", "pair", "removed", "impostor", "messy"}
     assert sum(task["kind"] == "messy" for task in tasks) == 12
-    assert ablation.plan(20) == tasks[:20]
+    assert ablation.plan(20, 900) == tasks[:20]
 
 
 def test_the_table_counts_better_and_worse(ablation: ModuleType) -> None:
