@@ -81,8 +81,8 @@ def diagnose_settled(
     problem, root = settled_problem(data, library, model)
     say("trying every effect")
     # settled values are too few for a place that is looked for
-    placed = {name for name, effect in library.items() if effect.is_placed()}
-    names = tuple(sorted(set(library) - placed - set(root.effects)))
+    placed = {name for name, effect in problem.library.items() if effect.is_placed()}
+    names = tuple(sorted(set(problem.library) - placed - set(root.effects)))
     tried = [try_effect(problem, root, name, len(names)) for name in names]
     tied = tied_effects(problem, tried)
     missing = bool(tied) or root.p_value <= POLICY.evidence.significance
