@@ -43,8 +43,10 @@ READ_BY_NAME = {
     "hall_mean_deg": "a quantity of published values",
     "hall_range_deg": "a quantity of published values",
     "made_ns": "a socket's identity, compared whole",
+    "packaged_files": "Python within scripts/package-deb",
     "recover": "a request to the recorder",
     "tip_lag_deg": "a quantity of published values",
+    "written_by": "a file's head, which is read before its schema",
 }
 
 
