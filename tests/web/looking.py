@@ -37,20 +37,28 @@ def pictured(page: Any, name: str, part: str = "") -> None:
 
 
 def look_at(page: Any, name: str) -> None:
-    """Pictures of this view, in three widths, light and dark; no serious finding of axe in any of them."""
+    """Pictures of this view, in three widths and once dark; no serious finding of axe in any of them.
+
+    A dark scheme changes colours and no place: one width shows them.
+    """
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
     before = page.viewport_size
-    for size, width in ((WIDE, "1440"), (MIDDLE, "1024"), (NARROW, "390")):
+    looks = (
+        (WIDE, "1440", "light"),
+        (WIDE, "1440", "dark"),
+        (MIDDLE, "1024", "light"),
+        (NARROW, "390", "light"),
+    )
+    for size, width, scheme in looks:
         page.set_viewport_size(size)
-        for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)
-            page.wait_for_timeout(200)  # plots are drawn anew
-            pictured(page, f"{name}-{width}-{scheme}")
-            found = axe.Axe().run(page).response["violations"]
-            serious = [v for v in found if v["impact"] in ("serious", "critical")]
-            told = [(v["id"], [n["html"][:120] for n in v["nodes"][:3]]) for v in serious]
-            assert not told, f"{name} at {width} px, {scheme}: {told}"
-            wider = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-            assert wider <= 0, f"{name} at {width} px scrolls sideways"
+        page.emulate_media(color_scheme=scheme)
+        page.wait_for_timeout(200)  # plots are drawn anew
+        pictured(page, f"{name}-{width}-{scheme}")
+        found = axe.Axe().run(page).response["violations"]
+        serious = [v for v in found if v["impact"] in ("serious", "critical")]
+        told = [(v["id"], [n["html"][:120] for n in v["nodes"][:3]]) for v in serious]
+        assert not told, f"{name} at {width} px, {scheme}: {told}"
+        wider = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+        assert wider <= 0, f"{name} at {width} px scrolls sideways"
     page.emulate_media(color_scheme="light")
     page.set_viewport_size(before)
