@@ -248,7 +248,7 @@ def check_firmware(state: State) -> list[Finding]:
             text, _, todo = node["refusal"].partition("; ")
             found.append(Finding(name, "fail", text, todo))
         elif node["protocol"] is None and ages.get(link) is None:
-            continue  # it is not heard at all, which is told of its link
+            continue  # the check of its link says that it is not heard
         elif node["protocol"] is None:
             found.append(Finding(name, "warn", f"{node['text']}: older than 0.2.0", flash))
         elif node["version"] not in (None, VERSION):

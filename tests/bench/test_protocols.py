@@ -160,7 +160,7 @@ def test_a_daemon_tells_what_its_nodes_are_and_each_run_keeps_it(
     assert firmware["drive"]["calibrated"] is False
     assert set(firmware) == set(LINKS)
     status = needle_rig("status", "--socket", str(daemon.path)).stdout
-    assert "node:    torque version unknown" in status, "it is told, and allowed"
+    assert "node:    torque version unknown" in status, "an old firmware is shown and allowed"
 
 
 def test_check_and_a_motion_refuse_a_node_that_came_with_another_protocol(

@@ -63,7 +63,7 @@ def test_the_circle_closes_from_an_empty_folder_with_a_reload_between_any_two_st
     page.locator(".ended").wait_for()
     assert ": aligned" in page.locator(".ended").inner_text()
     assert page.locator(".alarm").inner_text() == ""
-    # asked again, the same example is found and not made anew
+    # a second request finds the same example and makes none
     page.goto(f"{fresh.base}/#/data")
     page.get_by_role("button", name="Try it with example data").click()
     page.wait_for_url(re.compile("#/data/example$"))

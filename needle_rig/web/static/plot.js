@@ -45,7 +45,7 @@ export const dots = (label, name) => ({
   stroke: () => colour(name), paths: () => null, points: { show: true, size: 2.5, width: 0, fill: () => colour(name) },
 });
 
-/** Both edges of a band, which is told in the legend once. @param {string} label @returns {Drawn[]} */
+/** Both edges of a band; the legend names it once. @param {string} label @returns {Drawn[]} */
 export const edges = (label) => ["upper", "lower"].map((side) => ({
   label: `${label}, ${side}`, colour: "--band", look: "edge", stroke: () => colour("--band"), width: 0.5, points: { show: false },
 }));
