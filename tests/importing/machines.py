@@ -104,20 +104,14 @@ def speed_and_torque(folder: Path, joint: Joint = Joint(), unit: str = "rad/s") 
 
 
 def slide(folder: Path, coulomb_n: float = 16.8, viscous_ns_per_mm: float = 0.05) -> Path:
-    """Position in mm and force in N of a linear axis, as a spreadsheet."""
-    import openpyxl
-
+    """Position in mm and force in N of a linear axis."""
     rng = np.random.default_rng(6)
     time_s, angle, rate = swings()
     joint = Joint(coulomb_n, 10.0 * viscous_ns_per_mm, 0.0, noise_nm=0.3)
-    book = openpyxl.Workbook()
-    sheet = book.active
-    assert sheet is not None
-    sheet.append(["Time [s]", "Position [mm]", "Force [N]"])
-    for row in zip(time_s, 10.0 * angle, joint.torque_nm(angle, rate, rng), strict=True):
-        sheet.append([float(x) for x in row])
-    book.save(folder / "slide.xlsx")
-    return folder / "slide.xlsx"
+    return csv(
+        folder / "slide.csv",
+        {"Time [s]": time_s, "Position [mm]": 10.0 * angle, "Force [N]": joint.torque_nm(angle, rate, rng)},
+    )
 
 
 def back_to_back(folder: Path) -> Path:
