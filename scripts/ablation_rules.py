@@ -7,7 +7,7 @@ import math
 import pickle
 import sys
 from collections import ChainMap
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -194,6 +194,12 @@ class Rule:
     """It changes the noise, and with it every fit: asked of a share of the datasets."""
 
 
+def at_once(rules: Sequence[Rule]) -> Rule:
+    """All of them switched off together: what nobody misses together, nobody misses alone."""
+    fresh = tuple(sorted({name for rule in rules for name in rule.fresh}))
+    return Rule("all of: " + "; ".join(rule.name for rule in rules), together(*(r.off for r in rules)), fresh)
+
+
 def noise_rule(name: str, off: Off, *fresh: str) -> Rule:
     """A rule by which noise is measured."""
     return Rule(f"noise: {name}", off, fresh, noise=True)
@@ -284,6 +290,7 @@ RULES: tuple[Rule, ...] = (
     Rule("pull of the rigidity stands in for it", gives(evidence, "relieves_pull", _never)),
     # fits
     Rule("fit from other forms", gives(candidates, "over_forms", _as_fitted)),
+    Rule("fitted again where a child is worse than its parent", gives(candidates, "WORSE_FITS", math.inf)),
     # the verdict
     *(Rule(f"verdict: {rule.__name__}", without_verdict(rule)) for rule in verdict.RULES),
     Rule("verdict: values beyond what is plausible", gives(diagnose, "contrived", _none)),
