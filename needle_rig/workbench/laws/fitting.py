@@ -58,6 +58,8 @@ class Parent:
     fit: Fit
     validation: CrossValidation
     score: float
+    made: tuple[Made, ...] = ()
+    """The laws in it."""
 
     @property
     def price(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,8 +20,7 @@ from needle_rig.workbench.laws.fitting import Parent, present_score
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learnt import Learnt, LearntLaw, Verdict
-from needle_rig.workbench.laws.made import FormulaLaw, Shared
-from needle_rig.workbench.laws.screening import Screened
+from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
 from needle_rig.workbench.laws.search import (
     FoundLaw,
     LawSearch,
@@ -35,7 +35,7 @@ from needle_rig.workbench.selection.candidates import Candidate, fitted, score, 
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
-from needle_rig.workbench.selection.search import SearchTrace, expand, promise_asked
+from needle_rig.workbench.selection.search import SearchTrace, promise_asked
 
 
 def learn_laws(
@@ -81,190 +81,182 @@ def verdict_of(reached: bool, tied_with: int) -> Verdict:
     return "law" if reached and tied_with <= POLICY.laws.ties else "cannot_tell"
 
 
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A law in the model."""
+
+    found: FoundLaw
+    ties: tuple[FoundLaw, ...]
+    held_out_before: float
+    """Error on commands left out of what it was first added to, in units of the noise."""
+
+    @property
+    def made(self) -> Made:
+        """What stands for it in the fit."""
+        return self.found.best.made
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects of the library and laws in one model, fitted together."""
+
+    fitted: Parent
+    terms: tuple[Term, ...] = ()
+
+
 class _Learning:
-    """One run: what is known as it goes on."""
+    """One competition: laws and effects of the library are added, swapped and dropped."""
 
     def __init__(
         self, diagnosis: Diagnosis, search: LawSearch, sensors: Sequence[str], origin: Origin
     ) -> None:
         self.diagnosis, self.search, self.sensors, self.origin = diagnosis, search, sensors, origin
-        trace = diagnosis.search
-        self.root = _parent(trace, trace.start)
-        self.library = min((_parent(trace, key) for key in _supported(trace)), key=lambda p: p.score)
-        self.found: list[tuple[FoundLaw, tuple[FoundLaw, ...]]] = []
+        self.trace = diagnosis.search
         self.tried = 0
 
     def _reached(self, found: Parent) -> bool:
         return reaches(found.validation.error, len(self.search.problem.groups))
 
     def answer(self) -> Learnt:
-        """The laws, one after the other."""
-        current = self._first()
-        steps = 1
-        while current is not None and goes_on(steps, self._reached(current)):
-            further = self._next(current)
-            if further is None:
+        """What the model lacks, one after the other; each is looked for anew beside what was found later."""
+        begin = at = Hypothesis(self._present())
+        steps = 0
+        while goes_on(steps, steps > 0 and self._reached(at.fitted)):
+            more = self._added(at)
+            if more is None or (not more.terms and at is not begin):
                 break
-            current, steps = self._revised(further), steps + 1
-        return self._told(current and self._pruned(self._library_in_place(current)))
+            at = self._dropped(self._swapped(at, more))
+            steps += bool(at.terms)
+        return self._told(at)
 
-    def _first(self) -> Parent | None:
-        """The fit with the first law; None where there is none."""
-        search, root, library = self.search, self.root, self.library
-        search.say("screening laws that the library does not hold")
-        alone = library.fit is root.fit
-        on_root: list[Screened] = []
-        on_library: list[Screened] = []
-        if self.diagnosis.verdict != "unknown":
-            on_library = search.promises(library)
-            self.tried = len(on_library)
-            if not on_library or on_library[0].gain <= asked_of(self.tried):
-                return None
-            on_root = on_library if alone else []
-        on_root = on_root or search.promises(root)
-        self.tried = len(on_root)
-        search.say("fitting the leading laws")
-        rounds = [search.on_top_of(root, on_root)]
-        if not alone and not _better(rounds[0], library):
-            search.say("fitting laws beside what the library explains")
-            rounds.append(search.on_top_of(library, on_library or search.promises(library)))
-        chosen = self._chosen(rounds)
-        return self._kept(chosen, self._pair(library, chosen[0])) if chosen else None
+    def _present(self) -> Parent:
+        """What laws are added to: the present model, or its diagnosis where that leaves nothing."""
+        trace = self.trace
+        explained = self.diagnosis.verdict == "effect"
+        return _parent(trace, trace.best if explained else trace.start)
 
-    def _pair(self, library: Parent, found: FoundLaw) -> Parent:
-        """The library's best with one more effect, where screening promises that it comes near a law."""
-        trace, search = self.diagnosis.search, self.search
-        key = frozenset(library.fit.effects)
-        if key == trace.start:
-            return library
-        search.say("trying pairs of the library's effects")
-        search.work.share(trace.problem)
-        trace = expand(trace, search.work, key, library.score - found.score)
-        return min((_parent(trace, k) for k in _supported(trace)), key=lambda p: p.score)
-
-    def _next(self, current: Parent) -> Parent | None:
-        """The fit with one more law, which must do better than any library effect in its place."""
+    def _added(self, at: Hypothesis) -> Hypothesis | None:
+        """With the law that does best on top, or the effect of the library; None where neither is worth its
+        name."""
         search = self.search
-        search.say("looking at the residual")
-        promised = search.promises(current)
+        search.say("screening laws that the library does not hold")
+        promised = search.promises(at.fitted)
+        self.tried = max(self.tried, len(promised))
+        if not at.terms and (not promised or promised[0].gain <= asked_of(len(promised))):
+            return None
         search.say("fitting the leading laws")
-        chosen = self._chosen([search.on_top_of(current, promised)])
-        gain = current.score - chosen[0].score if chosen else 0.0
-        rival = self._with_library(current, gain)
-        kept_law = self._kept(chosen, rival) if chosen else None
-        if kept_law is None and rival is not current:
-            return self._beside(current, rival)
-        return kept_law
+        found = search.on_top_of(at.fitted, promised)
+        gain = at.fitted.score - found[0].score if found else 0.0
+        rival = self._with_effect(at.fitted, gain)
+        if found and kept(search.problem_of(at.fitted), rival or at.fitted, found[0], len(promised)):
+            return self._with_law(at, found, at.fitted.validation.error)
+        return None if rival is None else dataclasses.replace(at, fitted=rival)
 
-    def _revised(self, current: Parent) -> Parent:
-        """The fit with each law looked for anew beside what was found after it.
+    def _with_law(self, at: Hypothesis, found: Sequence[FoundLaw], before: float) -> Hypothesis:
+        best = found[0]
+        term = Term(best, tied(best.law, best.score, found[1:]), before)
+        return Hypothesis(best.added, (*at.terms, term))
+
+    def _with_effect(self, at: Parent, gain: float) -> Parent | None:
+        """The best fit of one more effect of the library, of those that may come near a `gain`; None where
+        none does better on commands left out, too."""
+        search, trace = self.search, self.trace
+        search.say("trying the library")
+        problem = search.problem_of(at)
+        names = [n for n in trace.names if n not in at.fit.effects]
+        ahead: list[Candidate] = search.run(at, _screened, [(at.fit, name) for name in names])
+        asked = promise_asked(max([gain, *(each.screening.gain for each in ahead)]))
+        near = [each for each in ahead if each.screening.gain >= asked]
+        tried: list[Candidate] = search.run(at, _fitted, [(at.fit, each) for each in near])
+        known = at.score - score(problem, at.fit)
+        best = min(
+            (
+                Parent(each.fit, each.validation, score(problem, each.fit) + known, at.made)
+                for each in tried
+                if each.fit and each.validation
+            ),
+            key=lambda found: found.score,
+            default=at,
+        )
+        worth = at.score - best.score > POLICY.ties.close
+        return best if worth and best.validation.loss < at.validation.loss else None
+
+    def _swapped(self, before: Hypothesis, at: Hypothesis) -> Hypothesis:
+        """With each law looked for anew beside what was found after it, and the library in its place.
 
         Its place and its formula were chosen when that was still missing.
         """
-        search, changed = self.search, len(self.found) == 1
-        for place, (old, _) in enumerate(self.found):
-            if place == len(self.found) - 1 and not changed:
-                break
-            search.say(f"looking again for law {place + 1} beside what was found after it")
-            rest = search.without(current, old)
+        search, changed = self.search, False
+        for old in at.terms:
+            rest = search.without_law(at.fitted, old.made, old.found.best.price)
             if rest is None:
                 continue
-            chosen = search.in_place_of(old, rest)
-            if chosen and chosen[0].score < current.score:
-                new = dataclasses.replace(chosen[0], parent=old.parent)
-                current, changed = search.put(old, new), True
-            else:
-                same = [each.spline for each in chosen if each.law == old.law and old.formula is not None]
-                # its spline and its ties are now fitted beside the others
-                made = dict.fromkeys((*old.beside, *(m for each in chosen for m in each.beside)))
-                new = dataclasses.replace(old, spline=same[0] if same else old.spline, beside=tuple(made))
-            others = [each for each in chosen if each.law != new.law]
-            self.found[place] = new, tied((dataclasses.replace(new, at=current.score), *others))
-        return current
+            library = self._library_in_place(rest, at.fitted)
+            if library is not None:
+                at, changed = Hypothesis(library, tuple(each for each in at.terms if each is not old)), True
+            elif old in before.terms or changed:
+                search.say("looking again for a law beside what was found after it")
+                was = at.fitted
+                at = self._looked_for_again(at, old, search.on_top_of(rest, search.promises(rest)))
+                changed |= at.fitted is not was
+        return at
 
-    def _library_in_place(self, current: Parent) -> Parent:
-        """The fit with an effect of the library for each of several laws that it does as well as.
+    def _looked_for_again(self, at: Hypothesis, old: Term, found: Sequence[FoundLaw]) -> Hypothesis:
+        """With the best law in the place of `old`; where that stays, its spline and ties are those found
+        now."""
+        if found and found[0].score < at.fitted.score:
+            best = found[0]
+            new = Term(best, tied(best.law, best.score, found[1:]), old.held_out_before)
+            fitted = best.added
+        else:
+            law, kept_law = old.found.law, old.found
+            same = [each for each in found if each.law == law]
+            if same and kept_law.formula is not None:
+                beside = tuple(dict.fromkeys((*kept_law.beside, *same[0].beside)))
+                kept_law = dataclasses.replace(kept_law, spline=same[0].spline, beside=beside)
+            others = [each for each in found if each.law != law]
+            new = Term(kept_law, tied(law, at.fitted.score, others), old.held_out_before)
+            fitted = at.fitted
+        return Hypothesis(fitted, tuple(new if each is old else each for each in at.terms))
 
-        When that law was kept, another was still missing.
-        """
-        for old, _ in list(self.found):
-            rest = self.search.without(current, old) if len(self.found) > 1 else None
-            if rest is None:
-                continue
-            made = self.search.leave(old)
-            rival = self._with_library(rest, rest.score - current.score)
-            if rival is not rest and rival.score < current.score + asked_of(self.tried):
-                self.found = [each for each in self.found if each[0] is not old]
-                current = rival
-            else:
-                self.search.made = made
-        return current
+    def _library_in_place(self, rest: Parent, at: Parent) -> Parent | None:
+        """A fit with effects of the library in the place of a law that they do as well as; None: they do
+        not."""
+        found = rest
+        for _ in range(POLICY.verdict.at_any_value):
+            more = self._with_effect(found, found.score - at.score)
+            if more is None:
+                return None
+            if more.score < at.score + asked_of(self.tried):
+                return more
+            found = more
+        return None
 
-    def _pruned(self, current: Parent) -> Parent:
-        """The fit without effects of the library to which the laws have left nothing.
+    def _dropped(self, at: Hypothesis) -> Hypothesis:
+        """Without effects of the library to which the laws have left nothing.
 
         They were named when a law was still missing that they resemble.
         """
-        laws = {each.best.made.name for each, _ in self.found}
-        for name in current.fit.effects:
-            if name in laws or name in self.diagnosis.search.start:
+        laws = {each.made.name for each in at.terms}
+        for name in at.fitted.fit.effects:
+            if not laws or name in laws or name in self.trace.start:
                 continue
             self.search.say(f"looking whether {name} is needed beside the law")
-            rest = self.search.without_effect(current, name)
-            if rest is None or rest.score > current.score + POLICY.ties.close:
+            rest = self.search.without_effect(at.fitted, name)
+            if rest is None or rest.score > at.fitted.score + POLICY.ties.close:
                 continue
-            if self._reached(rest) or not self._reached(current):
-                current = rest
-        return current
+            if self._reached(rest) or not self._reached(at.fitted):
+                at = dataclasses.replace(at, fitted=rest)
+        return at
 
-    def _chosen(self, rounds: Sequence[Sequence[FoundLaw]]) -> Sequence[FoundLaw]:
-        """The laws of the best round; an effect of the library beside the law must be worth its name."""
-        leading = [found for found in rounds if found]
-        if not leading:
-            return ()
-        best = min(leading, key=lambda found: found[0].score)
-        first = leading[0]
-        return first if first[0].score < best[0].score + POLICY.ties.close else best
-
-    def _kept(self, chosen: Sequence[FoundLaw], rival: Parent) -> Parent | None:
-        best = chosen[0]
-        if not kept(self.search.whole_problem(), best.parent, rival, best, self.tried):
-            return None
-        self.found.append((best, tied(chosen)))
-        return self.search.add(best)
-
-    def _with_library(self, current: Parent, gain: float) -> Parent:
-        """The best fit of one library effect on top that may gain that much, or the fit."""
-        problem, search = self.search.whole_problem(), self.search
-        search.say("trying the library beside the law")
-        trace = self.diagnosis.search
-        names = [n for n in trace.names if n not in current.fit.effects]
-        search.work.share(Shared(search.problem, search.made))
-        tried: list[Candidate] = search.work.run(
-            _try_library, [(current.fit, n, promise_asked(gain)) for n in names]
-        )
-        known = current.score - score(problem, current.fit)
-        fits = [
-            Parent(c.fit, c.validation, score(problem, c.fit) + known)
-            for c in tried
-            if c.fit and c.validation
-        ]
-        return min([current, *fits], key=lambda p: p.score)
-
-    def _beside(self, current: Parent, rival: Parent) -> Parent | None:
-        """The library effect beside the law, if it is worth its name."""
-        gained = current.score - rival.score > POLICY.ties.close
-        return rival if gained and rival.validation.loss < current.validation.loss else None
-
-    def _told(self, current: Parent | None) -> Learnt:
-        diagnosis = self.diagnosis
-        before = diagnosis.held_out_error_before
-        if current is None or not self.found:
-            return self._without_law(before)
-        ties_most = max(len(ties) for _, ties in self.found)
+    def _told(self, at: Hypothesis) -> Learnt:
+        current = at.fitted
+        if not at.terms:
+            return self._without_law(self.diagnosis.held_out_error_before)
+        ties_most = max(len(term.ties) for term in at.terms)
         reached = self._reached(current)
         verdict = verdict_of(reached, ties_most)
-        *earlier, last = (self._law(current, place) for place in range(len(self.found)))
+        *earlier, last = (self._law(current, term) for term in at.terms)
         # what was found or looked for anew after it has lowered the error, too
         laws = (*earlier, dataclasses.replace(last, held_out_after=current.validation.error))
         words = " and ".join(law.law.words() for law in laws)
@@ -282,8 +274,8 @@ class _Learning:
                 "A law is missing, and these data do not say which:"
                 f" {ties_most + 1} of those that were tried do alike; the nearest: {words}."
             )
-        made = {each.best.made.name for each, _ in self.found}
-        library = tuple(e for e in current.fit.effects if e not in made and e not in diagnosis.search.start)
+        made = {term.made.name for term in at.terms}
+        library = tuple(e for e in current.fit.effects if e not in made and e not in self.trace.start)
         return self._answer(verdict, laws, library, current.validation.error, sentence)
 
     def _without_law(self, before: float) -> Learnt:
@@ -323,8 +315,8 @@ class _Learning:
         diagnosis, origin = self.diagnosis, self.origin
         return Learnt(verdict, laws, library, before, after, sentence, self.tried, diagnosis, origin)
 
-    def _law(self, current: Parent, place: int) -> LearntLaw:
-        found, ties = self.found[place]
+    def _law(self, current: Parent, term: Term) -> LearntLaw:
+        found, ties = term.found, term.ties
         formula, parameters = _fitted_formula(current.fit, found)
         curve = fitted_curve(self.search.problem, current.fit, found, formula)
         told = formula or Table(curve.at, curve.value)
@@ -336,7 +328,7 @@ class _Learning:
         return LearntLaw(
             found.law,
             tuple(each.law for each in ties),
-            found.parent.validation.error,
+            term.held_out_before,
             found.best.validation.error,
             text,
             parameters,
@@ -356,26 +348,17 @@ class _Learning:
         return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
 
 
-def _better(met: Sequence[FoundLaw], library: Parent) -> bool:
-    """Whether a law alone reaches the noise, and does better than the library."""
-    best = met[0].best if met else None
-    return best is not None and best.score < library.score and best.validation.error <= POLICY.laws.reached
+def _screened(shared: Shared, parent: Fit, effect: str) -> Candidate:
+    return screened(shared.with_made(), parent, effect)
 
 
-def _try_library(shared: Shared, parent: Fit, effect: str, worth: float) -> Candidate:
-    problem = shared.with_made()
-    candidate = screened(problem, parent, effect)
-    return fitted(problem, parent, candidate) if candidate.screening.gain >= worth else candidate
+def _fitted(shared: Shared, parent: Fit, candidate: Candidate) -> Candidate:
+    return fitted(shared.with_made(), parent, candidate)
 
 
 def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:
     found, validation = trace.fits[key]
     return Parent(found, validation or trace.root_validation, present_score(trace.problem, found))
-
-
-def _supported(trace: SearchTrace) -> list[frozenset[str]]:
-    """The sets of library effects that do better than what they start from; that itself among them."""
-    return [trace.start, *(k for k in trace.fits if k != trace.start and trace.passes(trace.start, k))]
 
 
 def _fitted_formula(

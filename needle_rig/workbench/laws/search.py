@@ -68,9 +68,7 @@ class FoundLaw:
     formula: LawFit | None
     parent: Parent
     beside: tuple[Made, ...] = ()
-    """What was made before it and is in its fits."""
-    at: float | None = None
-    """Score as all laws were last fitted together, where that is another."""
+    """The other laws in its fits."""
 
     @property
     def law(self) -> Law:
@@ -85,7 +83,13 @@ class FoundLaw:
     @property
     def score(self) -> float:
         """Of the better of the two."""
-        return self.best.score if self.at is None else self.at
+        return self.best.score
+
+    @property
+    def added(self) -> Parent:
+        """The fit with the law, to add more to."""
+        best = self.best
+        return Parent(best.fit, best.validation, best.score, (*self.parent.made, best.made))
 
 
 class LawSearch:
@@ -93,7 +97,6 @@ class LawSearch:
 
     def __init__(self, problem: Problem, work: Work, origin: Origin, say: Say) -> None:
         self.problem, self.work, self.origin, self.say = problem, work, origin, say
-        self.made: tuple[Made, ...] = ()
         self._folder = tempfile.TemporaryDirectory(prefix="needle-rig-laws-")
         self._drafts, self._rounds = 0, 0
 
@@ -103,26 +106,26 @@ class LawSearch:
     def __exit__(self, *_: object) -> None:
         self._folder.cleanup()
 
-    def whole_problem(self) -> Problem:
-        """The problem, its library with every law that was added."""
-        return Shared(self.problem, self.made).with_made()
+    def problem_of(self, parent: Parent) -> Problem:
+        """The problem, its library with the laws in a fit."""
+        return Shared(self.problem, parent.made).with_made()
 
     def promises(self, parent: Parent) -> list[Screened]:
         """What each law promises on top of a fit, best first."""
         self._rounds += 1
         every = candidates(self.problem, f"law{self._rounds}")
-        taken = {each.law for each in self.made}
+        taken = {each.law for each in parent.made}
         tasks = [(parent.fit, made) for made in every if made.law not in taken]
-        found: list[Screened] = from_task(self._run(screen, tasks))
+        found: list[Screened] = from_task(self.run(parent, screen, tasks))
         return sorted(found, key=lambda s: -s.gain)
 
     def on_top_of(self, parent: Parent, promised: Sequence[Screened]) -> list[FoundLaw]:
         """The laws that do best on top of a fit, best first, that with commands left out."""
         asked = asked_of(len(promised))
         raced = self._raced(parent, [s for s in promised if s.gain > asked])
-        found = self._with_formulas([FoundLaw(rough, None, parent, self.made) for rough in raced])
+        found = self._with_formulas([FoundLaw(rough, None, parent, parent.made) for rough in raced])
         leading = self._near(found)
-        whole = self._run(further_fit, [(parent, each.spline, True) for each in leading])
+        whole = self.run(parent, further_fit, [(parent, each.spline, True) for each in leading])
         judged = []
         for each, spline in zip(leading, whole, strict=True):
             formula = borne(each.formula, spline or each.spline)
@@ -141,64 +144,40 @@ class LawSearch:
         judged[:1] = [self._followed(each) for each in judged[:1]]
         return [self._held_out(each) if place == 0 else each for place, each in enumerate(judged)]
 
-    def add(self, found: FoundLaw) -> Parent:
-        """The fit with the law, to add more to."""
-        self.made = (*self.made, found.best.made)
-        return Parent(found.best.fit, found.best.validation, found.best.score)
-
-    def without(self, current: Parent, old: FoundLaw) -> Parent | None:
-        """A fit's parameters with a law left out, all others where they are: what a law in its place is added
-        to."""
-        name = old.best.made.name
-        problem = Shared(self.problem, self._others(old)).with_made()
-        effects = tuple(e for e in current.fit.effects if e != name)
-        vector = _vector_without(current.fit, name)
-        at = fit(problem, effects, vector, nuisance=current.fit.nuisance, iterations=0)
+    def without_law(self, current: Parent, law: Made, price: float) -> Parent | None:
+        """A fit's parameters with a law of this price left out, all others where they are: what one in its
+        place is added to."""
+        made = tuple(each for each in current.made if each.name != law.name)
+        rest = Parent(current.fit, NOT_HELD_OUT, current.score, made)
+        effects, vector = _left_out(current.fit, law.name)
+        at = fit(self.problem_of(rest), effects, vector, nuisance=current.fit.nuisance, iterations=0)
         if at is None:
             return None
-        return Parent(at, NOT_HELD_OUT, at.objective + current.price - old.best.price)
+        return dataclasses.replace(rest, fit=at, score=at.objective + current.price - price)
 
     def without_effect(self, current: Parent, name: str) -> Parent | None:
         """The fit without an effect of the library, with commands left out."""
-        problem = self.whole_problem()
-        effects = tuple(e for e in current.fit.effects if e != name)
-        found = fit(problem, effects, _vector_without(current.fit, name), nuisance=current.fit.nuisance)
+        problem = self.problem_of(current)
+        found = fit(problem, *_left_out(current.fit, name), nuisance=current.fit.nuisance)
         if found is None:
             return None
         saved = penalty(problem) * (current.fit.rank - found.rank)
-        return Parent(found, cross_validate(problem, found), found.objective + current.price - saved)
+        score = found.objective + current.price - saved
+        return Parent(found, cross_validate(problem, found), score, current.made)
 
-    def in_place_of(self, old: FoundLaw, rest: Parent) -> list[FoundLaw]:
-        """The laws that do best on top of a fit that an earlier one was left out of."""
-        made = self.leave(old)
-        found = self.on_top_of(rest, self.promises(rest))
-        self.made = made
-        return found
-
-    def put(self, old: FoundLaw, new: FoundLaw) -> Parent:
-        """The fit with a law in the place of an earlier one, to add more to."""
-        self.made = self._others(old)
-        return self.add(new)
-
-    def leave(self, old: FoundLaw) -> tuple[Made, ...]:
-        """Go on without a law; what was made before, to go back to."""
-        made, self.made = self.made, self._others(old)
-        return made
-
-    def _others(self, old: FoundLaw) -> tuple[Made, ...]:
-        return tuple(each for each in self.made if each.name != old.best.made.name)
-
-    def _run(self, task: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
-        self.work.share(Shared(self.problem, self.made))
+    def run(self, parent: Parent, task: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """What a task gives for each of its arguments, where the laws of a fit are known."""
+        self.work.share(Shared(self.problem, parent.made))
         return self.work.run(task, tasks)
 
     def _raced(self, parent: Parent, leading: Sequence[Screened]) -> list[LawFit]:
         """The laws that lead after a few steps, the others left behind on the way; best first."""
         first = sorted(
-            from_task(self._run(first_fit, [(parent, s) for s in _spread(leading)])), key=lambda f: f.score
+            from_task(self.run(parent, first_fit, [(parent, s) for s in _spread(leading)])),
+            key=lambda f: f.score,
         )
         going: list[LawFit] = [f for f in first if not self._far(f.score, first[0])][:FURTHER_FITS]
-        further = self._run(further_fit, [(parent, f, False) for f in going])
+        further = self.run(parent, further_fit, [(parent, f, False) for f in going])
         best = [after or before for after, before in zip(further, going, strict=True)]
         return sorted(best, key=lambda f: f.score)[:WHOLE_FITS]
 
@@ -214,12 +193,12 @@ class LawSearch:
         """The law with its spline fitted anew from its formula, where that meets the data better."""
         if found.formula is None or not misses_more(found.spline, found.formula):
             return found
-        (spline,) = self._run(from_formula, [(found.parent, found.spline, found.formula)])
+        (spline,) = self.run(found.parent, from_formula, [(found.parent, found.spline, found.formula)])
         better = spline is not None and spline.fit.chi2 < found.spline.fit.chi2
         return dataclasses.replace(found, spline=spline) if better else found
 
     def _held_out(self, found: FoundLaw) -> FoundLaw:
-        (judged,) = self._run(held_out, [(found.best,)])
+        (judged,) = self.run(found.parent, held_out, [(found.best,)])
         where = "spline" if found.formula is None else "formula"
         return dataclasses.replace(found, **{where: judged})
 
@@ -239,7 +218,7 @@ class LawSearch:
             for row in rows:
                 first = _with_friction_of(self.problem, spline, row.formula, starts[0])
                 tasks.append((each.parent, (first, *starts[1:]), self._drafted(spline.law, row.formula)))
-            fitted: list[LawFit] = from_task(self._run(fit_formula, tasks))
+            fitted: list[LawFit] = from_task(self.run(each.parent, fit_formula, tasks))
             best = min(fitted, key=lambda f: f.score, default=None)
             told[place] = dataclasses.replace(each, formula=borne(best, spline))
         return told
@@ -270,14 +249,14 @@ def asked_of(tried: int) -> float:
     return POLICY.ties.close + 2.0 * float(np.log(max(tried, 1)))
 
 
-def kept(problem: Problem, parent: Parent, rival: Parent, found: FoundLaw, tried: int) -> bool:
+def kept(problem: Problem, rival: Parent, found: FoundLaw, tried: int) -> bool:
     """Whether a law is there: better than its parent and the best of the library, by what is asked.
 
     Also at commands left out; and large enough to matter, and not our own error. A law whose model cannot be
     solved there, as that of a needle that snaps while its damping is still missing, is judged with what is
     found beside it: alone it does not reach the noise.
     """
-    best = found.best
+    best, parent = found.best, found.parent
     asked = asked_of(tried)
     solved = np.isfinite(best.validation.error)
     for other in (parent, rival):
@@ -331,14 +310,12 @@ def changes_matter(changes: Sequence[Array], torque_scale: float) -> bool:
     )
 
 
-def tied(found: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:
-    """The laws that cannot be told apart from the first."""
-    if not found:
-        return ()
-    ties, known = [], [found[0].law]
-    for each in found[1:]:
+def tied(law: Law, score: float, others: Sequence[FoundLaw]) -> tuple[FoundLaw, ...]:
+    """The others that cannot be told apart from a law of this score."""
+    ties, known = list[FoundLaw](), [law]
+    for each in others:
         # two kinds of one law, as two widths of a play, are reported alike
-        if each.score < found[0].score + POLICY.ties.close and not any(each.law.same(k) for k in known):
+        if each.score < score + POLICY.ties.close and not any(each.law.same(k) for k in known):
             ties.append(each)
             known.append(each.law)
     return tuple(ties)
@@ -358,7 +335,7 @@ def _spread(promised: Sequence[Screened]) -> list[Screened]:
 
 def _starts_without(found: Fit, name: str, parent: Fit) -> tuple[ParameterVector, ...]:
     """Where the fit with a law stands, and where its parent does, the law's own parameters left out."""
-    return _vector_without(found, name), parent.vector
+    return _left_out(found, name)[1], parent.vector
 
 
 def _with_friction_of(
@@ -375,6 +352,8 @@ def _with_friction_of(
     return dataclasses.replace(vector, log_friction=vector.log_friction + float(beyond.mean()))
 
 
-def _vector_without(found: Fit, name: str) -> ParameterVector:
+def _left_out(found: Fit, name: str) -> tuple[tuple[str, ...], ParameterVector]:
+    """A fit's effects and its vector without one effect."""
     keep = [i for i, each in enumerate(found.parameters) if each.effect != name]
-    return dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values[keep])
+    vector = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values[keep])
+    return tuple(each for each in found.effects if each != name), vector

@@ -141,7 +141,7 @@ def test_nothing_hidden_is_no_law() -> None:
 def test_before_no_law_can_be_told_several_effects_of_the_library_are_held_against_the_data(
     monkeypatch: pytest.MonkeyPatch, hidden: Any, verdict: str, library: set[str]
 ) -> None:
-    monkeypatch.setattr(learn._Learning, "_first", lambda _: None)
+    monkeypatch.setattr(learn._Learning, "_added", lambda *_: None)
     found = learn_laws(dataset(*hidden, seed=3), few("torque_bias", "hall_offset"), origin=ORIGIN)
     assert (found.verdict, set(found.library), found.laws) == (verdict, library, ())
     assert (found.held_out_after < 1.1) is (verdict != "cannot_tell")
