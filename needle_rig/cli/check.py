@@ -20,9 +20,9 @@ from needle_rig.errors import BadInput, NeedleRigError, RigFault
 
 if TYPE_CHECKING:
     from needle_rig.config.schema import NetFtTorque, RigConfig
+    from needle_rig.service.api.documents import Sensors
     from needle_rig.service.check import Finding
     from needle_rig.service.client import DaemonClient
-    from needle_rig.service.documents import Sensors
 
 _LISTEN_S = 2.5
 """Rates are counted over a second, and 50 samples tell a scatter to 10 %."""
@@ -92,7 +92,7 @@ def _findings(
     from needle_rig.config.loader import load_rig_config
     from needle_rig.config.schema import NetFtTorque
     from needle_rig.service import check
-    from needle_rig.service.endpoint import sockets_for_client
+    from needle_rig.service.api.endpoint import sockets_for_client
     from needle_rig.service.installation import HERE, nobody_answers
     from needle_rig.service.interface import look_at
 

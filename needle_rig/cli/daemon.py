@@ -82,7 +82,7 @@ def _place(socket: Path | None, private: Path | None) -> Iterator[Path]:
     """Where to listen; a private daemon takes its client's folder away, in case the client was killed."""
     import shutil
 
-    from needle_rig.service.endpoint import private_socket, socket_for_daemon
+    from needle_rig.service.api.endpoint import private_socket, socket_for_daemon
 
     if private is None:
         yield socket or socket_for_daemon()
@@ -131,7 +131,7 @@ def _build(
 def _serve(daemon: Daemon, path: Path, group: str | None, *, private: bool) -> None:
     import asyncio
 
-    from needle_rig.service.endpoint import listening
+    from needle_rig.service.api.endpoint import listening
 
     _log(private)
     # one that comes before the loop takes it, or a second one at the very end, must not leave the socket

@@ -22,12 +22,12 @@ from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.numerics import rounded
 from needle_rig.records import Phase, Sample
 from needle_rig.service import report
-from needle_rig.service.api_link import ApiLink
-from needle_rig.service.documents import Ended, Message, Moved, Node, Started, State, Ticks, Told, Whole
-from needle_rig.service.lease import LEASE_S, Claim, Lease
+from needle_rig.service.api.api_link import ApiLink
+from needle_rig.service.api.documents import Ended, Message, Moved, Node, Started, State, Ticks, Told, Whole
+from needle_rig.service.api.lease import LEASE_S, Claim, Lease
+from needle_rig.service.api.orders import Holder, Home, Jog, Model, Order, Reason, read_order
 from needle_rig.service.logbook import Logbook
 from needle_rig.service.loop import ControlLoop
-from needle_rig.service.orders import Holder, Home, Jog, Model, Order, Reason, read_order
 from needle_rig.service.rates import Rates
 from needle_rig.service.recorder import Recorder
 from needle_rig.service.repeats import Repeats

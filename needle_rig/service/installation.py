@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.service.endpoint import sockets_for_client
+from needle_rig.service.api.endpoint import sockets_for_client
 from needle_rig.service.systemd import FAILED_UNIT, UNIT, UnitStanding, unit_standing
 
 _NETWORK_PREFIX = "60-needle-rig-"

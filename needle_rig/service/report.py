@@ -9,7 +9,7 @@ from needle_rig.control.in_si import torsional_rigidity_nm2
 from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
 from needle_rig.numerics import rounded
 from needle_rig.records import DriveFault, Firmware, Measurement
-from needle_rig.service import documents
+from needle_rig.service.api import documents
 from needle_rig.units import deg, nmm
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import uvicorn
 
-from needle_rig.service.connections import (
+from needle_rig.service.api.connections import (
     LET_IN,
     REQUEST_S,
     SPARE,

@@ -1,6 +1,6 @@
 """The API's process: serves the daemon's socket, so that no request costs the tick more than one short line.
 
-The daemon starts it as `python -m needle_rig.service.api_process LISTENER LINES PATH DAEMON`: two
+The daemon starts it as `python -m needle_rig.service.api.api_process LISTENER LINES PATH DAEMON`: two
 inherited descriptors, where the socket is, and the daemon's process id. It begins to serve at the line
 `serve`. When the daemon dies, it removes the socket in its place.
 """
@@ -21,13 +21,13 @@ from pathlib import Path
 import uvicorn
 
 from needle_rig.records import JsonObject
-from needle_rig.service.api import BODY_LIMIT_BYTES, Answer, application
-from needle_rig.service.connections import Connections
-from needle_rig.service.documents import Answered, Asked, Message
-from needle_rig.service.endpoint import Made
-from needle_rig.service.lines import Lines
-from needle_rig.service.serving import connection_limit, server
-from needle_rig.service.stream import Stream
+from needle_rig.service.api.api import BODY_LIMIT_BYTES, Answer, application
+from needle_rig.service.api.connections import Connections
+from needle_rig.service.api.documents import Answered, Asked, Message
+from needle_rig.service.api.endpoint import Made
+from needle_rig.service.api.lines import Lines
+from needle_rig.service.api.serving import connection_limit, server
+from needle_rig.service.api.stream import Stream
 
 CONNECTIONS = 256
 """Of strangers, and of those let in: far more than people and pages at one rig."""

@@ -13,9 +13,9 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.service.documents import Answered, Asked, Message
-from needle_rig.service.lease import Claim, Taken
-from needle_rig.service.lines import Lines
+from needle_rig.service.api.documents import Answered, Asked, Message
+from needle_rig.service.api.lease import Claim, Taken
+from needle_rig.service.api.lines import Lines
 
 log = structlog.get_logger("api")
 
@@ -112,7 +112,7 @@ class ApiLink:
         path = str(listener.getsockname())
         with theirs:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "needle_rig.service.api_process"),
+                *(sys.executable, "-m", "needle_rig.service.api.api_process"),
                 *(str(listener.fileno()), str(theirs.fileno()), path, str(os.getpid())),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.DEVNULL,

@@ -27,16 +27,16 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from needle_rig.errors import Aborted, BadInput
-from needle_rig.service.documents import Message
-from needle_rig.service.openapi import ROUTES, Path, openapi_document
-from needle_rig.service.orders import read_order
-from needle_rig.service.serving import LetIn
+from needle_rig.service.api.documents import Message
+from needle_rig.service.api.openapi import ROUTES, Path, openapi_document
+from needle_rig.service.api.orders import read_order
+from needle_rig.service.api.serving import LetIn
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
 
-    from needle_rig.service.connections import Connections
-    from needle_rig.service.stream import Stream
+    from needle_rig.service.api.connections import Connections
+    from needle_rig.service.api.stream import Stream
 
 BODY_LIMIT_BYTES = 64 * 1024
 """An order with every option full of numbers takes a third of this."""

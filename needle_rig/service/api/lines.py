@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import Callable
 
-from needle_rig.service.documents import Message
+from needle_rig.service.api.documents import Message
 
 LINE_LIMIT_BYTES = 4 * 2**20
 """Far above the longest state; a longer line means that the other end has gone mad."""

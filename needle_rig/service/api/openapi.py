@@ -8,7 +8,7 @@ from functools import cache
 from pydantic.json_schema import models_json_schema
 
 from needle_rig.records import JsonObject
-from needle_rig.service.orders import MODELS, Nothing
+from needle_rig.service.api.orders import MODELS, Nothing
 from needle_rig.version import VERSION
 
 _REFERENCE = "#/components/schemas/{model}"
