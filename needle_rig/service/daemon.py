@@ -29,7 +29,7 @@ from needle_rig.service.api.orders import Holder, Home, Jog, Model, Order, Reaso
 from needle_rig.service.logbook import Logbook
 from needle_rig.service.loop import ControlLoop
 from needle_rig.service.rates import Rates
-from needle_rig.service.recorder import Recorder
+from needle_rig.service.recorder.recorder import Recorder
 from needle_rig.service.repeats import Repeats
 from needle_rig.units import rad
 from needle_rig.version import VERSION

@@ -68,7 +68,7 @@ class RecorderLink:
         """Start a process, which gets ready meanwhile. Raises RigFault when there can be none."""
         try:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "needle_rig.service.recorder_process"),
+                *(sys.executable, "-m", "needle_rig.service.recorder.recorder_process"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
             )

@@ -16,7 +16,7 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.errors import NeedleRigError, RigFault
 from needle_rig.recording import being_written, journal_path, runs_in_journals
 from needle_rig.records import Sample
-from needle_rig.service.recorder_link import Gone, RecorderLink, Reply
+from needle_rig.service.recorder.recorder_link import Gone, RecorderLink, Reply
 
 log = structlog.get_logger("recorder")
 

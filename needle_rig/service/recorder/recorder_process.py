@@ -30,11 +30,11 @@ from needle_rig.recording import (
     sample_row,
     unfinished_runs,
 )
-from needle_rig.service.watch_process import WatchProcess
+from needle_rig.service.recorder.watch_process import WatchProcess
 
 if TYPE_CHECKING:
     from needle_rig.records import JsonObject
-    from needle_rig.service.recorder_link import Reply
+    from needle_rig.service.recorder.recorder_link import Reply
 
 _SENTENCE_LETTERS = 2000
 
