@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from needle_rig.control.brain import Brain
 from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import RigFault
-from needle_rig.service.clock import Clock, TimerClock, VirtualClock
-from needle_rig.service.daemon import Daemon, Parts
 from needle_rig.service.logbook import Logbook
-from needle_rig.service.notify import Notify
-from needle_rig.service.realtime import make_steady
-from needle_rig.service.thinker import Thinker
+from needle_rig.service.tick.clock import Clock, TimerClock, VirtualClock
+from needle_rig.service.tick.daemon import Daemon, Parts
+from needle_rig.service.tick.notify import Notify
+from needle_rig.service.tick.realtime import make_steady
+from needle_rig.service.tick.thinker import Thinker
 
 if TYPE_CHECKING:
     from needle_rig.config.schema import RigConfig
@@ -111,7 +111,7 @@ def _virtual_parts(
 def _real_rig(config: RigConfig, raw: RawReadings, *, resident: bool) -> Rig:
     """The rig behind its ports; the ports called `auto` belong to a simulated rig, which is started."""
     from needle_rig.devices.hardware_rig import HardwareRig
-    from needle_rig.service.late_rig import LateRig
+    from needle_rig.service.tick.late_rig import LateRig
     from needle_rig.simulation.bench import needs_bench
 
     if needs_bench(config):

@@ -17,7 +17,7 @@ from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
-    from needle_rig.service.daemon import Daemon
+    from needle_rig.service.tick.daemon import Daemon
 
 _ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 

@@ -17,7 +17,7 @@ from needle_rig.devices.bus_watch import frame_bits
 from needle_rig.recording import mark_read, retain
 from needle_rig.service import check
 from needle_rig.service.interface import Interface, parse
-from needle_rig.service.rates import Rates
+from needle_rig.service.tick.rates import Rates
 from needle_rig.version import VERSION
 
 RIG = load_rig_config(shipped_file("rig.hardware.yaml"))

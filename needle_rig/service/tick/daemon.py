@@ -21,16 +21,16 @@ from needle_rig.control.strategy import Trust
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.numerics import rounded
 from needle_rig.records import Phase, Sample
-from needle_rig.service import report
 from needle_rig.service.api.api_link import ApiLink
 from needle_rig.service.api.documents import Ended, Message, Moved, Node, Started, State, Ticks, Told, Whole
 from needle_rig.service.api.lease import LEASE_S, Claim, Lease
 from needle_rig.service.api.orders import Holder, Home, Jog, Model, Order, Reason, read_order
 from needle_rig.service.logbook import Logbook
-from needle_rig.service.loop import ControlLoop
-from needle_rig.service.rates import Rates
 from needle_rig.service.recorder.recorder import Recorder
-from needle_rig.service.repeats import Repeats
+from needle_rig.service.tick import report
+from needle_rig.service.tick.loop import ControlLoop
+from needle_rig.service.tick.rates import Rates
+from needle_rig.service.tick.repeats import Repeats
 from needle_rig.units import rad
 from needle_rig.version import VERSION
 
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
     from needle_rig.config.schema import RigConfig
     from needle_rig.rig import RawReadings, Rig
-    from needle_rig.service.clock import Clock
-    from needle_rig.service.notify import Notify
-    from needle_rig.service.thinker import Thinker
+    from needle_rig.service.tick.clock import Clock
+    from needle_rig.service.tick.notify import Notify
+    from needle_rig.service.tick.thinker import Thinker
 
 log = structlog.get_logger("daemon")
 

@@ -11,7 +11,7 @@ import numpy as np
 from needle_rig.control.brain import Brain
 from needle_rig.records import STOP, Sample
 from needle_rig.rig import Rig
-from needle_rig.service.clock import Clock
+from needle_rig.service.tick.clock import Clock
 
 _REMEMBERED_TICKS = 4096
 
