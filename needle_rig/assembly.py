@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.strategy import find_strategies
-from needle_rig.service.logbook import Logbook
+from needle_rig.service.installed.logbook import Logbook
 from needle_rig.service.tick.clock import Clock, TimerClock, VirtualClock
 from needle_rig.service.tick.daemon import Daemon, Parts
 from needle_rig.service.tick.notify import Notify

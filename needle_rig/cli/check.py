@@ -93,7 +93,7 @@ def _findings(
     from needle_rig.config.schema import NetFtTorque
     from needle_rig.service import check
     from needle_rig.service.api.endpoint import sockets_for_client
-    from needle_rig.service.installation import HERE, nobody_answers
+    from needle_rig.service.installed.installation import HERE, nobody_answers
     from needle_rig.service.interface import look_at
 
     path = rig_file or (HERE.rig_file if HERE.rig_file.exists() else find_config_file("rig.yaml"))

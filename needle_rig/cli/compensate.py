@@ -254,7 +254,7 @@ def _refuse_where_a_rig_is_set_up(given: list[str]) -> None:
     """Nobody who wants the real needle turned may watch a simulated one."""
     from needle_rig.service.api.endpoint import sockets_for_client
     from needle_rig.service.client import find_daemon
-    from needle_rig.service.installation import HERE, nobody_answers
+    from needle_rig.service.installed.installation import HERE, nobody_answers
 
     signs = HERE.signs()
     if not signs:

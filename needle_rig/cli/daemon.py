@@ -67,7 +67,7 @@ def command(
 
 def _refuse_where_a_rig_is_set_up() -> None:
     """Who starts a daemon at the rig's computer without a word does not mean the simulated rig."""
-    from needle_rig.service.installation import HERE
+    from needle_rig.service.installed.installation import HERE
 
     for sign in (HERE.unit, HERE.rig_file):
         if sign.exists():

@@ -14,7 +14,7 @@ from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
     from needle_rig.service.install import Wanted
-    from needle_rig.service.installation import Installation
+    from needle_rig.service.installed.installation import Installation
     from needle_rig.service.steps import Step
 
 _A_PORT = "/dev/serial/by-id/…"
@@ -80,7 +80,7 @@ def command(
         removal_steps,
         stays,
     )
-    from needle_rig.service.installation import Installation
+    from needle_rig.service.installed.installation import Installation
 
     place = Installation(root.absolute())
     if place.root == Path("/") and not dry_run:

@@ -21,7 +21,7 @@ def command(file: Path, root: Path) -> None:
     """
     from needle_rig.service.backup import restore
     from needle_rig.service.install import is_active
-    from needle_rig.service.installation import Installation
+    from needle_rig.service.installed.installation import Installation
 
     place = Installation(root.absolute())
     done = restore(place, file)

@@ -24,7 +24,7 @@ from needle_rig.folders import temporary_folder
 from needle_rig.recording.journal import SUFFIX
 from needle_rig.recording.liveness import being_written
 from needle_rig.service.archive import Entry, Packed, packed, packing, sha256_of
-from needle_rig.service.installation import Installation
+from needle_rig.service.installed.installation import Installation
 
 KIND = "backup"
 _RIG, _RUNS, _ELSEWHERE = "rig/", "runs/", "elsewhere/"

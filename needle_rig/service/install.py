@@ -13,7 +13,8 @@ from pathlib import Path
 from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput
 from needle_rig.extras import install_arguments, install_command
-from needle_rig.service.installation import Installation
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.installed.systemd import FAILED_UNIT, UNIT
 from needle_rig.service.steps import (
     AwaitProcesses,
     LeaveToAll,
@@ -26,7 +27,6 @@ from needle_rig.service.steps import (
     WriteFile,
     links_to,
 )
-from needle_rig.service.systemd import FAILED_UNIT, UNIT
 
 ACCOUNT = "needle-rig"
 """The service's user, and the group whose members may use its rig."""
@@ -306,7 +306,7 @@ def _is_enabled(place: Installation, unit: str, target: str = "multi-user.target
 
 def is_active(unit: str = UNIT) -> bool:
     """Whether a unit runs, or is about to."""
-    from needle_rig.service.systemd import unit_standing
+    from needle_rig.service.installed.systemd import unit_standing
 
     standing = unit_standing(unit)
     return standing is not None and standing.state in ("active", "activating", "reloading")

@@ -19,8 +19,8 @@ from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile, list_runs
 from needle_rig.service.archive import Packing, packing
 from needle_rig.service.client import find_daemon
-from needle_rig.service.installation import Installation
-from needle_rig.service.systemd import UNIT
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.installed.systemd import UNIT
 from needle_rig.version import VERSION
 
 KIND = "report"

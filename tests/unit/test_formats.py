@@ -29,7 +29,7 @@ from needle_rig.recording.writer import RunWriter
 from needle_rig.records import JsonObject
 from needle_rig.service.archive import packed
 from needle_rig.service.backup import back_up
-from needle_rig.service.installation import Installation
+from needle_rig.service.installed.installation import Installation
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.version import VERSION
 from needle_rig.workbench.learning.diagnosis_file import _checksum, load_diagnosis

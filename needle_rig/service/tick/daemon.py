@@ -25,7 +25,7 @@ from needle_rig.service.api.api_link import ApiLink
 from needle_rig.service.api.documents import Ended, Message, Moved, Node, Started, State, Ticks, Told, Whole
 from needle_rig.service.api.lease import LEASE_S, Claim, Lease
 from needle_rig.service.api.orders import Holder, Home, Jog, Model, Order, Reason, read_order
-from needle_rig.service.logbook import Logbook
+from needle_rig.service.installed.logbook import Logbook
 from needle_rig.service.recorder.recorder import Recorder
 from needle_rig.service.tick import report
 from needle_rig.service.tick.loop import ControlLoop

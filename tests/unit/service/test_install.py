@@ -15,7 +15,7 @@ from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
 from needle_rig.service.install import installed_program, refuse_unable, unit_text
-from needle_rig.service.installation import Installation
+from needle_rig.service.installed.installation import Installation
 from needle_rig.service.rig_file import Answers, rig_file_text
 
 pytestmark = pytest.mark.skipif(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from needle_rig.service.logbook import Logbook
+from needle_rig.service.installed.logbook import Logbook
 from needle_rig.service.tick.repeats import QUIET_S, Repeats
 
 

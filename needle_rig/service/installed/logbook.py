@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from needle_rig.service.systemd import LOG
+from needle_rig.service.installed.systemd import LOG
 
 _NAME = ".daemon.json"
 _ENDING = ".ending"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.service.api.endpoint import sockets_for_client
-from needle_rig.service.systemd import FAILED_UNIT, UNIT, UnitStanding, unit_standing
+from needle_rig.service.installed.systemd import FAILED_UNIT, UNIT, UnitStanding, unit_standing
 
 _NETWORK_PREFIX = "60-needle-rig-"
 _UNIT_PATH = re.compile(r"(?m)^Environment=PATH=([^:\s]+)")
@@ -131,7 +131,7 @@ def _why_down(standing: UnitStanding) -> str:
     if not standing.failing:
         return standing.sentence
     from needle_rig.config.loader import load_rig_config
-    from needle_rig.service.logbook import Logbook
+    from needle_rig.service.installed.logbook import Logbook
 
     try:
         load_rig_config(HERE.rig_file)
