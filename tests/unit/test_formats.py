@@ -27,9 +27,9 @@ from needle_rig.recording import RunFile
 from needle_rig.recording.tables import run_attributes, run_tables
 from needle_rig.recording.writer import RunWriter
 from needle_rig.records import JsonObject
-from needle_rig.service.archive import packed
-from needle_rig.service.backup import back_up
 from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup.archive import packed
+from needle_rig.service.setup.backup import back_up
 from needle_rig.simulation.protocol import load_protocol
 from needle_rig.version import VERSION
 from needle_rig.workbench.learning.diagnosis_file import _checksum, load_diagnosis

@@ -23,8 +23,8 @@ from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.folders import temporary_folder
 from needle_rig.recording.journal import SUFFIX
 from needle_rig.recording.liveness import being_written
-from needle_rig.service.archive import Entry, Packed, packed, packing, sha256_of
 from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup.archive import Entry, Packed, packed, packing, sha256_of
 
 KIND = "backup"
 _RIG, _RUNS, _ELSEWHERE = "rig/", "runs/", "elsewhere/"

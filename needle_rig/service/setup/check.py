@@ -15,7 +15,7 @@ from needle_rig.control.in_si import torsional_rigidity_nm2
 from needle_rig.control.supervision import BLIND_S
 from needle_rig.recording import kept_text, run_tables, size_bytes, to_remove
 from needle_rig.service.api.documents import Sensors, State
-from needle_rig.service.interface import Interface
+from needle_rig.service.setup.interface import Interface
 from needle_rig.units import deg
 from needle_rig.version import VERSION, differs
 

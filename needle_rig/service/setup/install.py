@@ -15,7 +15,7 @@ from needle_rig.errors import BadInput
 from needle_rig.extras import install_arguments, install_command
 from needle_rig.service.installed.installation import Installation
 from needle_rig.service.installed.systemd import FAILED_UNIT, UNIT
-from needle_rig.service.steps import (
+from needle_rig.service.setup.steps import (
     AwaitProcesses,
     LeaveToAll,
     MakeLink,

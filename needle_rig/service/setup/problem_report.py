@@ -17,10 +17,10 @@ from pathlib import Path
 
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile, list_runs
-from needle_rig.service.archive import Packing, packing
 from needle_rig.service.client import find_daemon
 from needle_rig.service.installed.installation import Installation
 from needle_rig.service.installed.systemd import UNIT
+from needle_rig.service.setup.archive import Packing, packing
 from needle_rig.version import VERSION
 
 KIND = "report"

@@ -22,10 +22,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.service.backup import back_up, refuse_over_a_run
 from needle_rig.service.client import find_daemon
 from needle_rig.service.installed.installation import Installation
 from needle_rig.service.installed.systemd import LOG, UNIT
+from needle_rig.service.setup.backup import back_up, refuse_over_a_run
 
 Tell = Callable[[str], None]
 
