@@ -165,7 +165,7 @@ def _orders(
         raise BadInput("give either --target, as in --target 45, or --protocol")
     if target is not None:
         return [_order(target, strategy, options, *more)]
-    from needle_rig.simulation.protocol import load_protocol
+    from needle_rig.dataset.protocol import load_protocol
 
     assert protocol is not None
     extra, settle, speed = more
