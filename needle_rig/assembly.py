@@ -101,7 +101,7 @@ def _real_rig(config: RigConfig, raw: RawReadings, *, resident: bool) -> Rig:
     from needle_rig.devices.hardware_rig import HardwareRig
     from needle_rig.service.tick.late_rig import LateRig
     from needle_rig.service.tick.rig_on_bench import RigOnBench
-    from needle_rig.simulation.bench import needs_bench
+    from needle_rig.simulation.bench.process import needs_bench
 
     if needs_bench(config):
         return RigOnBench(config, raw)

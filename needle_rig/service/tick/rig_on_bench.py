@@ -11,7 +11,7 @@ from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.errors import RigFault
 from needle_rig.records import Command, Firmware, Measurement
 from needle_rig.rig import RawReadings
-from needle_rig.simulation.bench import Bench, spawn
+from needle_rig.simulation.bench.process import Bench, spawn
 
 _HELD_UP_S = 0.05
 _REMEMBERED_S = 1.0

@@ -16,13 +16,13 @@ from typing import Any, Protocol
 from needle_rig.config.files import find_config_file
 from needle_rig.config.schema import RigConfig
 from needle_rig.records import DriveState, Measurement
-from needle_rig.simulation.bench_lines import Said
+from needle_rig.simulation.bench.bench_lines import Said
+from needle_rig.simulation.bench.socketcan_port import SocketCanPort
 from needle_rig.simulation.cia402_node import Cia402Node
 from needle_rig.simulation.faults import Faults, Link, over_index
 from needle_rig.simulation.netft_sensor import NetFtPorts
 from needle_rig.simulation.node_set import build_nodes
 from needle_rig.simulation.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
-from needle_rig.simulation.socketcan_port import SocketCanPort
 from needle_rig.units import deg, rad
 from needle_rig.wire.can_frames import CanCodec, DriveCommand
 

@@ -27,7 +27,7 @@ from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
 
 if TYPE_CHECKING:
-    from needle_rig.simulation.bench_lines import Said
+    from needle_rig.simulation.bench.bench_lines import Said
 
 PREFIX = "needle-rig-bench-"
 """Of the temporary folders with the names of a bench's ports."""
@@ -219,7 +219,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", action="store_true", help="go on when standard input ends")
     options = parser.parse_args(arguments)
 
-    from needle_rig.simulation.bench_loop import BenchLoop, be_urgent, speak
+    from needle_rig.simulation.bench.bench_loop import BenchLoop, be_urgent, speak
 
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: sys.exit(0))
@@ -242,7 +242,3 @@ def main(arguments: list[str] | None = None) -> int:
         with contextlib.suppress(KeyboardInterrupt):
             loop.run(0, end_with_control=not options.keep)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
