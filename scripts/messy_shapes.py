@@ -26,7 +26,7 @@ from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.rod import Layout
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.simulation.base_drive import Motion, base_path
+from needle_rig.simulation.drive.base_drive import Motion, base_path
 from needle_rig.units import rad
 from needle_rig.workbench.virtual.dataset import REST_S
 from needle_rig.workbench.virtual.noise import Noise

@@ -15,7 +15,7 @@ from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array, lower_root
 from needle_rig.physics.effect import Trial
-from needle_rig.simulation.base_drive import base_path, phases
+from needle_rig.simulation.drive.base_drive import base_path, phases
 from needle_rig.workbench.estimation.linear import LinearisedFit, prediction_covariance
 from needle_rig.workbench.estimation.map_fit import Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective

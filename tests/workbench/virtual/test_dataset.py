@@ -12,7 +12,7 @@ from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import FRICTION
-from needle_rig.simulation.base_drive import Motion, base_path
+from needle_rig.simulation.drive.base_drive import Motion, base_path
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from tests.workbench.hidden import effect

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from needle_rig.config.schema import DriveSection
 from needle_rig.records import COMMAND_AGE_S, STOP, TEMPORARY, Command, DriveFault, DriveState
-from needle_rig.simulation.motion_monitor import MotionMonitor, Verdict
+from needle_rig.simulation.drive.motion_monitor import MotionMonitor, Verdict
 from needle_rig.units import deg, nm, rad
 
 ENDS_READY = DriveFault.IDLE_MOTION | DriveFault.EMERGENCY_STOP

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from needle_rig.simulation.motion_monitor import MotionMonitor
+from needle_rig.simulation.drive.motion_monitor import MotionMonitor
 from needle_rig.units import nmm, rad
 
 ACCELERATION = 7_200_000
