@@ -18,11 +18,11 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.records import DriveState, Measurement
 from needle_rig.simulation.bench.bench_lines import Said
 from needle_rig.simulation.bench.socketcan_port import SocketCanPort
-from needle_rig.simulation.cia402_node import Cia402Node
 from needle_rig.simulation.faults import Faults, Link, over_index
-from needle_rig.simulation.netft_sensor import NetFtPorts
-from needle_rig.simulation.node_set import build_nodes
-from needle_rig.simulation.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.netft_sensor import NetFtPorts
+from needle_rig.simulation.nodes.node_set import build_nodes
+from needle_rig.simulation.nodes.slcan_hub import CanPort, Frame, Pty, SlcanHub, SlcanPort
 from needle_rig.units import deg, rad
 from needle_rig.wire.can_frames import CanCodec, DriveCommand
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from needle_rig.errors import BadInput
-from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.nodes.slcan_hub import Frame
 
 _FRAME = struct.Struct("=IB3x8s")
 _NOT_PLAIN = 0xE000_0000

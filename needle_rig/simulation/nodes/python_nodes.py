@@ -9,8 +9,12 @@ from needle_rig.config.schema import DriveSection
 from needle_rig.records import DriveFault, DriveState
 from needle_rig.simulation.drive.drive_guard import DriveGuard, guard_settings
 from needle_rig.simulation.drive.velocity_loop import VelocityLoop
-from needle_rig.simulation.front_end import ENCODER_COUNTS_PER_DEG, TORQUE_COUNTS_PER_NMM, TORQUE_FULL_SCALE
-from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.nodes.front_end import (
+    ENCODER_COUNTS_PER_DEG,
+    TORQUE_COUNTS_PER_NMM,
+    TORQUE_FULL_SCALE,
+)
+from needle_rig.simulation.nodes.slcan_hub import Frame
 from needle_rig.units import deg, nm, rad
 from needle_rig.version import VERSION
 from needle_rig.wire.can_frames import (

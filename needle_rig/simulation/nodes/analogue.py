@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from needle_rig.records import Measurement
-from needle_rig.simulation.front_end import TORQUE_COUNTS_PER_NMM, TORQUE_FULL_SCALE, Inputs
+from needle_rig.simulation.nodes.front_end import TORQUE_COUNTS_PER_NMM, TORQUE_FULL_SCALE, Inputs
 from needle_rig.units import nmm, rad
 
 ADC_MID, ADC_MAX = 2048, 4095

@@ -8,15 +8,15 @@ from types import MappingProxyType
 from typing import Any
 
 from needle_rig.config.schema import Cia402Drive, NetFtTorque, TextHall
-from needle_rig.simulation.cia402_node import Cia402Node
-from needle_rig.simulation.front_end import (
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.front_end import (
     ENCODER_COUNTS_PER_DEG,
     HALL_AMPLITUDE_COUNTS,
     TORQUE_COUNTS_PER_NMM,
 )
-from needle_rig.simulation.netft_sensor import NetFtSensor
-from needle_rig.simulation.slcan_hub import Frame
-from needle_rig.simulation.text_sensors import TextSensors
+from needle_rig.simulation.nodes.netft_sensor import NetFtSensor
+from needle_rig.simulation.nodes.slcan_hub import Frame
+from needle_rig.simulation.nodes.text_sensors import TextSensors
 from needle_rig.units import deg, nmm
 
 _TOO_HOT = 0x4210

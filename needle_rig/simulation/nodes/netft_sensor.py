@@ -10,7 +10,7 @@ import socket
 import struct
 
 from needle_rig.config.schema import NetFtTorque
-from needle_rig.simulation.front_end import TORQUE_COUNTS_PER_NMM, TORQUE_FULL_SCALE
+from needle_rig.simulation.nodes.front_end import TORQUE_COUNTS_PER_NMM, TORQUE_FULL_SCALE
 
 COUNTS_PER_NM = 64_000_000
 """As a small transducer has it: 15.6 nN·m a count."""

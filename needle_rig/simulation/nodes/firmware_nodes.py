@@ -17,8 +17,8 @@ from needle_rig.firmware.host import HostNode, HostNodes
 from needle_rig.firmware.pages import read_page
 from needle_rig.firmware.pins import PAGE_SIZE, Pins
 from needle_rig.records import DriveFault, DriveState
-from needle_rig.simulation.analogue import AnalogueFrontEnd
-from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.nodes.analogue import AnalogueFrontEnd
+from needle_rig.simulation.nodes.slcan_hub import Frame
 from needle_rig.wire.can_frames import DRIVE_HEALTH_ID, DRIVE_STATUS_ID
 
 BLANK = b"\xff" * PAGE_SIZE

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from needle_rig.config.schema import Cia402Drive
 from needle_rig.records import DriveFault, DriveState
-from needle_rig.simulation.front_end import ENCODER_COUNTS_PER_DEG
-from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.nodes.front_end import ENCODER_COUNTS_PER_DEG
+from needle_rig.simulation.nodes.slcan_hub import Frame
 
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
 

@@ -18,13 +18,13 @@ from needle_rig.config.schema import (
 )
 from needle_rig.errors import BadInput
 from needle_rig.records import DriveFault, DriveState, Measurement
-from needle_rig.simulation.analogue import ADC_MID, AnalogueFrontEnd, SensorErrors
-from needle_rig.simulation.cia402_node import Cia402Node
-from needle_rig.simulation.front_end import Inputs, inputs
-from needle_rig.simulation.netft_sensor import NetFtSensor
-from needle_rig.simulation.nodes import DriveNode, HallNode, TorqueNode
-from needle_rig.simulation.slcan_hub import Frame
-from needle_rig.simulation.text_sensors import TextSensors
+from needle_rig.simulation.nodes.analogue import ADC_MID, AnalogueFrontEnd, SensorErrors
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.front_end import Inputs, inputs
+from needle_rig.simulation.nodes.netft_sensor import NetFtSensor
+from needle_rig.simulation.nodes.python_nodes import DriveNode, HallNode, TorqueNode
+from needle_rig.simulation.nodes.slcan_hub import Frame
+from needle_rig.simulation.nodes.text_sensors import TextSensors
 from needle_rig.wire.can_frames import CanCodec
 
 FIRMWARE_SENSORS, FIRMWARE_RATE_HZ = 4, 1000
@@ -139,7 +139,7 @@ def _others(links: LinksSection) -> list[str]:
 
 
 def _firmware(simulation: SimulationSection) -> tuple[Torque, Hall, Drive]:
-    from needle_rig.simulation.firmware_nodes import (
+    from needle_rig.simulation.nodes.firmware_nodes import (
         DriveFirmware,
         FirmwareNodes,
         HallFirmware,
