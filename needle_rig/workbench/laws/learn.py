@@ -11,8 +11,8 @@ import numpy as np
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.laws.curve import fitted_curve
 from needle_rig.workbench.laws.draft import Origin, Table, formula_text
 from needle_rig.workbench.laws.fitting import Parent, present_score
