@@ -14,9 +14,9 @@ from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import UNIT
+from needle_rig.workbench.laws.law_search import FoundLaw, misses_more
 from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.screening import dispersion, seen
-from needle_rig.workbench.laws.search import FoundLaw, misses_more
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 
 BAND_SIGMAS = 1.96
