@@ -1,26 +1,25 @@
-"""A sample of scripts/hazards, and the figures by which it judges."""
+"""A sample of `hazards`, and the figures by which it judges."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from hazard.campaign import Found, broken, in_a_copy, results, until
-from hazard.cases import Case
-from hazard.faults import FAULTS, LATCHING, PASSING
-from hazard.figures import ON_ITS_WAY_MS, Asked, Commanded, Hull, Latches
-from hazard.plans import Plan, pairs, singles
-from hazard.scenes import SCENES, SLOW
-from hazard.setups import BOUND_DEG, DISAGREEMENT_DEG, SETUPS
-from hazard.tables import report
-from hazard.trial import Result, Trial
 
+from campaigns import ROOT
+from campaigns.rig.hazard.campaign import Found, broken, in_a_copy, results, until
+from campaigns.rig.hazard.cases import Case
+from campaigns.rig.hazard.faults import FAULTS, LATCHING, PASSING
+from campaigns.rig.hazard.figures import ON_ITS_WAY_MS, Asked, Commanded, Hull, Latches
+from campaigns.rig.hazard.plans import Plan, pairs, singles
+from campaigns.rig.hazard.scenes import SCENES, SLOW
+from campaigns.rig.hazard.setups import BOUND_DEG, DISAGREEMENT_DEG, SETUPS
+from campaigns.rig.hazard.tables import report
+from campaigns.rig.hazard.trial import Result, Trial
 from needle_rig.units import deg, nmm
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "hazards"
 QUIET = Result(0.0, 0.0, 0.0, ended=True, off_ms=None, name="", named_ms=None, woken=0, moved=0)
 SAMPLE = (
     "encoder stands still",
@@ -217,7 +216,11 @@ def test_an_error_in_a_copy_is_no_result() -> None:
 )
 def test_a_wrong_request_is_one_sentence(arguments: tuple[str, ...], code: int, told: str) -> None:
     done = subprocess.run(
-        [sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "campaigns", "hazards", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == code
     assert told in done.stderr
