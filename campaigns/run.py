@@ -34,6 +34,11 @@ def _no_options(_: argparse.ArgumentParser) -> None:
     """A campaign without options of its own."""
 
 
+def _never(_: list[Row]) -> bool:
+    """A campaign that promises nothing."""
+    return False
+
+
 @dataclass(frozen=True)
 class Campaign:
     """A question that is asked of many tasks."""
@@ -49,6 +54,8 @@ class Campaign:
     counts: str = "the plan has one size"
     """What `--size` counts."""
     options: Callable[[argparse.ArgumentParser], None] = _no_options
+    failed: Callable[[list[Row]], bool] = _never
+    """Whether rows break a promise: exit code 1, as of a crash."""
     rows_a_process: int | None = None
     """A process ends after so many rows, where they take much memory."""
 
@@ -77,12 +84,17 @@ def answered(rows: Iterable[Row]) -> list[Row]:
 
 def asked(campaign: Campaign, task: Row, given: Namespace) -> Row:
     """The row of a task; a crash is an answer too."""
-    begun = time.process_time()
+    begun = _processor_s()
     try:
         answer = campaign.ask(task, given)
     except Exception:  # noqa: BLE001 it is counted
         answer = {"crash": traceback.format_exc(limit=-4)}
-    return {"task": task, **task, **answer, "cpu_s": round(time.process_time() - begun, 1)}
+    return {"task": task, **task, **answer, "cpu_s": round(_processor_s() - begun, 1)}
+
+
+def _processor_s() -> float:
+    """Of this process and of its children that have ended."""
+    return sum(os.times()[:4])
 
 
 def counted(rows: list[Row], planned: int) -> str:
@@ -92,7 +104,7 @@ def counted(rows: list[Row], planned: int) -> str:
         lines.append(f"{len(rows)} of {planned} rows, measured at {commit_} with policy {policy_}.")
     if taken := sorted(row["cpu_s"] for row in answered(rows)):
         lines.append(
-            f"Processor time of an answer: median {taken[len(taken) // 2]:.0f} s, 95 % below"
+            f"Processor time of a row: median {taken[len(taken) // 2]:.0f} s, 95 % below"
             f" {taken[int(0.95 * (len(taken) - 1))]:.0f} s, {sum(taken) / 3600:.1f} h in all."
         )
     for why in sorted({row["skipped"] for row in rows if "skipped" in row}):
@@ -126,8 +138,9 @@ def run(name: str, campaign: Campaign, words: list[str]) -> int:
     """Ask what has no row yet, then print the table. Exit code 2 for rows that would not be evidence."""
     given = _parsed(name, campaign, words)
     if given.only:
-        print(json.dumps(asked(campaign, json.loads(given.only), given), indent=1, ensure_ascii=False))
-        return 0
+        row = asked(campaign, json.loads(given.only), given)
+        print(json.dumps(row, indent=1, ensure_ascii=False))
+        return int("crash" in row)
     code = commit()
     file = given.rows or ROOT / f"build/campaigns/{name}-{code}.jsonl"
     rows = read_rows(file)
@@ -150,7 +163,7 @@ def run(name: str, campaign: Campaign, words: list[str]) -> int:
         except KeyboardInterrupt:
             print("stopped", file=sys.stderr)
     print(campaign.table(rows, given) + "\n\n" + counted(rows, len(tasks)))
-    return int(any("crash" in row for row in rows))
+    return int(campaign.failed(rows) or any("crash" in row for row in rows))
 
 
 def read_rows(file: Path) -> list[Row]:

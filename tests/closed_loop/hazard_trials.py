@@ -1,4 +1,4 @@
-"""One trial of python -m campaigns hazards, begun at a place and judged by its own figures."""
+"""One trial of `hazards`, begun at a place and judged by its own figures."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import os
 import random
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -50,10 +50,6 @@ class Lame:
     setup: str
     speed_deg_s: float
     fault: str
-
-    def line(self) -> str:
-        """As JSON."""
-        return json.dumps({"lame": asdict(self)})
 
 
 def results(plan: Plan) -> Iterator[Found | Lame]:
@@ -166,45 +162,6 @@ def in_a_copy(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     with os.fdopen(reader) as pipe:
         text = pipe.read()
     if os.waitpid(child, 0)[1] != 0:
-        raise SystemExit("a trial failed; its error is above")
+        raise RuntimeError("a trial failed; its error is above")
     told: dict[str, Any] = json.loads(text)
     return told
-
-
-def in_parallel(plans: list[Plan], jobs: int) -> Iterable[str]:
-    """The lines of all trials of `plans`, the largest first; each process takes the next one left."""
-    largest = sorted(plans, key=lambda plan: -plan.trials)
-    next_reader, next_writer = os.pipe()
-    line_reader, line_writer = os.pipe()
-    children = []
-    for _ in range(jobs):
-        child = os.fork()
-        if child == 0:
-            code = 1
-            try:
-                os.close(next_writer)
-                os.close(line_reader)
-                while number := os.read(next_reader, 4):
-                    for found in results(largest[int.from_bytes(number)]):
-                        # shorter than PIPE_BUF: lines of different processes do not mix
-                        os.write(line_writer, (found.line() + "\n").encode())
-                code = 0
-            except BaseException:
-                traceback.print_exc()
-                raise
-            finally:
-                os._exit(code)
-        children.append(child)
-    os.close(next_reader)
-    os.close(line_writer)
-    feeder = os.fork()
-    if feeder == 0:
-        os.close(line_reader)
-        for place in range(len(largest)):
-            os.write(next_writer, place.to_bytes(4))
-        os._exit(0)
-    os.close(next_writer)
-    with os.fdopen(line_reader) as pipe:
-        yield from pipe
-    if any(os.waitpid(child, 0)[1] for child in (*children, feeder)):
-        raise SystemExit("a part of the campaign failed; its error is above")

@@ -11,8 +11,7 @@ from campaigns.rig.hazard.campaign import Found, Lame
 from campaigns.rig.hazard.faults import FAULTS
 from campaigns.rig.hazard.setups import BOUND_DEG, DISAGREEMENT_DEG, SETUPS
 
-HEAD = f"""# Hazards: what a fault can do to the base
-
+HEAD = f"""\
 Virtual time, the host's production code. *own*: the nodes' C, with the guard of motion in the drive node.
 *cia402*: the production driver and the drive's twin; the host alone watches its motion.
 
@@ -145,7 +144,7 @@ def report(found: list[Found], lame: list[Lame], head: str) -> str:
     )
     lines += ["", "## Broken", ""]
     lines += [f"{len(broken)} of {len(found)} trials; {pairs_far} pairs went beyond 15° and ended or not."]
-    lines += ["Again, with a trace: `hazards --repeat 'LINE'`.", *_reasons(broken)]
+    lines += ['Again, with a trace: `hazards --only \'{"trial": "LINE"}\'`.', *_reasons(broken)]
     lines += [f"- `{f.case.text}`: {'; '.join(why)} ({f.result.name or 'not noticed'})" for f, why in broken]
     return "\n".join(lines)
 
