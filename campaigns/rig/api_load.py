@@ -38,10 +38,10 @@ import structlog
 
 from needle_rig.assembly import build_daemon
 from needle_rig.config.loader import load_rig_config
-from needle_rig.service.api_link import STATES_HZ, ApiLink
-from needle_rig.service.clock import TimerClock
-from needle_rig.service.endpoint import listening
-from needle_rig.service.realtime import make_steady
+from needle_rig.service.api.api_link import STATES_HZ, ApiLink
+from needle_rig.service.api.endpoint import listening
+from needle_rig.service.tick.clock import TimerClock
+from needle_rig.service.tick.realtime import make_steady
 
 HALF_OPEN, WATCHERS, DEAF = 300, 200, 50
 BODY = b'{"target_deg": 1, "options": {"a": "' + b"x" * 1_000_000 + b'"}}'

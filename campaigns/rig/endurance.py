@@ -21,8 +21,8 @@ from pathlib import Path
 from campaigns.rig.daemons import wait_for
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile
+from needle_rig.service.api.documents import Ended, Ticks
 from needle_rig.service.client import DaemonClient
-from needle_rig.service.documents import Ended, Ticks
 
 POINTS = 10
 GROWTH_KB_A_POINT = 300

@@ -28,9 +28,9 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile
+from needle_rig.service.api.documents import State
 from needle_rig.service.client import DaemonClient
-from needle_rig.service.documents import State
-from needle_rig.simulation.bench import Bench, start
+from needle_rig.simulation.bench.process import Bench, start
 
 AGE_LIMIT_MS = 250.0
 LINK_BOUND_MS = AGE_LIMIT_MS + 50.0

@@ -40,9 +40,9 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile, RunWriter, list_runs, run_tables, unfinished_runs
 from needle_rig.records import DriveFault, DriveState, Phase, Sample
-from needle_rig.service.recorder import Recorder
-from needle_rig.service.recorder_link import Reply
-from needle_rig.service.recorder_process import Keeper
+from needle_rig.service.recorder.recorder import Recorder
+from needle_rig.service.recorder.recorder_link import Reply
+from needle_rig.service.recorder.recorder_process import Keeper
 
 SEED = 20_260
 TICK_S, RAW_PER_TICK = 0.005, 5

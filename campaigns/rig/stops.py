@@ -35,8 +35,8 @@ from needle_rig.assembly import build_daemon
 from needle_rig.config.loader import load_rig_config
 from needle_rig.records import Command, Firmware, JsonObject, Measurement
 from needle_rig.rig import Rig
-from needle_rig.service.daemon import Daemon
-from needle_rig.service.endpoint import listening
+from needle_rig.service.api.endpoint import listening
+from needle_rig.service.tick.daemon import Daemon
 
 SLOW_DISK_S = 0.05
 MOTION_S = 0.3

@@ -23,10 +23,10 @@ from campaigns.workbench.rates import HEAD, line
 from campaigns.workbench.textbook_sets import dataset as dataset_of
 from campaigns.workbench.textbook_sets import rig
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, load_protocol
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
-from needle_rig.simulation.protocol import Protocol, load_protocol
 from needle_rig.workbench.estimation.parameters import (
     at_strength,
     constrained_means,

@@ -21,11 +21,11 @@ from campaigns.run import Campaign, Row, answered
 from campaigns.workbench.hidden_laws import BY_NAME
 from campaigns.workbench.peers import Data, Discrepancy, Peer, Sindy, Symbolic, left_out_error
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
 from needle_rig.numerics import Array
 from needle_rig.physics.library import find_effects
-from needle_rig.simulation.protocol import load_protocol
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.learn import learn_laws

@@ -27,6 +27,7 @@ from campaigns.workbench.diagnosis_sets import (
 from campaigns.workbench.noise_kinds import noisy
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, denoised_base, write_dataset
 from needle_rig.dataset.description import read_description
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.dataset.records import Start
 from needle_rig.importing import Mapping as ImportMapping
 from needle_rig.importing import dataset_of
@@ -38,8 +39,7 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.simulation.base_drive import Motion, base_path
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.simulation.drive.base_drive import Motion, base_path
 from needle_rig.units import rad
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.parameters import FreeParameter

@@ -19,11 +19,11 @@ from campaigns.run import Campaign, Row, answered
 from campaigns.workbench.hidden_laws import BY_NAME
 from needle_rig.control.strategy import Reason, make_strategy
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.errors import BadInput
 from needle_rig.model import SavedModel, load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, rad
 from needle_rig.workbench.contest.strategies_table import STARTS, Bout
 from needle_rig.workbench.learning.learn_law import learn_law

@@ -20,9 +20,9 @@ import numpy as np
 from campaigns.workbench.textbook_sets import NULL, dataset, rig, scattered
 from needle_rig.control.strategy import Strategy, make_strategy
 from needle_rig.dataset import write_dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.model import SavedModel
 from needle_rig.physics.effects.stribeck import Stribeck
-from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, rad
 from needle_rig.workbench.contest.strategies_table import WOUND_DEG, Bout
 from needle_rig.workbench.virtual.noise import Noise
