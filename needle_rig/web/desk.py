@@ -14,7 +14,7 @@ from needle_rig.web.identity import data_hash, file_hash, model_hash, question_t
 from needle_rig.web.jobs import Job, Jobs, Subject
 from needle_rig.web.places import COMPARISON, DATASET, DATASET_KINDS, DIAGNOSIS, MODEL
 from needle_rig.web.sources import Source, Sources, free_name
-from needle_rig.web.store import sealed
+from needle_rig.web.store import RIG_MODEL, Store, sealed
 from needle_rig.web.uploads import Uploads, model_in
 
 OF_A_MODEL = ("compare", "diagnose", "take_values", "undo", "strategies", "learn", "add_effect")
@@ -43,8 +43,10 @@ Document = dict[str, Any]
 class Desk:
     """Questions in, jobs out."""
 
-    def __init__(self, sources: Sources, jobs: Jobs, effects: tuple[str, ...], processes: int) -> None:
-        self._sources, self._jobs = sources, jobs
+    def __init__(
+        self, sources: Sources, jobs: Jobs, store: Store, effects: tuple[str, ...], processes: int
+    ) -> None:
+        self._sources, self._jobs, self._store = sources, jobs, store
         self._effects, self._processes = effects, processes
         for job in jobs.all():
             self._know(job)
@@ -239,6 +241,16 @@ class Desk:
         path = self._file(key, MODEL)
         assert path is not None
         return Path(path).read_text(encoding="utf-8")
+
+    def set_rig_model(self, key: str | None) -> None:
+        """Let orders plan with the model of this key where they name none. Raises BadInput."""
+        if key is not None:
+            self.model_text(key)
+        self._store.keep_setting(RIG_MODEL, None if key is None else {"key": key, "name": self.name_of(key)})
+
+    def rig_model(self) -> Document | None:
+        """Key and name of that model; None where nobody set one."""
+        return self._store.setting(RIG_MODEL)
 
     def model_of(self, sha256: str) -> tuple[str, list[str]] | None:
         """The model file of the library with this hash, and the folders of its effects; None for another."""

@@ -27,7 +27,7 @@ from needle_rig.service.connections import Connections
 from needle_rig.service.endpoint import QUEUE
 from needle_rig.service.orders import read_order
 from needle_rig.service.serving import connection_limit, server
-from needle_rig.web.asked import Lesson, Work, read
+from needle_rig.web.asked import Lesson, RigModel, Work, read
 from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate
 from needle_rig.web.expecting import Expecting
@@ -86,7 +86,7 @@ class Page:
         for key, kept in store.uploads().items():
             self.uploads.restore(key, **kept)
         self.sources = Sources(settings.data, settings.runs, self.uploads, RunIndex(store))
-        self.desk = Desk(self.sources, self.jobs, settings.effects, settings.jobs)
+        self.desk = Desk(self.sources, self.jobs, store, settings.effects, settings.jobs)
 
     # the rig
 
@@ -99,19 +99,35 @@ class Page:
         name = request.path_params["order"]
         if name not in ORDERS:
             raise HTTPException(404)
-        content = read_order(name, await self._with_model(await body(request))).model_dump(exclude_none=True)
+        content = read_order(name, await self._with_model(name, await body(request))).model_dump(
+            exclude_none=True
+        )
         return JSONResponse(await self.rig.order(name, content), 202)
 
-    async def _with_model(self, content: bytes) -> bytes:
-        """An order as it came; the key of a model becomes the model file. Raises BadInput."""
+    async def _with_model(self, name: str, content: bytes) -> bytes:
+        """An order as it came; the key of a model becomes the model file, no word of one the rig's.
+
+        Raises BadInput.
+        """
         try:
             asked = json.loads(content or b"{}")
         except (ValueError, RecursionError):
             return content  # the order's record says what is wrong
-        if not isinstance(asked, dict) or not isinstance(asked.get("model"), str):
+        if not isinstance(asked, dict):
+            return content
+        if name == "compensate" and "model" not in asked:
+            kept = await asyncio.to_thread(self.desk.rig_model)
+            asked["model"] = None if kept is None else kept["key"]
+        if not isinstance(asked.get("model"), str):
             return content
         text = await asyncio.to_thread(self.desk.model_text, asked["model"])
         return json.dumps(asked | {"model": text}).encode()
+
+    async def rig_model(self, request: Request) -> Response:
+        """Set the model that orders plan with where they name none."""
+        asked = read(RigModel, await body(request))
+        await asyncio.to_thread(self.desk.set_rig_model, asked.model)
+        return JSONResponse({"rig_model": self.desk.rig_model()})
 
     async def estimate(self, request: Request) -> Response:
         """The matrix that gives the shaft's angle between its sensors."""
@@ -135,6 +151,7 @@ class Page:
                     if name not in NEEDS_OTHERS
                 ],
                 "models": [job.as_json() for job in self.jobs.models()],
+                "rig_model": self.desk.rig_model(),
                 "parameters": sorted(parameter_sets()),
                 "runs": str(self._settings.runs),
                 "unkept": self._unkept,
@@ -297,6 +314,7 @@ def application(page: Page, port: int, token: str) -> Guard:
         routes=[
             WebSocketRoute("/api/live", page.live),
             put("/api/rig/{order}", page.order, "POST"),
+            put("/api/rig_model", page.rig_model, "PUT"),
             put("/api/estimate", page.estimate, "POST"),
             put("/api/about", page.about, "GET"),
             put("/api/session", page.session, "GET", "POST"),

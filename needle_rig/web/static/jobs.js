@@ -27,7 +27,7 @@ const KINDS = {
 /** Kinds whose end is worth a word in every view; the others are seen where they were asked. */
 const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import"];
 /** Kinds after which there is more to choose. */
-const MAKING = ["adopt", "add_effect", "take_values", "open", "import", "example"];
+const MAKING = ["adopt", "add_effect", "undo", "take_values", "open", "import", "example"];
 
 /** @param {any} job */
 export const alive = (job) => job.state === "waiting" || job.state === "running";

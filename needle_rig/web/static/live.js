@@ -236,8 +236,10 @@ function Sequence({ state }) {
 
 /** @param {{state: any}} props */
 function Orders({ state }) {
-  const wanted = place.value.view === "live" ? place.value.query.get("model") : null;
   const all = about.value?.models ?? [];
+  // no word of a model in the address: the one that was set as the rig's
+  const kept = about.value?.rig_model?.name ?? "";
+  const wanted = (place.value.view === "live" ? place.value.query.get("model") : null) ?? kept;
   const model = all.find((/** @type {any} */ m) => m.name === wanted);
   const target = useSignal("45");
   const strategy = useSignal("reed2008");
@@ -256,14 +258,14 @@ function Orders({ state }) {
   const write = (s) => (/** @type {any} */ e) => (s.value = e.target.value);
   return html`<section class="card half"><h2>Orders</h2>
     ${state.lease ? html`<p class="quiet">${state.lease === OWN_LEASE ? "You have control, until ten seconds after the last order." : `${state.lease} commands this rig.`}</p>` : null}
-    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, ...(model ? { model: model.key } : {}) }); }}>
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, model: model?.key ?? null }); }}>
       <label>Target <span class="unit"><input type="number" step="any" required value=${target.value} onInput=${write(target)} /> °</span></label>
       <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${known.map((/** @type {any} */ s) => html`<option value=${s.name} selected=${s.name === strategy.value} title=${s.text}>${words(s.name)}</option>`)}</select></label>
-      <label>Model <select value=${model?.name ?? ""} onChange=${(/** @type {any} */ e) => (location.hash = route("live", "", e.target.value ? [["model", e.target.value]] : []))}>
-        <option value="" selected=${!model}>that of the rig</option>${all.map((/** @type {any} */ m) => html`<option value=${m.name} selected=${m === model}>${words(m.name)}</option>`)}</select></label>
+      <label>Model <select value=${model?.name ?? ""} onChange=${(/** @type {any} */ e) => (location.hash = route("live", "", [["model", e.target.value]]))}>
+        <option value="" selected=${!model}>that of the rig file</option>${all.map((/** @type {any} */ m) => html`<option value=${m.name} selected=${m === model}>${words(m.name)}</option>`)}</select></label>
       <button class="go" aria-disabled=${busy}>Compensate</button>
       ${text ? html`<p class="quiet all">${text}</p>` : null}
-      ${model ? html`<p class="quiet all">The run plans with <a href=${route("models", model.name)}>${words(model.name)}</a> and is held against it while it goes. Nothing turns before <em>Compensate</em>.</p>` : null}
+      ${model ? html`<p class="quiet all">The run plans with <a href=${route("models", model.name)}>${words(model.name)}</a> and is held against it while it goes. Nothing turns before <em>Compensate</em>.${model.name === kept ? " It is set as this rig's model." : ""}</p>` : null}
       ${wanted && about.value && !model ? html`<p class="refusal all" role="alert">${wanted}: no such model here. Choose from the list.</p>` : null}
     </form>
     <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("jog", { by_deg: Number(by.value) }); }}>

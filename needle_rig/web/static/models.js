@@ -1,7 +1,7 @@
 // Models that were learnt or dropped: the ladder of their errors, their values, and where they come from.
-import { result } from "./jobs.js";
-import { save } from "./net.js";
-import { about, dataRoute, heldModel, place, refuse, route, subject } from "./store.js";
+import { done, result } from "./jobs.js";
+import { ask, save } from "./net.js";
+import { about, dataRoute, heldModel, look, place, refuse, route, subject } from "./store.js";
 import { take } from "./taking.js";
 import { effect, html, measured, number, parameter, signal, significant, untracked, words } from "./ui.js";
 
@@ -36,9 +36,33 @@ export function Falls() {
   if (!of || !now) return null;
   return html`<section class="card wide"><h2>4 · ${isKnown(now) ? "The error falls" : "The model"}</h2>
     <${Ladder} now=${now} />
-    <p class="buttons"><a class="button go" href=${route("live", "", [["model", model.name]])}>Use this model on the rig</a> <a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
-      <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
+    <p class="buttons"><a class="button go" href=${route("live", "", [["model", model.name]])}>Use this model on the rig</a> <${Undo} model=${model} now=${now} to=${(/** @type {any} */ before) => dataRoute(of.data, before)} />
+      <${Rigs} model=${model} /> <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
 }
+
+/** Whether the last step of this model was taken elsewhere: an opened file has its steps inside. @param {any} model @param {any} now */
+const cameWithSteps = (model, now) => ["open", "undo"].includes(model.kind) && now.steps.length > 1;
+
+/** The way back to the model before; what was found of that stands there still.
+ * @param {{model: any, now: any, to: (before: any) => string}} props */
+function Undo({ model, now, to }) {
+  const take = async () => {
+    const job = await done({ kind: "undo", model: model.key });
+    if (!job) return;
+    await look();
+    location.hash = to(job.name ? { key: job.key, name: job.name } : null);
+  };
+  if (cameWithSteps(model, now)) return html`<button onClick=${take}>Undo</button>`;
+  return model.kind === "open" || model.kind === "undo" ? null : html`<a class="button" href=${to(model.model)}>Undo</a>`;
+}
+
+/** Set the model that orders plan with; null is that of the rig file. @param {string | null} key */
+const setRigs = (key) => ask("PUT", "rig_model", { model: key }).then(look, refuse);
+
+/** Whether this is the rig's model, and a way to change it. @param {{model: any}} props */
+const Rigs = ({ model }) => (about.value.rig_model?.key === model.key
+  ? html`<span class="tag">the rig's model</span> <button onClick=${() => setRigs(null)}>No longer the rig's</button>`
+  : html`<button title="Orders plan with it, unless they name another" onClick=${() => setRigs(model.key)}>Set as the rig's</button>`);
 
 /** @param {{model: any}} props */
 const File = ({ model }) => html`<button onClick=${() => save(`jobs/${model.key}/model.yaml`, `${model.name}.yaml`).catch(refuse)}>Model file</button>`;
@@ -130,13 +154,21 @@ export function Models() {
     <div class="orders"><button aria-disabled=${chosen.length !== 2} onClick=${() => chosen.length === 2 && (location.hash = route("models", "", chosen.map((one) => ["model", one])))}>Side by side</button>
       <label class="row">Open a model file <input type="file" accept=".yaml,.yml" onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></div>
     ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table class="marked"><thead><tr><th><span class="hidden">marked</span></th><th scope="col" class="text">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
-      <tbody>${[...all].reverse().map((m) => html`<tr key=${m.key}><td><input type="checkbox" aria-label=${`Mark ${words(m.name)}`} checked=${chosen.includes(m.name)} onChange=${() => toggle(m.name)} /></td><th scope="row" class="text"><a href=${route("models", m.name)}>${words(m.name)}</a>${m.model ? html` <span class="quiet">from ${words(m.model.name)}</span>` : null}</th>
+      <tbody>${[...all].reverse().map((m) => html`<tr key=${m.key}><td><input type="checkbox" aria-label=${`Mark ${words(m.name)}`} checked=${chosen.includes(m.name)} onChange=${() => toggle(m.name)} /></td><th scope="row" class="text"><a href=${route("models", m.name)}>${words(m.name)}</a>${m.model ? html` <span class="quiet">from ${words(m.model.name)}</span>` : null}${about.value.rig_model?.key === m.key ? html` <span class="tag">the rig's</span>` : null}</th>
         <td class="text">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text">${from(m)}</td><td class="text">${made(m)}</td></tr>`)}</tbody></table></div>`
       : html`<p class="quiet">None yet. <a href="#/data">Choose data in the workbench</a>, diagnose, and add what is missing.</p>`}</section>`;
 }
 
 /** @param {any} m */
-const from = (m) => (m.kind === "open" ? "a file" : m.data.map((/** @type {any} */ d) => d.name).join(", "));
+const from = (m) => (m.kind === "open" ? "a file" : m.kind === "undo" ? words(m.model.name) : m.data.map((/** @type {any} */ d) => d.name).join(", "));
+/** What a step made of the model before it. @param {any} step @param {any} before */
+function stepped(step, before) {
+  if (step.kind === "open") return words(step.name);
+  if (step.kind === "undo") return "− the last step";
+  const added = step.added.filter((/** @type {string} */ effect) => !before?.added.includes(effect));
+  return added.length ? `+ ${added.map(words).join(" + ")}` : "values taken over";
+}
+
 /** @param {any} m */
 const made = (m) => new Date(m.begun_utc_s * 1000).toLocaleString();
 
@@ -149,9 +181,10 @@ function One({ model, name }) {
   const line = [];
   for (let step = model; step; step = learnt(step.model?.key)) line.unshift(step);
   return html`<h1>${words(name)}</h1><section class="card"><p>Learnt from ${from(model)}, ${made(model)}.</p>
-    <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step) => html` → ${step === model ? html`<strong>${words(step.name)}</strong>` : html`<a href=${route("models", step.name)}>${words(step.name)}</a>`}`)}</p>
+    <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step, k) => html` → ${step === model ? html`<strong>${stepped(step, line[k - 1])}</strong>` : html`<a href=${route("models", step.name)}>${stepped(step, line[k - 1])}</a>`}`)}</p>
     ${now ? html`<${Ladder} now=${now} />` : html`<p class="quiet">Loading …</p>`}
     <p class="buttons"><a class="button go" href=${route("live", "", [["model", name]])}>Use this model on the rig</a> ${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
       <a class="button" href=${route("data", "", [["model", name]])}>Hold against other data</a>
-      <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${File} model=${model} /></p></section>`;
+      <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${Rigs} model=${model} /> <${File} model=${model} />
+      ${now ? html`<${Undo} model=${model} now=${now} to=${(/** @type {any} */ before) => (model.data.length && model.kind !== "open" ? dataRoute(model.data, before) : before ? route("models", before.name) : route("models"))} />` : null}</p></section>`;
 }
