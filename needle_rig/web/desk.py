@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,8 @@ class Desk:
             given |= {name: question[name] for name in OF_VALUES if name in question}
         elif kind == "figure":
             given |= self._figure(asked)
+        elif kind == "report":
+            given |= await self._report(asked)
         elif kind == "open":
             upload = self._uploads.get(str(asked.upload))
             if (dropped := model_in(upload.folder)) is None:
@@ -218,6 +221,25 @@ class Desk:
             **{name: value for name, value in job.of.asked.items() if name in OF_VALUES},
         }
         return {"comparison": str(job.folder / COMPARISON), "what": str(asked.what), "again": again}
+
+    async def _report(self, asked: Work) -> Document:
+        """A diagnosis that was answered, and the comparison whose pictures go with it."""
+        job = self._jobs.find(asked.diagnosis)
+        if job is None or job.of.kind != "diagnose" or job.state != "done":
+            raise BadInput("this diagnosis is not there any more; diagnose again")
+        told = json.loads(await self._jobs.result(job))
+        del told["candidates"]  # its traces are megabytes, and no part of the report
+        given = self._figure(asked)
+        question = {**given["again"], "quick": told["quick"]}
+        for name in OF_VALUES:
+            question.pop(name, None)
+        return {
+            "told": told,
+            "diagnosis": self._file(asked.diagnosis, DIAGNOSIS),
+            "comparison": given["comparison"],
+            "again": given["again"],
+            "question": question,
+        }
 
     def _recordings(self, asked: Work) -> Document:
         """An upload of recordings, with its mapping or with its name."""

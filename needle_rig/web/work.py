@@ -105,12 +105,7 @@ def diagnose(question: Diagnose, doing: Doing, out: str) -> Document:
     answer.save(Path(out) / DIAGNOSIS)
     found = answer.found
     document: Document = {
-        **{name: part for name, part in answer.as_json().items() if name != "policy"},
-        "sentence": found.sentence(),
-        "errors_sentence": found.errors_sentence(),
-        "ties": list(found.ties),
-        "left_over": found.left_in_words(),
-        "reasons": [reason.as_json() for reason in found.reasons],
+        **answer.told(),
         "quick": question.quick,
         "candidates": {},
     }
@@ -282,6 +277,7 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
     "import": recordings.imported,
     "figure": pictures.figure,
+    "report": pictures.report,
     "chart": chart,
     "open": opened,
     "show": show,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,12 @@ def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
     assert "policy" not in found
     assert said[-1] == "keeping the fits"
     file = str(tmp_path / DIAGNOSIS)
+    if find_spec("matplotlib"):
+        again = {**about, "model": None}
+        given = {"diagnosis": file, "comparison": str(tmp_path / "kept" / COMPARISON), "again": again}
+        del found["candidates"]
+        written, _ = asked("report", tmp_path, **given, told=found, question={**again, "quick": True})
+        assert "chuck_compliance" in (tmp_path / written["file"]).read_text()
     model, _ = asked("adopt", tmp_path, **about, diagnosis=file, chosen=["tissue_elasticity"])
     assert model["added"] == ["tissue_elasticity"]
     back, _ = asked("undo", tmp_path, effects=[], model=str(tmp_path / MODEL))

@@ -22,7 +22,7 @@ let timer = 0;
 /** What a job is called. @type {Record<string, string>} */
 const KINDS = {
   compare: "Compare", diagnose: "Diagnose", take_values: "Take values over from", adopt: "Add what is missing in", add_effect: "Add an effect to", undo: "Undo",
-  learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data",
+  learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", report: "Write the report on", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data",
 };
 /** Kinds whose end is worth a word in every view; the others are seen where they were asked. */
 const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import"];

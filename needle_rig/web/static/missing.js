@@ -1,9 +1,10 @@
 // What is missing: the diagnosis with its rivals, the law that no library holds, and ways into the model.
 import { asked, busy, found as known, ofSubject } from "./found.js";
-import { Working, begin, done } from "./jobs.js";
+import { Working, begin, done, result } from "./jobs.js";
 import { LearntLaws } from "./law.js";
 import { over } from "./residuals.js";
-import { dataRoute, look, subject } from "./store.js";
+import { save } from "./net.js";
+import { dataRoute, look, refuse, subject } from "./store.js";
 import { html, number, parameter, signal, significant, words } from "./ui.js";
 
 const everyRow = signal(false);
@@ -35,6 +36,15 @@ const adoptLaw = (law) => make({ kind: "add_effect", learnt: known.value.learn.k
 const addEffect = (effect) => make({ kind: "add_effect", effect });
 const takeValues = () => make({ kind: "take_values" });
 
+/** The diagnosis as one HTML file. */
+async function report() {
+  const of = subject.value;
+  const { diagnose: told, compare } = known.value;
+  const job = of && (await done({ ...asked(of), kind: "report", diagnosis: told.key, compared: compare.key }));
+  const made = job && (await result(job.key).catch(refuse));
+  if (made) await save(`jobs/${job.key}/${made.file}`, `${of.data[0].name.replace(/^.*\//, "")}-report.html`).catch(refuse);
+}
+
 export function Missing() {
   if (!known.value.compare) return null;
   const found = known.value.diagnose;
@@ -43,7 +53,7 @@ export function Missing() {
       <span class="quiet"> tries every effect of the library on commands that were left out</span></p>
       <p><button onClick=${() => diagnose(true)}>Diagnose quickly</button>
       <span class="quiet"> one effect alone, in half the time or less</span></p>`}
-    <${Working} kinds=${["diagnose", "learn", "adopt", "add_effect", "take_values"]} of=${ofSubject.value} /></section>`;
+    <${Working} kinds=${["diagnose", "learn", "adopt", "add_effect", "take_values", "report"]} of=${ofSubject.value} /></section>`;
 }
 
 /** @param {{found: any}} props */
@@ -76,6 +86,7 @@ function Verdict({ found }) {
       : found.verdict === "unknown" || found.verdict === "cannot_tell" ? html`<p><button class="go" disabled=${busy.value} onClick=${learn}>Learn the law</button>
         <span class="quiet"> searches where it acts, on what it depends, its curve and a formula; minutes</span></p>` : null}
     ${found.left_over.length ? html`<h3>Left over</h3><ul>${found.left_over.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
+    <p class="buttons"><button disabled=${busy.value} title="One file with the answer, its numbers and pictures, to send" onClick=${report}>Report as one file</button></p>
     ${found.notes.length ? html`<details><summary>Notes</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}`;
 }
 
