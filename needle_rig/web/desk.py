@@ -10,6 +10,7 @@ from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.model import parameter_sets
+from needle_rig.recording import changed_in
 from needle_rig.web.asked import Work
 from needle_rig.web.identity import data_hash, file_hash, model_hash, question_text
 from needle_rig.web.jobs import Job, Jobs, Subject
@@ -81,6 +82,10 @@ class Desk:
             given |= {name: question[name] for name in OF_VALUES if name in question}
         elif kind == "figure":
             given |= self._figure(asked)
+        elif kind == "watch":
+            given |= {"directory": str(self._sources.runs), "effects": list(self._effects)}
+            # runs that came since are another question
+            question["runs"] = sorted(await asyncio.to_thread(changed_in, self._sources.runs))[-1:]
         elif kind == "report":
             given |= await self._report(asked)
         elif kind == "open":

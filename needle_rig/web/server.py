@@ -265,6 +265,11 @@ class Page:
         said = await asyncio.to_thread(read_contradiction, self._settings.runs)
         return JSONResponse({"contradiction": said, "version": self.rig.other_version or ""})
 
+    async def trends(self, _: Request) -> Response:
+        """What the watch over the runs found: each parameter with its range, and alarms."""
+        lags = await asyncio.to_thread(self.sources.index.lags, self.sources.runs)
+        return JSONResponse(await self.lessons.ask("trends", directory=str(self.sources.runs), lags_deg=lags))
+
     async def notes(self, request: Request) -> Response:
         """Keep tags and a note beside a run."""
         content = await body(request, NOTES_BYTES)
@@ -329,6 +334,7 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/runs", page.runs, "GET"),
             put("/api/runs/{name}", page.run, "GET", "DELETE"),
             put("/api/watch", page.watch, "GET"),
+            put("/api/trends", page.trends, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),

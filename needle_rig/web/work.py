@@ -35,6 +35,7 @@ from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
 from needle_rig.web.places import DATASET, DIAGNOSIS
 from needle_rig.web.sequences import strategies
+from needle_rig.web.trends import look
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
@@ -283,4 +284,5 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "show": show,
     "export": export,
     "example": example,
+    "watch": look,
 }

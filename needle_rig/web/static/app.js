@@ -9,6 +9,7 @@ import { Workbench } from "./workbench.js";
 import { Runs } from "./runs.js";
 import { Effects } from "./effects.js";
 import { Strategies } from "./strategies.js";
+import { Trends } from "./trends.js";
 import { effect, html, render, untracked } from "./ui.js";
 
 /** @type {Record<string, [string, any]>} */
@@ -16,6 +17,7 @@ const VIEWS = {
   live: ["Live", Live],
   data: ["Workbench", Workbench],
   runs: ["Runs", Runs],
+  trends: ["Trends", Trends],
   models: ["Models", Models],
   effects: ["Effects", Effects],
   strategies: ["Strategies", Strategies],

@@ -22,10 +22,10 @@ let timer = 0;
 /** What a job is called. @type {Record<string, string>} */
 const KINDS = {
   compare: "Compare", diagnose: "Diagnose", take_values: "Take values over from", adopt: "Add what is missing in", add_effect: "Add an effect to", undo: "Undo",
-  learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", report: "Write the report on", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data",
+  learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", report: "Write the report on", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data", watch: "Look at new runs",
 };
 /** Kinds whose end is worth a word in every view; the others are seen where they were asked. */
-const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import"];
+const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import", "watch"];
 /** Kinds after which there is more to choose. */
 const MAKING = ["adopt", "add_effect", "undo", "take_values", "open", "import", "example"];
 
@@ -105,6 +105,7 @@ function seenAt(job) {
   const made = job.state === "done" && job.name ? { key: job.key, name: job.name } : job.model;
   if (job.kind === "strategies") return route("strategies", "", job.model ? [["model", job.model.name]] : []);
   if (job.kind === "open") return job.name ? route("models", job.name) : route("data");
+  if (job.kind === "watch") return route("trends");
   if (job.kind === "show") return route("runs");
   const imported = dataOf(`imported:${job.key}`);
   if (imported) return dataRoute([imported]);
