@@ -32,7 +32,7 @@ from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate
 from needle_rig.web.expecting import Expecting
 from needle_rig.web.glossary import glossary_html
-from needle_rig.web.guard import LOOPBACK, SESSION, Guard, Session
+from needle_rig.web.guard import LOOPBACK, SESSION, WATCHED_JOBS, WATCHES, Guard, Keys, Session
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.live import STOP_BYTES, live
 from needle_rig.web.resident import Resident
@@ -160,7 +160,11 @@ class Page:
 
     async def begin_job(self, request: Request) -> Response:
         """Start a computation, or find that of the same question: its key."""
-        job = await self.desk.begin(read(Work, await body(request, JOB_BYTES)))
+        asked = read(Work, await body(request, JOB_BYTES))
+        given: Session = request.scope["state"][SESSION]
+        if given.watches and asked.kind not in WATCHED_JOBS:
+            raise HTTPException(403, WATCHES)
+        job = await self.desk.begin(asked)
         return JSONResponse({"job": job.key}, 202)
 
     async def all_jobs(self, _: Request) -> Response:
@@ -249,10 +253,10 @@ class Page:
 
     async def session(self, request: Request) -> Response:
         """Whether this browser is let in; a POST gives the two halves of a session for its other tabs."""
-        if request.method == "GET":
-            return JSONResponse({})
         given: Session = request.scope["state"][SESSION]
-        answer = JSONResponse({"page": given.page})
+        if request.method == "GET":
+            return JSONResponse({"watches": given.watches})
+        answer = JSONResponse({"page": given.page, "watches": given.watches})
         answer.set_cookie(given.cookie_name, given.cookie, httponly=True, samesite="strict")
         return answer
 
@@ -309,7 +313,7 @@ class Page:
             await self.rig.close()
 
 
-def application(page: Page, port: int, token: str) -> Guard:
+def application(page: Page, port: int, keys: Keys, hosts: tuple[str, ...] = ()) -> Guard:
     """The whole server at `port`, guarded."""
 
     def put(path: str, answer: Callable[[Request], Awaitable[Response]], *methods: str) -> Route:
@@ -344,7 +348,7 @@ def application(page: Page, port: int, token: str) -> Guard:
         exception_handlers={NeedleRigError: refuse, HTTPException: refuse_path},
         lifespan=page.lifespan,
     )
-    return Guard(app, port, token)
+    return Guard(app, port, keys, hosts)
 
 
 async def glossary(_: Request) -> Response:
@@ -408,13 +412,15 @@ def listening(port: int) -> sockets.socket:
     return listener
 
 
-async def serve(page: Page, listener: sockets.socket, token: str, ready: Callable[[], None]) -> None:
+async def serve(
+    page: Page, listener: sockets.socket, keys: Keys, hosts: tuple[str, ...], ready: Callable[[], None]
+) -> None:
     """Serve until SIGINT or SIGTERM."""
     connections = Connections(
         listener, connection_limit(CONNECTIONS, OWN_DESCRIPTORS), timed_by_application=True
     )
     served = server(
-        application(page, listener.getsockname()[1], token),
+        application(page, listener.getsockname()[1], keys, hosts),
         connections,
         server_header=False,
         ws_max_size=STOP_BYTES,

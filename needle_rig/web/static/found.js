@@ -1,6 +1,6 @@
 // What the server knows of the present data and model: results that are asked anew whenever these change.
 import { alive, begin, cancel, done, jobs, result } from "./jobs.js";
-import { ask } from "./net.js";
+import { ask, watching } from "./net.js";
 import { about, refuse, subject } from "./store.js";
 import { computed, effect, signal, untracked } from "./ui.js";
 
@@ -41,7 +41,7 @@ async function load(of) {
     if (subject.value?.id !== of.id) return;
     if (known.value.id !== of.id || KINDS.some((kind) => known.value[kind]?.key !== now[kind]?.key)) known.value = now;
     const first = recording.value ? "guess" : "compare";
-    if (!kinds[first] && chosen.id !== of.id) await choose(of, first);
+    if (!kinds[first] && chosen.id !== of.id && !watching.value) await choose(of, first);
   } catch (error) {
     if (subject.value?.id === of.id) refuse(error);
   }

@@ -1,5 +1,5 @@
 // The rig as it is now: the shaft, torque and angles over time, the sequence, orders, and faults as sentences.
-import { ask, subprotocol, whyNot } from "./net.js";
+import { ask, subprotocol, watching, whyNot } from "./net.js";
 import { Alarm, expected, forget, hear, laid } from "./expected.js";
 import { Opening } from "./opening.js";
 import { Legend, Plot, edges, line } from "./plot.js";
@@ -52,7 +52,7 @@ async function order(name, content = {}) {
 
 /** Begin to listen, and again whenever the connection breaks. */
 export function open() {
-  const socket = new WebSocket(`ws://${location.host}/api/live`, ["needle-rig", subprotocol()]);
+  const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/live`, ["needle-rig", subprotocol()]);
   sendOn(socket);
   socket.onmessage = (event) => take(JSON.parse(event.data));
   socket.onclose = () => {
@@ -256,6 +256,7 @@ function Orders({ state }) {
   const give = (name, content) => busy || order(name, content);
   /** @param {any} s */
   const write = (s) => (/** @type {any} */ e) => (s.value = e.target.value);
+  if (watching.value) return html`<section class="card half"><h2>Orders</h2><p class="quiet">This address may watch and order nothing.${state.lease ? ` ${state.lease.charAt(0).toUpperCase()}${state.lease.slice(1)} commands this rig.` : ""}</p></section>`;
   return html`<section class="card half"><h2>Orders</h2>
     ${state.lease ? html`<p class="quiet">${state.lease === OWN_LEASE ? "You have control, until ten seconds after the last order." : `${state.lease} commands this rig.`}</p>` : null}
     <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, model: model?.key ?? null }); }}>
