@@ -55,7 +55,7 @@ HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""With every answer."""
+"""With every answer; one that may be kept says so itself."""
 
 
 READING = frozenset({"GET", "HEAD"})
@@ -151,7 +151,9 @@ class Guard:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                given = MutableHeaders(scope=message)
+                kept = given.get("cache-control")
+                given.update(HEADERS if kept is None else {**HEADERS, "cache-control": kept})
             await send(message)
 
         if refusal is None:

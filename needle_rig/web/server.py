@@ -16,7 +16,6 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from needle_rig.control.strategy import find_strategies
@@ -39,11 +38,11 @@ from needle_rig.web.resident import Resident
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.run_index import RunIndex
 from needle_rig.web.sources import NOTES_BYTES, Listed, Sources
+from needle_rig.web.static_files import STATIC, KeptFiles, index, place
 from needle_rig.web.store import Store
 from needle_rig.web.uploads import NoRoom, TooMuch, Uploads, data_in, model_in
 from needle_rig.workbench.contest.strategies_table import NEEDS_OTHERS
 
-STATIC = Path(__file__).parent / "static"
 BODY_BYTES = 64 << 10
 FILTER_LETTERS = 200
 MOST_RUNS = 10**9
@@ -343,7 +342,8 @@ def application(page: Page, port: int, keys: Keys, hosts: tuple[str, ...] = ()) 
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),
             put("/glossary.html", glossary, "GET"),
-            Mount("/", StaticFiles(directory=STATIC, html=True)),
+            put("/", index, "GET"),
+            Mount(place(), KeptFiles(directory=STATIC)),
         ],
         exception_handlers={NeedleRigError: refuse, HTTPException: refuse_path},
         lifespan=page.lifespan,
