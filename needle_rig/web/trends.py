@@ -16,6 +16,17 @@ SHOWN = 500
 """Runs, the newest; ranges are those of all."""
 
 Document = dict[str, Any]
+NOTHING: Document = {
+    "watched": False,
+    "sentences": [],
+    "alarm": False,
+    "reference": 0,
+    "judged": 0,
+    "runs": [],
+    "not_judged": [],
+    "charts": [],
+}
+"""Where no run was looked at."""
 
 
 def trends(directory: str, lags_deg: Mapping[str, float]) -> Document:
@@ -26,7 +37,7 @@ def trends(directory: str, lags_deg: Mapping[str, float]) -> Document:
     folder = Path(directory)
     runs = watch.kept_runs(folder)
     if not runs:
-        return {"watched": False, "sentences": [], "alarm": False, "reference": 0, "runs": [], "charts": []}
+        return NOTHING
     section = watch.section_of(folder, runs)
     found = watch.said_of(folder)
     judged = watch.of_one_rig(runs)

@@ -13,10 +13,19 @@ from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.strategies import Strategies
 from needle_rig.web import traces
+from needle_rig.web.openapi import REFERENCE
 from needle_rig.web.places import COMPARISON, DIAGNOSIS, MODEL
 from needle_rig.web.work import work
+from tests.web.fitting import fits
 from tests.workbench.hidden import dataset
 
+RESULTS = {
+    "compare": "CompareResult",
+    "diagnose": "DiagnoseResult",
+    "strategies": "StrategiesResult",
+    **dict.fromkeys(("adopt", "add_effect", "undo", "take_values", "open"), "ModelResult"),
+}
+"""Kinds whose form the browser's types say."""
 TIED = ["chuck_compliance", "torque_gain"]
 
 
@@ -24,6 +33,8 @@ def asked(kind: str, out: Path, **request: Any) -> tuple[dict[str, Any], list[st
     """The document, and the steps that were told on the way."""
     said: list[str] = []
     document = work(kind, {**request, "out": str(out)}, Doing(jobs=1, say=said.append))
+    if kind in RESULTS:
+        fits(document, {"$ref": f"{REFERENCE}{RESULTS[kind]}"}, kind, whole=False)
     return document, said
 
 
