@@ -68,11 +68,17 @@ export function Strategies() {
       <button class="go" aria-disabled=${busy.value}>Run every strategy</button></form>
       <${Working} kinds=${["strategies"]} of=${own.value} />
     </section>
-    ${shown ? html`<${Table} found=${found.value} /><${Moving} found=${found.value} />` : null}`;
+    ${shown ? html`<${Table} found=${found.value} /><${Moving} found=${found.value} />` : html`<${Known} />`}`;
 }
 
 /** What a strategy does, in a sentence. @param {string} strategy */
 const told = (strategy) => about.value?.strategies.find((s) => s.name === strategy)?.text ?? "";
+
+/** What there is to try, before it was tried. */
+function Known() {
+  return html`<section class="card"><h2>What is tried</h2><p class="quiet">Each strategy turns the base in its own sequence. The table will have the error, the lag of the tip, torque and time of each, and its sequence as a moving shaft.</p>
+    <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${each.text}</dd></div>`)}</dl></section>`;
+}
 
 /** @param {{found: Found}} props */
 function Table({ found }) {

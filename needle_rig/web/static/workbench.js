@@ -74,7 +74,7 @@ function Choose() {
         <button class="small" aria-label=${`Remove ${source.name}`} onClick=${() => forget(source.key.replace("upload:", ""))}>×</button>` : null}</li>`)}
         ${runs.length ? html`<li><strong>${runs.length} recorded ${runs.length === 1 ? "run" : "runs"}</strong>: ${runs.map((one, k) => html`${k ? ", " : ""}<a href=${route("runs", one.name)}>${one.name}</a>`)}</li>` : null}</ul>
       <p>Drop a dataset here, as a folder or a ZIP, run files, a model file, or recordings of any kind (CSV, XLSX, MATLAB, HDF5, MCAP, ROS bags, NumPy); or${" "}
-        <label class="row">choose files <input type="file" multiple onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></p>
+        <label class="button file">choose files<input class="hidden" type="file" multiple onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></p>
       ${taking.value ? html`<p role="status">Taking ${taking.value} …</p>` : null}
     </div>
     <p><label>Model to hold against them <select value=${heldModel.value?.name ?? ""} onChange=${(/** @type {Event} */ e) => (location.hash = present.length ? dataRoute(present, modelCalled(written(e))) : route("data", "", written(e) ? [["model", written(e)]] : []))}>
