@@ -1,4 +1,4 @@
-"""What the page's server answers, as types; the browser's types are made from these (`scripts/web_types`)."""
+"""What the page's server answers, as types, from which `scripts/web_types.py` makes those of the browser."""
 
 from __future__ import annotations
 

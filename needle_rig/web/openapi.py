@@ -11,8 +11,8 @@ from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_t
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from needle_rig.service.documents import Ended, Moved, Rig, Started, State
-from needle_rig.service.orders import MODELS
+from needle_rig.service.api.documents import Ended, Moved, Rig, Started, State
+from needle_rig.service.api.orders import MODELS
 from needle_rig.version import VERSION
 from needle_rig.web import documents as d
 from needle_rig.web.asked import Lesson, RigModel, Work

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +14,9 @@ from needle_rig.web.openapi import ROUTES, openapi_document, schema
 from needle_rig.web.server import Page, Settings, application
 from needle_rig.web.static_files import STATIC
 from needle_rig.web.store import opened
+from scripts.web_types import types
 from tests.web.fitting import fits
 from tests.web.served import Served
-
-SCRIPT = Path(__file__).parents[2] / "scripts" / "web_types"
 
 
 def test_every_route_is_in_the_document_and_none_besides(tmp_path: Path) -> None:
@@ -34,12 +31,7 @@ def test_every_route_is_in_the_document_and_none_besides(tmp_path: Path) -> None
 
 
 def test_the_browsers_types_are_those_of_the_document() -> None:
-    loader = SourceFileLoader("web_types", str(SCRIPT))
-    spec = importlib.util.spec_from_loader("web_types", loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    loader.exec_module(module)
-    assert (STATIC / "types.d.ts").read_text(encoding="utf-8") == module.types(), "run scripts/web_types"
+    assert (STATIC / "types.d.ts").read_text(encoding="utf-8") == types(), "run scripts/web_types.py"
 
 
 def test_no_module_of_the_page_has_an_unchecked_type() -> None:

@@ -1,4 +1,4 @@
-// Made by scripts/web_types from the server's OpenAPI document; do not edit.
+// Made by scripts/web_types.py from the server's OpenAPI document; do not edit.
 export type Results = { CompareResult: CompareResult; DiagnoseResult: DiagnoseResult; ModelResult: ModelResult; LearnResult: LearnResult; GuessResult: GuessResult; StrategiesResult: StrategiesResult };
 export type AboutDocument = { data: SourceDocument[]; strategies: StrategyDocument[]; models: JobDocument[]; rig_model: Named | null; parameters: string[]; runs: string; unkept: string };
 export type Ages = { torque: number | null; hall: number | null; drive: number | null };

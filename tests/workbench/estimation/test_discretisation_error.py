@@ -3,9 +3,9 @@ import functools
 
 import numpy as np
 import pytest
-from diagnosis_sets import SETUPS
-from messy_shapes import SHAPES, recorded
 
+from campaigns.workbench.diagnosis_sets import SETUPS
+from campaigns.workbench.messy_shapes import SHAPES, recorded
 from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.workbench.estimation import discretisation_error
@@ -209,6 +209,7 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
     assert np.all(off[:3] < 3.0 * again.scaled_errors[:3])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("above", "driven"), [(200.0, True), (600.0, False)])
 def test_a_path_of_samples_that_fits_worse_only_widens_the_spread(
     monkeypatch: pytest.MonkeyPatch, above: float, driven: bool

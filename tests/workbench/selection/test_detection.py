@@ -3,8 +3,8 @@
 import math
 
 import pytest
-from detection import detection_limit, smallest_strength
 
+from campaigns.workbench.detection import detection_limit, smallest_strength
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.parameters import at_strength
 from needle_rig.workbench.virtual.noise import Noise
@@ -20,6 +20,7 @@ def test_noisier_sensors_raise_the_limit(name: str) -> None:
     assert 2.0 < limits[1] / limits[0] < 12.0
 
 
+@pytest.mark.whole
 def test_an_effect_that_the_data_cannot_show_has_no_limit() -> None:
     deaf = null_fit(noise=Noise(torque_nmm=20.0))
     assert detection_limit(deaf, "torque_bias") == math.inf
