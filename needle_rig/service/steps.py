@@ -56,7 +56,10 @@ class WriteFile:
         with _told(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             made = self.path.with_name(f".{self.path.name}.new")
-            made.write_text(self.text, encoding="utf-8")
+            with open(made, "w", encoding="utf-8") as file:
+                file.write(self.text)
+                file.flush()
+                os.fsync(file.fileno())
             made.chmod(0o644)
             made.replace(self.path)
 
