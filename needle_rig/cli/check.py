@@ -95,12 +95,13 @@ def _findings(
     from needle_rig.service.endpoint import sockets_for_client
     from needle_rig.service.installation import HERE, nobody_answers
     from needle_rig.service.interface import look_at
+    from needle_rig.service.systemd import NAME
 
     path = rig_file or (HERE.rig_file if HERE.rig_file.exists() else find_config_file("rig.yaml"))
     try:
         config = load_rig_config(path)
     except BadInput as error:
-        again = ", then: sudo systemctl restart needle-rig" if HERE.unit.exists() else ""
+        again = f", then: sudo systemctl restart {NAME}" if HERE.unit.exists() else ""
         yield check.Finding("rig file", "fail", str(error), f"mend it{again}")
         return
     yield check.Finding("rig file", "ok", f"{path}: {config.name}")

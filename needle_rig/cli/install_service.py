@@ -81,6 +81,7 @@ def command(
         stays,
     )
     from needle_rig.service.installation import Installation
+    from needle_rig.service.systemd import NAME
 
     place = Installation(root.absolute())
     if place.root == Path("/") and not dry_run:
@@ -128,7 +129,7 @@ def command(
         click.echo("Nothing was done.")
         return
     if running:
-        click.echo("It runs with what it had; when no run goes on: sudo systemctl restart needle-rig")
+        click.echo(f"It runs with what it had; when no run goes on: sudo systemctl restart {NAME}")
     _tell_another(another_program(place, wanted.program))
     click.echo("The service is set up. Look at it: needle-rig status; at the rig: needle-rig check")
     recording = load_rig_config(place.rig_file).recording
@@ -202,8 +203,9 @@ def _asked(
         "shear_modulus_gpa": ("The needle's shear modulus, GPa", usual.needle.shear_modulus_gpa),
     }
     found = {key: _answer(key, text, given[key], default) for key, (text, default) in proposed.items()}
-    answers = Answers(**found, keep_gb=keep_gb(place.runs))  # type: ignore[arg-type]  # each as click gave it
-    text = rig_file_text(answers, Path("/var/lib/needle-rig"))
+    kept_gb = keep_gb(place.runs, 1 + len(place.other_units()))
+    answers = Answers(**found, keep_gb=kept_gb)  # type: ignore[arg-type]  # each as click gave it
+    text = rig_file_text(answers, Path("/") / place.runs.relative_to(place.root))
     interface = answers.network_interface
     return Wanted(
         text, interface, answers.bitrate_kbit_s, _members(place, members), _program(place, dry_run), start

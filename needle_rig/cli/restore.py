@@ -22,6 +22,7 @@ def command(file: Path, root: Path) -> None:
     from needle_rig.service.backup import restore
     from needle_rig.service.install import is_active
     from needle_rig.service.installation import Installation
+    from needle_rig.service.systemd import NAME
 
     place = Installation(root.absolute())
     done = restore(place, file)
@@ -31,4 +32,4 @@ def command(file: Path, root: Path) -> None:
     if not place.unit.exists():
         click.echo("Next: needle-rig install-service")
     elif place.root == Path("/") and is_active():
-        click.echo("The daemon runs with what it had; when nothing moves: sudo systemctl restart needle-rig")
+        click.echo(f"The daemon runs with what it had; when nothing moves: sudo systemctl restart {NAME}")

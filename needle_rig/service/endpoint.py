@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needle_rig.errors import BadInput, RigFault
+from needle_rig.service.systemd import NAME
 
 _NAME = "daemon.sock"
-_SYSTEM_FOLDER = Path("/run/needle-rig")
+_SYSTEM_FOLDER = Path("/run")
 QUEUE = 1024
 """Connections that may wait to be accepted; a client that meets a full queue is turned away at once."""
 _LAST_BREATH_S = 1.0
@@ -29,8 +30,8 @@ def socket_for_daemon(environment: Mapping[str, str] = os.environ) -> Path:
     if folder := environment.get("RUNTIME_DIRECTORY"):
         return Path(folder.split(":")[0]) / _NAME
     if folder := environment.get("XDG_RUNTIME_DIR"):
-        return Path(folder) / "needle-rig" / _NAME
-    return _SYSTEM_FOLDER / _NAME
+        return Path(folder) / NAME / _NAME
+    return _SYSTEM_FOLDER / NAME / _NAME
 
 
 def private_socket(folder: Path) -> Path:
@@ -38,11 +39,11 @@ def private_socket(folder: Path) -> Path:
     return folder / "socket" / _NAME
 
 
-def sockets_for_client(environment: Mapping[str, str] = os.environ) -> list[Path]:
-    """Where a client looks for a daemon: first the user's own, then the system's."""
+def sockets_for_client(environment: Mapping[str, str] = os.environ, name: str = NAME) -> list[Path]:
+    """Where a client looks for the daemon of the rig `name`: first the user's own, then the system's."""
     folder = environment.get("XDG_RUNTIME_DIR")
-    own = [Path(folder) / "needle-rig" / _NAME] if folder else []
-    return [*own, _SYSTEM_FOLDER / _NAME]
+    own = [Path(folder) / name / _NAME] if folder else []
+    return [*own, _SYSTEM_FOLDER / name / _NAME]
 
 
 @contextmanager

@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-UNIT = "needle-rig.service"
-FAILED_UNIT = "needle-rig-failed.service"
-"""What systemd starts when the daemon has failed."""
-LOG = "journalctl -u needle-rig"
+from needle_rig.errors import BadInput
+
+RIG_VARIABLE = "NEEDLE_RIG_AT"
+"""Variable of the environment that names one of several rigs of a computer."""
+FIRST = "needle-rig"
+"""Unit and folders of the rig that has no name."""
+
+
+def rig_folder(environment: Mapping[str, str]) -> str:
+    """`needle-rig`, or `needle-rig@NAME` for the rig that the environment names. Raises BadInput."""
+    name = environment.get(RIG_VARIABLE, "")
+    if not re.fullmatch(r"[A-Za-z0-9_-]{0,32}", name):
+        raise BadInput(
+            f"{RIG_VARIABLE}={name[:40]}: a rig's name has up to 32 letters, digits, - and _; choose another"
+        )
+    return f"{FIRST}@{name}" if name else FIRST
+
+
+NAME = rig_folder(os.environ)
+"""Of the rig that this process works with: of its unit, and of its folders in /etc, /run and /var/lib."""
+UNIT = f"{NAME}.service"
+FAILED_UNIT = "needle-rig-failed@.service"
+"""What systemd starts when a daemon has failed, for any rig."""
+LOG = f"journalctl -u {NAME}"
 """How a person reads the service's log."""
 _TIMEOUT_S = 3.0
 _PROPERTIES = ("LoadState", "ActiveState", "SubState", "Result", "StatusText")
@@ -37,10 +60,10 @@ class UnitStanding:
         if self.state in ("activating", "active", "reloading"):
             return f"its service is starting{said}; try again in a moment, or look at: {LOG}"
         if self.state == "deactivating":
-            return "its service is ending; wait for it, then: sudo systemctl start needle-rig"
+            return f"its service is ending; wait for it, then: sudo systemctl start {NAME}"
         if self.state == "failed":
             return f"its service failed ({self.result}); see why: {LOG}; then: sudo systemctl restart {UNIT}"
-        return "its service is stopped; start it: sudo systemctl start needle-rig"
+        return f"its service is stopped; start it: sudo systemctl start {NAME}"
 
 
 def unit_standing(unit: str = UNIT) -> UnitStanding | None:
