@@ -112,9 +112,8 @@ def failing() -> list[str]:
 
 def judged(base: dict[str, Any], last: dict[str, Any]) -> dict[str, Any]:
     """How the rig came up after the last cut, and what is lost."""
-    begun_s = time.monotonic()
     until(lambda: active() and "version" in status(), "the service runs", START_S)
-    ready_s = time.monotonic() - begun_s
+    ready_s = float(Path("/proc/uptime").read_text().split()[0])
     now, lost = kept(), []
     lost += [path for path, digest in base["kept"].items() if now.get(path) != digest]
     lost += [f"check: {name}" for name in failing() if name not in base["failing"]]
@@ -159,7 +158,7 @@ def concluded(told: list[dict[str, Any]]) -> int:
     lines = [
         f"An upgrade that installs takes {base['install_s']:.0f} s, a way back {base['switch_s']:.0f} s.",
         "",
-        "| cut | it installs | from | cut after | came up with | command | ready after | lost |",
+        "| cut | it installs | from | cut after | came up with | command | up after boot | lost |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for each in told:
