@@ -45,7 +45,8 @@ class NoisePolicy:
     )
     outlier_sigmas: float = _threshold(
         6.0,
-        "further from the median of its neighbours is an outlier: one Gaussian sample in 500 million",
+        "further from the median of its neighbours is an outlier, and a larger turn a snap: one Gaussian"
+        " sample in 500 million",
         "normal distribution",
         _NOISE,
     )
@@ -66,18 +67,6 @@ class NoisePolicy:
         " turns to and fro that relax the shaft between them counted",
         _NOISE,
     )
-    correlation_gain: float = _threshold(
-        25.0,
-        "fall of the misfit of the autocovariance, in its own variances, that shows correlated noise (5σ)",
-        "white noise that is taken for correlated hides effects: only high odds count",
-        _NOISE,
-    )
-    shown_significance: float = _threshold(
-        0.001,
-        "chance that replicates, or residuals, show a drift or an interference that is not there",
-        "one in a thousand datasets, over all forms that are told apart",
-        _SHOWN,
-    )
     replicate_misfit: float = _threshold(
         3.0,
         "mean square of what replicates share over that of how they differ, above which the model is wrong"
@@ -94,12 +83,6 @@ class NoisePolicy:
     )
     clock_jitter_s: float = _threshold(
         1e-3, "time between base and sensors varies from trial to trial by a tick of 1 kHz", CHOSEN, _NOISE
-    )
-    offset_sigmas: float = _threshold(
-        2.0,
-        "scatter of the rests beyond this many of its standard errors is an offset",
-        "95 %, two-sided",
-        _NOISE,
     )
     start_sigmas: float = _threshold(
         0.5,
@@ -125,12 +108,6 @@ class NoisePolicy:
         _NOISE,
     )
     motion_dof: float = _threshold(10.0, "differences of replicates that the floor is worth", CHOSEN, _NOISE)
-    straight_error_sigmas: float = _threshold(
-        5.0,
-        "discretisation error, in σ over all values, up to which one straight nuisance stands for it",
-        CHOSEN,
-        "estimation/test_policy.py",
-    )
 
 
 @dataclass(frozen=True)
@@ -147,12 +124,6 @@ class SnapPolicy:
         1.25,
         "a sensor may show this much more than what turned",
         "`hall_gain` and `hall_eccentricity` at five times their typical size",
-        _SNAPS,
-    )
-    sigmas: float = _threshold(
-        6.0,
-        "noise of the turn beyond which it is one: by chance in one of 30,000 datasets of 30,000 comparisons",
-        "normal distribution",
         _SNAPS,
     )
 
@@ -195,24 +166,11 @@ class SearchPolicy:
     frontier: int = _threshold(
         3, "sets that are followed side by side", "the first effect may be half of a pair", _RULES
     )
-    rough: float = _threshold(
-        0.5,
-        "gain of the next step at which a first fit ends",
-        "below the price of a parameter, ln 5 at least",
-        _RULES,
-    )
-    promising: float = _threshold(4.0, "gain of a first fit that is refined (2σ)", "95 %", _RULES)
     set_aside: int = _threshold(2, "effects too small to matter that are made nuisances", CHOSEN, _RULES)
     no_size: float = _threshold(
         1e-3,
         "share of the smallest size that matters below which an effect has no size",
         "below the derivatives' step, posterior.STEP",
-        _RULES,
-    )
-    above_noise_sigmas: float = _threshold(
-        5.0,
-        "an objective this many of its standard deviations above the noise misses something",
-        CHOSEN,
         _RULES,
     )
     relatives_gain: float = _threshold(
@@ -231,6 +189,27 @@ class EvidencePolicy:
         0.01,
         "largest p, adjusted over the library, at which an effect counts as seen",
         "the usual level; Šidák's adjustment keeps it over the library",
+        _RULES,
+    )
+    false_alarm: float = _threshold(
+        1e-3,
+        "chance that a residual pattern, an odd trial, a drift or an interference is named that is not there,"
+        " over all forms that are looked for",
+        "one false unknown in a thousand datasets",
+        _RULES,
+    )
+    clear_sigmas: float = _threshold(
+        5.0,
+        "standard deviations that chance does not make: of an objective above the noise, of a discretisation"
+        " error that one nuisance no longer stands for, of an autocorrelation",
+        "one in two million",
+        _RULES,
+    )
+    likely_sigmas: float = _threshold(
+        2.0,
+        "standard deviations that chance seldom makes: of a first fit's gain, which is then refined, and of"
+        " the scatter of the rests, which is then an offset",
+        "95 %, two-sided",
         _RULES,
     )
     relieved_pull: float = _threshold(
@@ -261,6 +240,12 @@ class EvidencePolicy:
         1.645, "upper end of a size's one-sided 95 % range", "normal quantile", _RULES
     )
 
+    @property
+    def trend(self) -> float:
+        """p of a trend in the trials' friction: an effect that tells of it, of a library of about 30 with
+        `significance` each, is to be named first."""
+        return self.significance / 100.0
+
 
 @dataclass(frozen=True)
 class TiePolicy:
@@ -289,12 +274,6 @@ class LawPolicy:
         1,
         "further laws that may tie with one that is said; with more, nothing is said",
         "a pair can be told apart by one trial",
-        "laws/test_policy.py",
-    )
-    most: int = _threshold(
-        2,
-        "laws, or library effects beside one, that are added one after the other",
-        "more of them can stand for anything, as `verdict.at_any_value`",
         "laws/test_policy.py",
     )
 
@@ -340,18 +319,6 @@ class SizePolicy:
 class VerdictPolicy:
     """When an answer explains the data."""
 
-    pattern_significance: float = _threshold(
-        1e-3,
-        "p, adjusted over all generic functions, of a residual pattern",
-        "one false unknown in a thousand",
-        _RULES,
-    )
-    trend_significance: float = _threshold(
-        1e-4,
-        "p of a trend in the trials' friction: an effect that tells of it is to be named first",
-        "a hundredth of `evidence.significance`, for a library of about 30",
-        _RULES,
-    )
     testable_share: float = _threshold(
         0.02,
         "share of a pattern that projection must leave for it to be tested: less is rounding and curvature",
@@ -361,8 +328,6 @@ class VerdictPolicy:
     distinct_share: float = _threshold(
         0.1, "share of a pattern that those found before must leave for it to be another", CHOSEN, _RULES
     )
-    patterns: int = _threshold(5, "patterns that are reported", CHOSEN, _RULES)
-    lack_of_fit: float = _threshold(0.01, "p of the pure-error F test", "as for an effect", _RULES)
     reached: float = _threshold(
         1.3,
         "error in units of the noise above which something is left",
@@ -372,7 +337,8 @@ class VerdictPolicy:
     )
     at_any_value: int = _threshold(
         2,
-        "effects that may be named together whatever their values: more can stand for anything",
+        "effects that may be named together whatever their values, and laws that are added one after the"
+        " other: more can stand for anything",
         TABLE,
         _RULES,
     )

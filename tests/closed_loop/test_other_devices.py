@@ -245,7 +245,7 @@ def test_a_sensor_without_its_magnet_is_named() -> None:
     assert "hall_4 says nan: its sensor does not answer" in (brain.state.fault or "")
 
 
-@pytest.mark.parametrize("gain", [1.5, 2.0, 3.0])
+@pytest.mark.parametrize("gain", [1.5, pytest.param(2.0, marks=pytest.mark.whole), 3.0])
 def test_a_motor_that_turns_further_than_asked_is_stopped_within_six_degrees(gain: float) -> None:
     for start_deg in (3.0, 8.0, 35.0):
         config = config_of()

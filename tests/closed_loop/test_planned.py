@@ -180,6 +180,7 @@ def test_friction_of_the_run_is_found_from_the_torque() -> None:
         assert 0.0 < spread < 0.05
 
 
+@pytest.mark.whole
 def test_same_input_same_plan() -> None:
     plant = load_parameters("rig_elastic")
     runs = [_run(plant, Planned(), _task(plant), seed=5) for _ in range(2)]

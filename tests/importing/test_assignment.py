@@ -80,6 +80,7 @@ def test_one_error_rate_decides_alike_wherever_it_lies_below_what_is_asked() -> 
     assert WRONG / (WRONG + WRONG) < ASKED_BELOW, "two that contradict each other are asked"
 
 
+@pytest.mark.whole
 def test_a_name_that_the_motion_contradicts_is_asked_with_both_named(tmp_path: Path, rig: RigPart) -> None:
     names = list(NAMES)
     names[1], names[3] = names[3], names[1]

@@ -49,6 +49,7 @@ def test_a_folder_is_imported_and_later_files_of_its_kind_need_no_question(
     assert (folder / "import.yaml").read_text(encoding="utf-8") == kept
 
 
+@pytest.mark.whole
 def test_what_was_confirmed_once_is_not_asked_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number, trial in ((1, 0), (2, 1), (10, 2)):
         path = folder / f"run_{number}.csv"

@@ -72,6 +72,7 @@ def test_the_solver_follows_the_textbooks_law_where_damping_keeps_it_from_snappi
     assert differences(other, theirs)[0] > 0.2
 
 
+@pytest.mark.whole
 def test_where_it_snaps_the_textbooks_law_has_no_answer_but_that_of_its_cells() -> None:
     """Why `stribeck` has a slip length: a front meets the static limit of one cell, however small that is."""
     time, base = path([45.0, 71.0, 25.0], settle_s=1.0)

@@ -57,7 +57,7 @@ def test_a_pause_is_seen_once() -> None:
         witness.close()
 
 
-@pytest.mark.parametrize("workers", ["0", "1"])
+@pytest.mark.parametrize("workers", ["0", pytest.param("1", marks=pytest.mark.whole)])
 def test_only_a_spoiled_trial_is_repeated(tmp_path: Path, workers: str) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST.format(pauses_s=list(itertools.chain(*PAUSES_S))))
     (tmp_path / "test_it.py").write_text(TEST)

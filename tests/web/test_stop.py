@@ -85,6 +85,7 @@ def test_a_crowd_without_a_token_keeps_no_stop_off(rig_server: Served, crowd: Cr
             assert stop_on(newcomer) == {"type": "stop", "key": 1}
 
 
+@pytest.mark.whole
 def test_a_head_that_does_not_come_is_dropped_within_some_seconds(rig_server: Served) -> None:
     with connected(rig_server, 3, HEAD) as crowd:
         for each in crowd:
@@ -92,6 +93,7 @@ def test_a_head_that_does_not_come_is_dropped_within_some_seconds(rig_server: Se
             assert each.recv(100) == b""
 
 
+@pytest.mark.whole
 def test_an_upload_may_take_longer_than_a_head(served: Served) -> None:
     key = served.ask("POST", "/api/uploads", json={"name": "slow"}).json()["upload"]
     head = (

@@ -42,7 +42,7 @@ def apart(one: Response, other: Response) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("law", [Law.DAHL, Law.IWAN])
+@pytest.mark.parametrize("law", [pytest.param(Law.DAHL, marks=pytest.mark.whole), Law.IWAN])
 def test_bristles_of_a_thousandth_of_a_degree_are_the_solvers_rigid_friction(law: Law, motion: str) -> None:
     told = path(motion)
     rigid = solve(rod(), told.time_s, told.base_rad)

@@ -45,7 +45,7 @@ def with_discretisation_error(
     error = whitened_error(problem, found, trials, fine_m)
     rod = problem.model(found.parameters, found.vector).rod(problem.trials[0].trial)
     *_, memory = rod.depends_on_rate
-    above = 0.0 if memory else POLICY.noise.straight_error_sigmas
+    above = 0.0 if memory else POLICY.evidence.clear_sigmas
     driven = _driven_where_large(problem, found, trials, error, above)
     if driven is None or _worse(driven, problem, found):
         problem, found = _as_first_nuisance(problem, found, error)
@@ -84,7 +84,7 @@ def _driven_where_large(
 
 def _worse(driven: tuple[Problem, Fit], problem: Problem, found: Fit) -> bool:
     """Whether the driven problem's fit lies above the problem's by more than chance."""
-    by_chance = POLICY.search.above_noise_sigmas * math.sqrt(2.0 * problem.size)
+    by_chance = POLICY.evidence.clear_sigmas * math.sqrt(2.0 * problem.size)
     return driven[1].objective > found.objective + by_chance
 
 

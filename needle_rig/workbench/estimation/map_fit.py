@@ -21,6 +21,8 @@ OBJECTIVE_TOLERANCE = 0.05
 EXCESS_TOLERANCE = 2e-3
 """A fit also ends when the next step would lower the objective by less than this share of its excess over the
 noise: a fit that misses by far need not be exact."""
+ROUGH = 0.5
+"""The same of a first fit: below the price of a parameter, ln 5 at least."""
 
 FIRST_DAMPING, LEAST_DAMPING, LOWER, HIGHER = 1e-3, 1e-6, 0.2, 8.0
 """Marquardt's damping relative to the curvature, and its factors after a good step and after a bad one."""

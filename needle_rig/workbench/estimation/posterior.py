@@ -229,7 +229,7 @@ def level(fixed: Container[int]) -> float:
 def excess(problem: Problem, value: float) -> float:
     """How far an objective lies above what noise alone explains."""
     size = problem.size
-    return max(0.0, value - size - POLICY.search.above_noise_sigmas * float(np.sqrt(2.0 * size)))
+    return max(0.0, value - size - POLICY.evidence.clear_sigmas * float(np.sqrt(2.0 * size)))
 
 
 def sum_of_squares(residuals: Sequence[Array]) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, ROUGH, Fit, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, start_vector, sum_of_squares
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
 from needle_rig.workbench.laws.law import UNIT, Law
@@ -39,8 +39,6 @@ SHARES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 FIRST_STEPS, FURTHER_STEPS, WHOLE_STEPS = 2, 3, 25
 """Gauss–Newton steps of a first fit, of one that goes on with its smoothness estimated again, and of one to
 the end, where it does not end before."""
-ROUGH = 0.5
-"""Gain of the next step at which a first fit ends."""
 MOST_ESTIMATES = 3
 """Times that the smoothness is estimated in a fit to the end, which moves it in turn."""
 FAR = 3.0

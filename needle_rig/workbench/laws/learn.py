@@ -65,7 +65,7 @@ def learn_laws(
 
 def goes_on(steps: int, reached: bool) -> bool:
     """Whether one more law, or a library effect beside it, is looked for."""
-    return not reached and steps < POLICY.laws.most
+    return not reached and steps < POLICY.verdict.at_any_value
 
 
 def reaches(error: float, commands: int) -> bool:

@@ -210,7 +210,7 @@ def _split(pieces: list[Array], spacing_s: float, degree: int = 1) -> tuple[floa
             best = (misfit, parts[0] * scale, parts[1] * scale, tau)
     misfit, white_var, slow_var, tau = best
     gain = (misfit_alone**2 - misfit**2) * cut.size
-    if gain < POLICY.noise.correlation_gain:
+    if gain < POLICY.evidence.clear_sigmas**2:
         white_var, slow_var = alone[0] * scale, 0.0
     return float(np.sqrt(max(white_var, 1e-6 * scale))), float(np.sqrt(slow_var)), tau
 

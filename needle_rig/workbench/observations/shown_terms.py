@@ -107,7 +107,7 @@ def _best_form(kind: type[ShownTerm], noise: Noise, channels: Channels) -> _Best
         return None
     gain = _gain(_gains(kind, noise.white, channels, forms.values))
     best = int(np.argmax(gain))
-    p = POLICY.noise.shown_significance / forms.distinct
+    p = POLICY.evidence.false_alarm / forms.distinct
     beyond = float(gain[best]) - _by_chance(sum(bool(groups) for groups in channels), p)
     ends = forms.values[max(best - 1, 0)], forms.values[min(best + 1, gain.size - 1)]
     return _Best(kind, beyond, float(forms.values[best]), np.linspace(*ends, BETWEEN))
@@ -165,7 +165,7 @@ def with_shown_terms(
     gain = _log_likelihood(found, binned, residuals, groups) - _log_likelihood(
         noise, binned, residuals, groups
     )
-    return found if gain > _by_chance(1, POLICY.noise.shown_significance) else noise
+    return found if gain > _by_chance(1, POLICY.evidence.false_alarm) else noise
 
 
 def with_residual_term(

@@ -83,7 +83,7 @@ def _of_trial(trial: DatasetTrial, names: Sequence[str], noise_rad: Array) -> li
     widest = apart + 2
     base = float(np.abs(base_rad[widest:] - base_rad[:-widest]).max())
     difference_rad = np.sqrt(2.0) * MEDIAN_OF_THREE * noise_rad
-    beyond = np.abs(turned) - POLICY.snaps.sensor_gain * base - POLICY.snaps.sigmas * difference_rad
+    beyond = np.abs(turned) - POLICY.snaps.sensor_gain * base - POLICY.noise.outlier_sigmas * difference_rad
     middle = np.arange(len(turned)) + (apart + 2) // 2
     regular = np.abs(time_s[widest:] - time_s[:-widest] - widest * sample_s) < 0.5 * sample_s
     phase, found = trial.phase[middle], []

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
-from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit, fit
+from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, ROUGH, Fit, fit
 from needle_rig.workbench.estimation.multistart import lowest_fit, over_forms
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.estimation.problem import ParameterVector, Problem
@@ -17,7 +17,7 @@ from needle_rig.workbench.selection.places import look_through
 from needle_rig.workbench.selection.screening import Screening, beside, screen
 
 REFINED = 10
-"""Times `search.rough`: a fit whose tolerance is larger than that has ended by it, not early."""
+"""Times `ROUGH`: a fit whose tolerance is larger than that has ended by it, not early."""
 WORSE_FITS = 3.0
 """Tolerances of a fit by which a child may be worse than its parent before it is fitted again."""
 
@@ -47,7 +47,7 @@ def score(problem: Problem, found: Fit) -> float:
 
 def refinable(problem: Problem, found: Fit) -> bool:
     """Whether a first fit ended early: one that misses by far ends where a refined fit would."""
-    return EXCESS_TOLERANCE * excess(problem, found.objective) < REFINED * POLICY.search.rough
+    return EXCESS_TOLERANCE * excess(problem, found.objective) < REFINED * ROUGH
 
 
 def screened(problem: Problem, parent: Fit, effect: str) -> Candidate:
@@ -68,9 +68,9 @@ def fitted(problem: Problem, parent: Fit, candidate: Candidate) -> Candidate:
     names = (*parent.effects, effect)
     parameters = problem.parameters(names)
     starts = [beside(problem, parent, parameters, start.scaled_values) for start in ahead.starts]
-    best = lowest_fit(problem, names, starts, nuisance=parent.nuisance, tolerance=POLICY.search.rough)
+    best = lowest_fit(problem, names, starts, nuisance=parent.nuisance, tolerance=ROUGH)
     if best is not None and refinable(problem, best):
-        if parent.objective - best.objective > POLICY.search.promising:
+        if parent.objective - best.objective > POLICY.evidence.likely_sigmas**2:
             best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
         if excess(problem, best.objective) > 0.0:
             best = over_forms(problem, best)

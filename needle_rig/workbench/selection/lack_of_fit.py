@@ -54,7 +54,7 @@ class LackOfFit:
     @property
     def significant(self) -> bool:
         """Whether the model lacks something that replicates share."""
-        return self.p < POLICY.verdict.lack_of_fit
+        return self.p < POLICY.evidence.significance
 
     def sentence(self) -> str:
         """In words."""

@@ -61,7 +61,7 @@ def odd_trial(problem: Problem, found: Fit) -> OddTrial | None:
     values = np.bincount(problem.recorded, [r.size for r in found.residuals])
     squares = np.bincount(problem.recorded, [float(r @ r) for r in found.residuals])
     p = chance_of_largest(squares / values)
-    if p >= POLICY.verdict.pattern_significance:
+    if p >= POLICY.evidence.false_alarm:
         return None
     odd = int(np.argmax(squares / values))
     places = np.flatnonzero(problem.recorded == odd).tolist()

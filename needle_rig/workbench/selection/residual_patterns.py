@@ -25,6 +25,8 @@ from needle_rig.workbench.observations.binning import BinnedTrial, direction_of
 from needle_rig.workbench.policy import POLICY
 
 NEEDLE = "the needle"
+MOST_PATTERNS = 5
+"""Patterns that are reported."""
 TINY = 1e-9
 """Length of a function that is none but for rounding."""
 SILENT = 1e-12
@@ -156,10 +158,10 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
     usable = testable(seen_lengths, lengths)
     projected, lengths = projected[:, usable] / seen_lengths[usable], seen_lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
-    limit = limit_sigmas(POLICY.verdict.pattern_significance, len(names))
+    limit = limit_sigmas(POLICY.evidence.false_alarm, len(names))
     picked: list[tuple[int, float]] = []
     left, basis = project.missed, projected.copy()
-    for _ in range(min(POLICY.verdict.patterns, len(names))):
+    for _ in range(min(MOST_PATTERNS, len(names))):
         seen = basis.T @ left
         best = int(np.argmax(np.abs(seen)))
         if abs(seen[best]) < limit:
@@ -224,7 +226,7 @@ def _trend(problem: Problem, found: Fit) -> list[Pattern]:
         z = float(np.sign(t) * -ndtri(max(stdtr(freedom, -abs(t)), 1e-300)))
         size = 100 * abs(slope) * float(np.sqrt(np.mean(course**2)))
         trends.append(Pattern("the trials' friction", law, z, size, "%", 0.0))
-    limit = limit_sigmas(POLICY.verdict.trend_significance, len(along))
+    limit = limit_sigmas(POLICY.evidence.trend, len(along))
     return sorted((p for p in trends if abs(p.sigmas) > limit), key=lambda p: -abs(p.sigmas))[:1]
 
 

@@ -157,6 +157,7 @@ def test_bad_use_is_a_sentence() -> None:
     assert "--targets 45;90: write degrees" in str(answer.exception)
 
 
+@pytest.mark.whole
 def test_in_processes_the_table_is_the_same() -> None:
     asked = (_bout(), ["reed2008", "reed2008_elastic"], [30.0], 1)
     here = compare_strategies(*asked, starts=("relaxed",))

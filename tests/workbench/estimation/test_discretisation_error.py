@@ -209,6 +209,7 @@ def test_a_path_too_coarse_for_stick_slip_is_driven_by_every_sample(monkeypatch:
     assert np.all(off[:3] < 3.0 * again.scaled_errors[:3])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("above", "driven"), [(200.0, True), (600.0, False)])
 def test_a_path_of_samples_that_fits_worse_only_widens_the_spread(
     monkeypatch: pytest.MonkeyPatch, above: float, driven: bool

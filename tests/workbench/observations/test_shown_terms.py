@@ -208,6 +208,7 @@ def test_chance_of_several_sizes_is_a_mixture(channels: int) -> None:
         assert np.mean(drawn > 2.0 * shown_terms._by_chance(channels, p)) == pytest.approx(p, rel=0.1)
 
 
+@pytest.mark.whole
 def test_replicates_support_no_noise_that_they_share(binned: tuple[BinnedTrial, ...], white: Noise) -> None:
     """A missing effect, the same in each trial, is no noise, nor is what a wrong model leaves of them."""
     alike = [rad(0.3) * np.vstack([0.0 * b.time_s, *[np.sin(b.time_s)] * 4]) for b in binned]
@@ -241,7 +242,9 @@ def test_interference_has_its_frequency_and_no_less_than_its_size(
         assert np.median(ratios) < 3.0
 
 
-@pytest.mark.parametrize("tau_s", [0.5, 2.0, 10.0])
+@pytest.mark.parametrize(
+    "tau_s", [pytest.param(0.5, marks=pytest.mark.whole), 2.0, pytest.param(10.0, marks=pytest.mark.whole)]
+)
 def test_what_drifts_is_no_interference(binned: tuple[BinnedTrial, ...], white: Noise, tau_s: float) -> None:
     for seed in range(4):
         residuals = drawn(having(white, drift(0.15, tau_s)), binned, seed)

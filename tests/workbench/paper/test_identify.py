@@ -43,7 +43,7 @@ def test_friction_is_found_although_the_slip_is_damped() -> None:
     assert abs(identify_friction(model, noisy(5)).error_percent) < 2.0
 
 
-@pytest.mark.parametrize("damping", [0.3, 2.8])
+@pytest.mark.parametrize("damping", [0.3, pytest.param(2.8, marks=pytest.mark.whole)])
 def test_damping_is_found_within_two_percent(damping: float) -> None:
     model = with_effect(load_parameters("rig_rigid"), f"viscous_slip={damping}")
     found = identify_damping(model, noisy(6))

@@ -20,6 +20,7 @@ def test_noisier_sensors_raise_the_limit(name: str) -> None:
     assert 2.0 < limits[1] / limits[0] < 12.0
 
 
+@pytest.mark.whole
 def test_an_effect_that_the_data_cannot_show_has_no_limit() -> None:
     deaf = null_fit(noise=Noise(torque_nmm=20.0))
     assert detection_limit(deaf, "torque_bias") == math.inf

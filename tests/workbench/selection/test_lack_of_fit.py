@@ -81,7 +81,7 @@ def test_what_replicates_share_within_the_accuracy_of_the_solver_is_no_lack_of_f
     assert found.significant is significant, found
     # against an F distribution alone, errors of the accuracy are significant
     alone = float(fdtrc(found.shared_dof, found.differing_dof, found.statistic))
-    assert (alone < POLICY.verdict.lack_of_fit) is (share > 0.0)
+    assert (alone < POLICY.evidence.significance) is (share > 0.0)
 
 
 def test_it_says_where_and_how_much() -> None:

@@ -59,7 +59,7 @@ def test_chance_calls_one_trial_odd_as_often_as_is_said() -> None:
     ],
 )
 def test_a_trial_is_odd_against_the_spread_of_the_others(mean_squares: tuple[float, ...], odd: bool) -> None:
-    assert (chance_of_largest(mean_squares) < POLICY.verdict.pattern_significance) is odd
+    assert (chance_of_largest(mean_squares) < POLICY.evidence.false_alarm) is odd
 
 
 @pytest.mark.parametrize(("t", "odd"), [(7.3, False), (8.1, True)])

@@ -337,9 +337,9 @@ def test_stick_slip_is_named_with_where_it_was_seen_and_what_it_keeps_from_being
 
 
 def test_patterns_and_trends_must_be_far_beyond_chance() -> None:
-    assert limit_sigmas(POLICY.verdict.pattern_significance, 1) == pytest.approx(3.29, abs=0.01)
-    assert limit_sigmas(POLICY.verdict.pattern_significance, 200) == pytest.approx(4.57, abs=0.02)
-    assert limit_sigmas(POLICY.verdict.trend_significance, 2) == pytest.approx(4.06, abs=0.01)
+    assert limit_sigmas(POLICY.evidence.false_alarm, 1) == pytest.approx(3.29, abs=0.01)
+    assert limit_sigmas(POLICY.evidence.false_alarm, 200) == pytest.approx(4.57, abs=0.02)
+    assert limit_sigmas(POLICY.evidence.trend, 2) == pytest.approx(4.06, abs=0.01)
 
 
 def test_five_patterns_are_told() -> None:

@@ -43,7 +43,7 @@ def test_noise_that_wanders_is_no_second_effect() -> None:
     assert found.effects == ("bearing_drag",)
 
 
-@pytest.mark.parametrize("bias_nmm", [0.0006, 0.0012])
+@pytest.mark.parametrize("bias_nmm", [0.0006, pytest.param(0.0012, marks=pytest.mark.whole)])
 def test_limits_hold_under_noise_that_wanders(bias_nmm: float) -> None:
     data = unrepeated("wanders over 10 s", effect("torque_bias", bias_nmm=bias_nmm))
     limit_nmm = diagnose(data, WITHOUT).decisions["torque_bias"].limit

@@ -56,5 +56,5 @@ def measured_offset(binned: Sequence[BinnedTrial], within: Sequence[NoiseTerm], 
     left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     dof = t.size - columns.shape[1]
     excess = (left**2).sum(0) / dof - expected
-    significant = excess > POLICY.noise.offset_sigmas * expected * np.sqrt(2.0 / dof)
+    significant = excess > POLICY.evidence.likely_sigmas * expected * np.sqrt(2.0 / dof)
     return Offset(np.maximum(floor, np.where(significant, np.sqrt(np.maximum(excess, 0)), 0.0)))
