@@ -15,9 +15,10 @@ from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
-from needle_rig.service.install import installed_program, refuse_unable, unit_text
+from needle_rig.service.install import Wanted, install_steps, installed_program, refuse_unable, unit_text
 from needle_rig.service.installation import Installation
 from needle_rig.service.rig_file import Answers, rig_file_text
+from needle_rig.service.steps import WriteFile
 from needle_rig.service.systemd import rig_folder
 
 pytestmark = pytest.mark.skipif(
@@ -345,6 +346,22 @@ def test_systemd_takes_both_units(place: Installation, tmp_path: Path) -> None:
     names = [str(tmp_path / unit.name) for unit in (place.unit, place.failed_unit)]
     done = subprocess.run(["systemd-analyze", "verify", *names], capture_output=True, text=True)
     assert not [line for line in done.stderr.splitlines() if str(tmp_path) in line], done.stderr
+
+
+def test_adapters_that_are_plugged_in_already_get_the_rules_and_the_bus_comes_up_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(WriteFile, "is_done", lambda _: False)
+    wanted = Wanted("", "can0", 500, (), Path("/opt/needle-rig/bin/needle-rig"))
+    here = [step.describe() for step in install_steps(Installation(Path("/")), wanted)]
+    rules = next(n for n, told in enumerate(here) if "70-needle-rig.rules" in told)
+    assert here[rules + 1 : rules + 3] == [
+        "run   udevadm control --reload",
+        "run   udevadm trigger --action=add --subsystem-match=tty --subsystem-match=usb-serial",
+    ]
+    assert {"run   networkctl reload", "run   systemctl start systemd-networkd.service"} & {*here}
+    elsewhere = install_steps(Installation(Path("/nowhere")), wanted)
+    assert not [step for step in elsewhere if "udevadm" in step.describe()]
 
 
 @pytest.fixture
