@@ -67,6 +67,8 @@ def command(
     --upgrade installs a version beside the present one, backs the rig up, switches, and restarts at rest. It
     goes back by itself where `check` then finds more that fails than before.
 
+    NEEDLE_RIG_AT=NAME in the environment names one of several rigs of this computer, for every command.
+
     \b
     Exit codes: 0 done, 2 bad use, nothing was changed, 3 it failed; an upgrade was taken back.
     """
