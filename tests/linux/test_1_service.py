@@ -242,7 +242,7 @@ def test_a_rig_file_that_cannot_be_used_is_told_with_its_line_and_not_tried_agai
 def test_another_rig_of_the_same_computer_comes_and_goes_and_the_first_does_not_notice(rig: Rig) -> None:
     pid = main_pid()
     left = "env NEEDLE_RIG_AT=left"
-    set_up = f"{left} {PROGRAM} install-service --name left --can vcan1 --hall {PORTS}/left"
+    set_up = f"{left} {PROGRAM} install-service --name left --can vcan7 --hall {PORTS}/left"
     shell(f"{set_up} --member tech", timeout_s=180)
     until(lambda: "since:" in of_left("status"), "it runs", START_S)
     until(lambda: "fault" in of_left("status"), "it misses its rig")
@@ -250,11 +250,12 @@ def test_another_rig_of_the_same_computer_comes_and_goes_and_the_first_does_not_
     assert re.search(r"(?m)^rig: +left, .*/run/needle-rig@left/daemon.sock$", told), told
     assert f"{PORTS}/left" in told  # what it misses is its own
     assert status()["fault"] is None
-    assert "vcan1" in shell("ip -brief link show type vcan").stdout
+    assert "vcan7" in shell("ip -brief link show type vcan").stdout
     removed = shell(f"{left} {PROGRAM} install-service --remove", timeout_s=120).stdout
     assert "Account, command and rules stay, as needle-rig.service uses them" in removed
     assert shell("systemctl cat needle-rig@left", check=False).returncode != 0
     assert not Path("/run/needle-rig@left").exists()
+    shell("ip link del vcan7")
     assert (main_pid(), status()["fault"]) == (pid, None)
     assert needle_rig("status").returncode == 0
 
