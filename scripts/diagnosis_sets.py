@@ -17,11 +17,11 @@ from detection import detection_limit, smallest_strength
 from scipy.stats import f as f_distribution
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, compensation, load_protocol, staircase
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.rod import Layout
-from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, staircase
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import (

@@ -20,7 +20,7 @@ from needle_rig.control.reports import Request
 from needle_rig.errors import NeedleRigError
 from needle_rig.firmware.pages import drive_page, read_page, write_page
 from needle_rig.recording import RunFile
-from needle_rig.service.orders import Order, read_order
+from needle_rig.service.api.orders import Order, read_order
 from needle_rig.units import rad
 
 PROTOCOL = """\

@@ -15,6 +15,7 @@ from noise_kinds import noisy
 
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, denoised_base, write_dataset
 from needle_rig.dataset.description import read_description
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.dataset.records import Start
 from needle_rig.importing import Mapping as ImportMapping
 from needle_rig.importing import dataset_of
@@ -25,8 +26,7 @@ from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.rod import Layout
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.simulation.base_drive import Motion, base_path
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.simulation.drive.base_drive import Motion, base_path
 from needle_rig.units import rad
 from needle_rig.workbench.virtual.dataset import REST_S
 from needle_rig.workbench.virtual.noise import Noise

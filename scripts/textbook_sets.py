@@ -11,10 +11,10 @@ import numpy as np
 
 from needle_rig.control.strategy import Task, Waypoint, make_strategy
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, denoised_base
+from needle_rig.dataset.protocol import Protocol
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect, Reading, Trial
-from needle_rig.simulation.base_drive import phases
-from needle_rig.simulation.protocol import Protocol
+from needle_rig.simulation.drive.base_drive import phases
 from needle_rig.units import nm, rad
 from needle_rig.workbench.virtual.dataset import DENSITY_KG_M3, DIAMETER_M, LaggedDrive, driven
 from needle_rig.workbench.virtual.noise import Noise

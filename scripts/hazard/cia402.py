@@ -14,9 +14,9 @@ from needle_rig.devices.drive_cia402 import DriveCia402
 from needle_rig.devices.memory_host import SOME_TIME_S, MemoryCan, MemoryHost
 from needle_rig.records import Command, DriveState, Measurement
 from needle_rig.simulation.build import build_plant
-from needle_rig.simulation.cia402_node import Cia402Node
 from needle_rig.simulation.faults import Faults, Links
-from needle_rig.simulation.front_end import ENCODER_COUNTS_PER_DEG
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.front_end import ENCODER_COUNTS_PER_DEG
 from needle_rig.units import deg
 
 STEP_S = 0.001

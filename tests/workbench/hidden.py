@@ -8,10 +8,10 @@ from functools import lru_cache
 from typing import Any
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.workbench.estimation import map_fit
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation

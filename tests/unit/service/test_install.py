@@ -15,11 +15,17 @@ from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
-from needle_rig.service.install import Wanted, install_steps, installed_program, refuse_unable, unit_text
-from needle_rig.service.installation import Installation
-from needle_rig.service.rig_file import Answers, rig_file_text
-from needle_rig.service.steps import WriteFile
-from needle_rig.service.systemd import rig_folder
+from needle_rig.service.api.endpoint import rig_folder
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup.install import (
+    Wanted,
+    install_steps,
+    installed_program,
+    refuse_unable,
+    unit_text,
+)
+from needle_rig.service.setup.rig_file import Answers, rig_file_text
+from needle_rig.service.setup.steps import WriteFile
 
 pytestmark = pytest.mark.skipif(
     not all(map(shutil.which, ("systemd-sysusers", "systemctl", "userdel"))), reason="no systemd here"
@@ -416,8 +422,10 @@ def test_a_name_of_a_rig_that_cannot_be_a_units_is_refused(name: str) -> None:
 
 
 def test_a_process_works_with_the_rig_that_its_environment_names() -> None:
-    code = "from needle_rig.service.installation import HERE; from needle_rig.service.client import LOG;"
-    code += "from needle_rig.service.endpoint import sockets_for_client; print(HERE.rig_file, HERE.runs, LOG,"
+    code = "from needle_rig.service.installed.installation import HERE; from needle_rig.service.client import LOG;"
+    code += (
+        "from needle_rig.service.api.endpoint import sockets_for_client; print(HERE.rig_file, HERE.runs, LOG,"
+    )
     code += "*sockets_for_client({'XDG_RUNTIME_DIR': '/u'}), sep='|')"
     told = subprocess.run(
         [sys.executable, "-c", code],

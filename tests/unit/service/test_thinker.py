@@ -22,7 +22,7 @@ from needle_rig.control.strategy import History, Strategy, Task, Waypoint, find_
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT, load_parameters
 from needle_rig.physics.library import find_effects, load_effect
-from needle_rig.service.thinker import QUICK, Thinker
+from needle_rig.service.tick.thinker import QUICK, Thinker
 from needle_rig.units import rad
 from needle_rig.workbench.laws.draft import Origin, Table, written
 from needle_rig.workbench.laws.law import Law

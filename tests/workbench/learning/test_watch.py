@@ -9,11 +9,11 @@ import pytest
 
 from needle_rig.cli.main import run as needle_rig
 from needle_rig.config.schema import WatchSection
+from needle_rig.dataset.protocol import Protocol, compensation
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_contradiction, read_summary
-from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.learning import watch
 from needle_rig.workbench.learning.watch import Watch, WatchedRun, as_it_began, judge, look_at
 from needle_rig.workbench.virtual.dataset import simulate_dataset
