@@ -422,11 +422,12 @@ def test_a_name_of_a_rig_that_cannot_be_a_units_is_refused(name: str) -> None:
 
 
 def test_a_process_works_with_the_rig_that_its_environment_names() -> None:
-    code = "from needle_rig.service.installed.installation import HERE; from needle_rig.service.client import LOG;"
-    code += (
-        "from needle_rig.service.api.endpoint import sockets_for_client; print(HERE.rig_file, HERE.runs, LOG,"
-    )
-    code += "*sockets_for_client({'XDG_RUNTIME_DIR': '/u'}), sep='|')"
+    code = """
+from needle_rig.service.api.endpoint import sockets_for_client
+from needle_rig.service.client import LOG
+from needle_rig.service.installed.installation import HERE
+print(HERE.rig_file, HERE.runs, LOG, *sockets_for_client({"XDG_RUNTIME_DIR": "/u"}), sep="|")
+"""
     told = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, "NEEDLE_RIG_AT": "left"},
