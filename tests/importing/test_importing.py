@@ -463,7 +463,9 @@ def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wron
             pytest.skip(f"{module} writes the files")
     line = [
         sys.executable,
-        str(ROOT / "scripts/import_files"),
+        "-m",
+        "campaigns",
+        "import_files",
         "--share",
         "0.2",
         "--mutations",
@@ -471,7 +473,7 @@ def test_a_sample_of_forty_files_is_guessed_right_and_of_its_mutations_none_wron
         "--seed",
         "2",
     ]
-    done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=200)
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False, timeout=200)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "BAD" not in done.stdout
     assert "13 files: " in done.stdout

@@ -3,9 +3,9 @@ import functools
 
 import numpy as np
 import pytest
-from diagnosis_sets import SETUPS
-from messy_shapes import SHAPES, recorded
 
+from campaigns.workbench.diagnosis_sets import SETUPS
+from campaigns.workbench.messy_shapes import SHAPES, recorded
 from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.workbench.estimation import discretisation_error

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from messy_shapes import SHAPES, recorded
 
+from campaigns.workbench.messy_shapes import SHAPES, recorded
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.dominant_turns import arrival, dominant_turns
 from needle_rig.dataset.protocol import Protocol, staircase
