@@ -13,9 +13,9 @@ import click
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from needle_rig.service.install import Wanted
-    from needle_rig.service.installation import Installation
-    from needle_rig.service.steps import Step
+    from needle_rig.service.installed.installation import Installation
+    from needle_rig.service.setup.install import Wanted
+    from needle_rig.service.setup.steps import Step
 
 _A_PORT = "/dev/serial/by-id/…"
 """Shown by a dry run where no adapter is plugged in."""
@@ -67,12 +67,16 @@ def command(
     --upgrade installs a version beside the present one, backs the rig up, switches, and restarts at rest. It
     goes back by itself where `check` then finds more that fails than before.
 
+    NEEDLE_RIG_AT=NAME in the environment names one of several rigs of this computer, for every command.
+
     \b
     Exit codes: 0 done, 2 bad use, nothing was changed, 3 it failed; an upgrade was taken back.
     """
     from needle_rig.config.loader import load_rig_config
     from needle_rig.recording.retention import kept_text
-    from needle_rig.service.install import (
+    from needle_rig.service.api.endpoint import NAME
+    from needle_rig.service.installed.installation import Installation
+    from needle_rig.service.setup.install import (
         another_program,
         install_steps,
         is_active,
@@ -80,13 +84,12 @@ def command(
         removal_steps,
         stays,
     )
-    from needle_rig.service.installation import Installation
 
     place = Installation(root.absolute())
     if place.root == Path("/") and not dry_run:
         refuse_unable(os.geteuid())
     if upgrade is not None or rollback:
-        from needle_rig.service import upgrade as versions
+        from needle_rig.service.setup import upgrade as versions
 
         if dry_run or remove or (upgrade is not None and rollback):
             raise BadInput("--upgrade and --rollback stand alone, without --dry-run and --remove")
@@ -128,7 +131,7 @@ def command(
         click.echo("Nothing was done.")
         return
     if running:
-        click.echo("It runs with what it had; when no run goes on: sudo systemctl restart needle-rig")
+        click.echo(f"It runs with what it had; when no run goes on: sudo systemctl restart {NAME}")
     _tell_another(another_program(place, wanted.program))
     click.echo("The service is set up. Look at it: needle-rig status; at the rig: needle-rig check")
     recording = load_rig_config(place.rig_file).recording
@@ -159,7 +162,7 @@ def _as_it_is(
     """The service of a rig file that is there."""
     from needle_rig.config.loader import load_rig_config
     from needle_rig.config.schema import NetFtTorque
-    from needle_rig.service.install import Wanted
+    from needle_rig.service.setup.install import Wanted
 
     links = load_rig_config(rig_file).links
     can = links.can
@@ -185,8 +188,8 @@ def _asked(
     """The service of a rig file made of the options, and of answers where they are missing."""
     from needle_rig.config.files import shipped_file
     from needle_rig.config.loader import load_rig_config
-    from needle_rig.service.install import Wanted
-    from needle_rig.service.rig_file import Answers, keep_gb, rig_file_text
+    from needle_rig.service.setup.install import Wanted
+    from needle_rig.service.setup.rig_file import Answers, keep_gb, rig_file_text
 
     usual = load_rig_config(shipped_file("rig.hardware.yaml"))
     proposed: dict[str, tuple[str, str | float | None]] = {
@@ -202,8 +205,9 @@ def _asked(
         "shear_modulus_gpa": ("The needle's shear modulus, GPa", usual.needle.shear_modulus_gpa),
     }
     found = {key: _answer(key, text, given[key], default) for key, (text, default) in proposed.items()}
-    answers = Answers(**found, keep_gb=keep_gb(place.runs))  # type: ignore[arg-type]  # each as click gave it
-    text = rig_file_text(answers, Path("/var/lib/needle-rig"))
+    kept_gb = keep_gb(place.runs, 1 + len(place.other_units()))
+    answers = Answers(**found, keep_gb=kept_gb)  # type: ignore[arg-type]  # each as click gave it
+    text = rig_file_text(answers, Path("/") / place.runs.relative_to(place.root))
     interface = answers.network_interface
     return Wanted(
         text, interface, answers.bitrate_kbit_s, _members(place, members), _program(place, dry_run), start
@@ -252,7 +256,7 @@ def _members(place: Installation, named: tuple[str, ...]) -> tuple[str, ...]:
 
 def _program(place: Installation, dry_run: bool) -> Path:
     """What the service runs; a dry run shows the usual one where this one could not be run."""
-    from needle_rig.service.install import installed_program
+    from needle_rig.service.setup.install import installed_program
 
     usual = Path("/opt/needle-rig/bin/needle-rig")
     if place.root != Path("/"):

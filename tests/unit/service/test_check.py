@@ -15,9 +15,9 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.bus_watch import frame_bits
 from needle_rig.recording import mark_read, retain
-from needle_rig.service import check
-from needle_rig.service.interface import Interface, parse
-from needle_rig.service.rates import Rates
+from needle_rig.service.setup import check
+from needle_rig.service.setup.interface import Interface, parse
+from needle_rig.service.tick.rates import Rates
 from needle_rig.version import VERSION
 
 RIG = load_rig_config(shipped_file("rig.hardware.yaml"))
@@ -207,6 +207,7 @@ def node(**told: Any) -> Any:
         (node(), "ok", "what it said", ""),
         (node(version=None), "ok", "what it said", ""),
         (node(version="0.1.9"), "warn", f"what it said; needle-rig is {VERSION}", "flash it"),
+        (node(protocol=402, version="7.1"), "ok", "what it said", ""),
         (node(protocol=None, version=None), "warn", "older than 0.2.0", "flash it"),
         (node(protocol=2, refusal="it speaks 2; flash it"), "fail", "it speaks 2", "flash it"),
     ],

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from needle_rig.errors import NeedleRigError
-from needle_rig.service.steps import AwaitProcesses, LeaveToAll
+from needle_rig.service.setup.steps import AwaitProcesses, LeaveToAll
 
 ENDING, OBEYING, STUBBORN = "games", "news", "uucp"
 """Accounts of Debian's base system, and nobody's in tests: one a test, as all processes of an account are
@@ -44,6 +44,13 @@ def test_it_waits_for_a_process_that_ends_by_itself() -> None:
         step.do()
         assert step.is_done()
         assert process.wait(10) == 0
+
+
+def test_of_one_unit_of_several_nothing_else_is_waited_for() -> None:
+    with running(ENDING, "echo ready; exec sleep 60") as process:
+        own = Path(f"/proc/{process.pid}/cgroup").read_text().strip()
+        assert AwaitProcesses(ENDING, "needle-rig@left.service").is_done()
+        assert not AwaitProcesses(ENDING, own).is_done()
 
 
 def test_what_goes_on_is_told_to_end() -> None:

@@ -7,8 +7,8 @@ import struct
 import pytest
 
 from needle_rig.config.schema import Cia402Drive
-from needle_rig.simulation.cia402_node import Cia402Node
-from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.slcan_hub import Frame
 
 OPTIONS = Cia402Drive(device="cia402", node_id=3, position_units_per_turn=3600, velocity_units_per_rpm=60)
 
@@ -50,6 +50,17 @@ class Bus:
 @pytest.fixture
 def bus() -> Bus:
     return Bus()
+
+
+def test_its_version_is_a_text_in_segments(bus: Bus) -> None:
+    assert bus.sdo("40 0a 10 00 00 00 00 00") == "41 0a 10 00 13 00 00 00"
+    assert bus.sdo("60 00 00 00 00 00 00 00") == f"00 {b'needle-'.hex(' ')}"
+    assert bus.sdo("70 00 00 00 00 00 00 00") == f"10 {b'rig twi'.hex(' ')}"
+    assert bus.sdo("60 00 00 00 00 00 00 00") == f"05 {b'n 1.4'.hex(' ')} 00 00"
+    # one that is asked for twice is refused, and the text begins anew
+    assert bus.sdo("40 0a 10 00 00 00 00 00") == "41 0a 10 00 13 00 00 00"
+    assert bus.sdo("70 00 00 00 00 00 00 00") == "80 00 00 00 00 00 03 05"
+    assert bus.sdo("60 00 00 00 00 00 00 00").startswith("80 ")
 
 
 def test_it_says_once_that_it_started(bus: Bus) -> None:

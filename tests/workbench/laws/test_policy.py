@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from needle_rig.workbench.laws import search
+from needle_rig.workbench.laws import law_search
 from needle_rig.workbench.laws.fitting import Parent
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import Hypothesis, Term, _Learning, goes_on, reaches, verdict_of
-from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, changes_matter, kept, tied
+from needle_rig.workbench.laws.law_search import FoundLaw, asked_of, borne, changes_matter, kept, tied
+from needle_rig.workbench.laws.learn_laws import Hypothesis, Term, _Learning, goes_on, reaches, verdict_of
 from needle_rig.workbench.policy import POLICY
 
 NO_PROBLEM: Any = SimpleNamespace(size=1000)
@@ -31,8 +31,8 @@ def parent(score: Any, loss: Any = 100.0, error: Any = 3.0) -> Any:
 
 @pytest.fixture(autouse=True)
 def large_and_not_ours(monkeypatch: Any) -> Any:
-    monkeypatch.setattr(search, "within_discretisation_error", lambda *_: False)
-    monkeypatch.setattr(search, "matters", lambda *_: True)
+    monkeypatch.setattr(law_search, "within_discretisation_error", lambda *_: False)
+    monkeypatch.setattr(law_search, "matters", lambda *_: True)
 
 
 @pytest.mark.parametrize(("formula", "said"), [(99.9, True), (100.0, True), (100.1, False)])
@@ -110,7 +110,7 @@ def test_what_may_be_our_own_error_or_is_too_small_is_no_law(which: Any, monkeyp
     before = parent(1000.0)
     found = FoundLaw(fitted(900.0), None, before)
     assert kept(NO_PROBLEM, before, found, 70)
-    monkeypatch.setattr(search, which, lambda *_: which == "within_discretisation_error")
+    monkeypatch.setattr(law_search, which, lambda *_: which == "within_discretisation_error")
     assert not kept(NO_PROBLEM, before, found, 70)
 
 
@@ -157,7 +157,7 @@ def learning(**asked: Any) -> _Learning:
 
 
 def term(score: float, name: str) -> Term:
-    best = fitted(score, law=Law("observe", "hall_1", name))
+    best = fitted(score)
     best.made, best.price = SimpleNamespace(name=name), 5.0
     return Term(FoundLaw(best, None, parent(200.0)), (), 3.0)
 
@@ -171,12 +171,15 @@ def test_a_law_that_an_effect_does_as_well_as_once_all_is_found_is_the_effect(
 ) -> None:
     """A law is kept while another is missing, as damping was beside a gear's error."""
     terms = (term(100.0, "damping"), term(100.0, "other"))
-    found = learning(without_law=lambda _, made, __: parent(500.0 if made.name == "damping" else 700.0))
+    found = learning(
+        without_law=lambda _, made, __: parent(500.0 if made.name == "damping" else 700.0),
+        on_top_of=lambda *_: [],
+        promises=lambda _: [],
+    )
     # the first alone has a rival near it
     near = parent(100.0 + behind)
     monkeypatch.setattr(found, "_with_effect", lambda rest, _: near if rest.score == 500.0 else None)
     monkeypatch.setattr(found, "_looked_for_again", lambda at, *_: at)
-    found.search.on_top_of = found.search.promises = lambda *_: []  # type: ignore[method-assign]
     at = found._swapped(Hypothesis(parent(100.0)), Hypothesis(parent(100.0), terms))
     assert [each.made.name for each in at.terms] == left
     assert at.fitted.score == (100.0 if len(left) == 2 else 100.0 + behind)
