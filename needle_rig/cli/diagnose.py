@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from needle_rig.cli._output import console
+from needle_rig.cli._pictures import picture_option
 from needle_rig.cli._workbench import (
     cluster_option,
     data_argument,
@@ -40,10 +41,13 @@ if TYPE_CHECKING:
     help="One effect alone, each by itself: half the time or less, and no second one.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Diagnosis file to write, for adopt.")
+@picture_option("--html", type=click.Path(path_type=Path), help="Write a report in one file, to send.")
 @jobs_option
 @cluster_option
 @json_option
-def command(out: Path | None, jobs: int | None, cluster: str | None, as_json: bool, **asked: Any) -> None:
+def command(
+    out: Path | None, html: Path | None, jobs: int | None, cluster: str | None, as_json: bool, **asked: Any
+) -> None:
     """Say which effect is missing from the model: its size, its rivals, and what the data cannot tell.
 
     Of a --model it says first whether its values hold as they stand, then whether its structure does.
@@ -51,6 +55,7 @@ def command(out: Path | None, jobs: int | None, cluster: str | None, as_json: bo
     \b
     needle-rig diagnose data/mine --out diagnosis.yaml
     needle-rig diagnose data/mine --model fitted.yaml --effects my_effects --json
+    needle-rig diagnose data/mine --html report.html
 
     DATA is a dataset folder or a run file, or several; or a folder of settled values as published
     (settled.yaml; reed2008 is shipped), where one effect at a time is tried. Every verdict (effect, none,
@@ -59,12 +64,18 @@ def command(out: Path | None, jobs: int | None, cluster: str | None, as_json: bo
     doing, question = terminal(jobs, cluster), Diagnose(**asked)
     from needle_rig.workbench.learning.observations import Traces
 
-    if out is not None and not out.absolute().parent.is_dir():
-        raise BadInput(f"--out {out}: there is no folder {out.parent}; make it, or name another place")
+    for option, path in (("--out", out), ("--html", html)):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise BadInput(
+                f"{option} {path}: there is no folder {path.parent}; make it, or name another place"
+            )
     answer = question.answer(doing)
     if out is not None:
         answer.save(out)
         click.echo(f"wrote {out}", err=True)
+    if html is not None:
+        question.write_report(answer.told(), answer.keep(), answer.compared(), html)
+        click.echo(f"wrote {html}", err=True)
     document, found = answer.as_json(), answer.found
     if as_json:
         click.echo(json.dumps(document, ensure_ascii=False))

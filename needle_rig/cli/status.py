@@ -31,6 +31,7 @@ def _text(state: State, path: str) -> str:
     from needle_rig.cli._output import number
     from needle_rig.recording.watch_summary import read_summary
     from needle_rig.version import differs
+    from needle_rig.web.store import rig_model_name
 
     rig, ticks, sensors = state["rig"], state["ticks"], state["sensors"]
     different = differs(state.get("version"))
@@ -66,6 +67,8 @@ def _text(state: State, path: str) -> str:
         lines.append(f"run:     {state['run']}")
     if state.get("model"):
         lines.append(f"model:   {state['model']}")
+    if kept := rig_model_name(Path(state["runs"])):
+        lines.append(f"page:    its orders plan with {kept}, unless they name a model")
     if state["fault"]:
         lines.append(f"fault:   {state['fault']}")
     lines += [f"waits:   {each}" for each in waits_for_a_person(state)]

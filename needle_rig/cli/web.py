@@ -26,6 +26,14 @@ from needle_rig.errors import BadInput
     help="Parameter set of that rig's needle, such as rig_rigid.",
 )
 @click.option("--fast", is_flag=True, help="That rig in virtual time.")
+@click.option("--watchers", is_flag=True, help="Print a second address, which may see all and order nothing.")
+@click.option(
+    "--allow-host",
+    "hosts",
+    multiple=True,
+    metavar="NAME[:PORT]",
+    help="A name that browsers call the page by, through a tunnel or a proxy; repeatable.",
+)
 @click.option("--dir", "directory", type=click.Path(path_type=Path), help="Folder of the runs.")
 @effects_option
 @jobs_option
@@ -37,6 +45,8 @@ def command(
     rig: str | None,
     parameters: str | None,
     fast: bool,
+    watchers: bool,
+    hosts: tuple[str, ...],
     directory: Path | None,
     effects: tuple[str, ...],
     jobs: int | None,
@@ -46,6 +56,7 @@ def command(
     \b
     needle-rig web --open data/mine
     needle-rig web --open --rig simulated
+    needle-rig web --port 8800 --watchers --allow-host rig.example.org
 
     DATA are dataset folders, run files, or folders that hold some; the page can read these, the recorded runs
     and what is dropped on it, nothing else. The page shows the running daemon, and works without one. The
@@ -57,7 +68,7 @@ def command(
     from needle_rig.cli._runs import runs_directory
     from needle_rig.folders import temporary_folder
     from needle_rig.service.client import private_daemon
-    from needle_rig.web.guard import LOOPBACK
+    from needle_rig.web.guard import LOOPBACK, Keys, checked_host
     from needle_rig.web.server import Page, Settings, listening, serve
     from needle_rig.web.store import opened
 
@@ -66,7 +77,8 @@ def command(
     if rig is not None and socket is not None:
         raise BadInput("--rig starts a rig for the page alone: leave --socket out")
     runs = runs_directory(directory, None)
-    token = secrets.token_urlsafe(24)
+    hosts = tuple(map(checked_host, hosts))
+    keys = Keys(secrets.token_urlsafe(24), secrets.token_urlsafe(24) if watchers else "")
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(contextlib.closing(listening(port)))
         folder = stack.enter_context(temporary_folder("needle-rig-web-"))
@@ -80,13 +92,16 @@ def command(
             click.echo(f"warning: {unkept}", err=True)
         processes = jobs or len(os.sched_getaffinity(0))
         settings = Settings(socket, data, runs, effects, processes, own_rig=rig is not None)
-        address = f"http://{LOOPBACK}:{listener.getsockname()[1]}/#token={token}"
+        page = f"http://{LOOPBACK}:{listener.getsockname()[1]}/#token="
+        address = f"{page}{keys.token}"
 
         def ready() -> None:
             click.echo(f"the page: {address}")
+            if keys.watchers:
+                click.echo(f"to watch alone: {page}{keys.watchers}")
             if show:
                 click.launch(address)
 
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(serve(Page(settings, folder, store, unkept), listener, token, ready))
+            asyncio.run(serve(Page(settings, folder, store, unkept), listener, keys, hosts, ready))
     click.echo("the page is closed", err=True)

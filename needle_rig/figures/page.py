@@ -48,10 +48,15 @@ def paragraph(text: str) -> str:
     return f"<p>{html.escape(text)}</p>"
 
 
+def heading(text: str) -> str:
+    """A heading within the page."""
+    return f"<h2>{html.escape(text)}</h2>"
+
+
 def items(title: str, texts: Iterable[str]) -> str:
     """A heading and a list; nothing when the list is empty."""
     rows = "".join(f"<li>{html.escape(text)}</li>" for text in texts)
-    return f"<h2>{html.escape(title)}</h2><ul>{rows}</ul>" if rows else ""
+    return f"{heading(title)}<ul>{rows}</ul>" if rows else ""
 
 
 def table(head: Sequence[str], rows: Iterable[str]) -> str:
@@ -74,7 +79,7 @@ def row(name: str, cells: Iterable[str | float], mark: bool | None = None) -> st
 
 def shown(picture: Picture) -> str:
     """A picture under its title."""
-    return f"<h2>{html.escape(picture.title)}</h2>{image(picture.title, picture.png)}"
+    return f"{heading(picture.title)}{image(picture.title, picture.png)}"
 
 
 def image(alt: str, png: bytes) -> str:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
@@ -68,6 +71,18 @@ class Diagnosed:
 
         save_diagnosis(path, self.keep())
 
+    def told(self) -> dict[str, Any]:
+        """The stated form with the sentences that people read, as page and report show it."""
+        found = self.found
+        return {
+            **{name: part for name, part in self.as_json().items() if name != "policy"},
+            "sentence": found.sentence(),
+            "errors_sentence": found.errors_sentence(),
+            "ties": list(found.ties),
+            "left_over": found.left_in_words(),
+            "reasons": [reason.as_json() for reason in found.reasons],
+        }
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnose(About):
@@ -90,3 +105,25 @@ class Diagnose(About):
                 say=doing.say,
             )
         return Diagnosed(found, observed, saved)
+
+    def write_report(
+        self,
+        told: Mapping[str, Any],
+        kept: KeptDiagnosis,
+        compared: TraceComparison | None,
+        path: str | os.PathLike[str],
+    ) -> None:
+        """Write the answer as one HTML file with all that it shows. Raises OSError."""
+        from needle_rig.figures.diagnosis import Asked, write_html
+
+        file = Path(self.model) if isinstance(self.model, str | os.PathLike) else None
+        if file is not None and not file.is_file():  # the name of a parameter set
+            file = None
+        words = "one effect alone" if self.quick else f"up to {self.max_effects} effects together"
+        own = tuple(f"effects of {Path(folder).name}" for folder in self.folders())
+        asked = Asked(
+            "" if file is None else file.name,
+            "" if file is None else hashlib.sha256(file.read_bytes()).hexdigest(),
+            (words, *own),
+        )
+        write_html(told, kept, asked, compared, Path(path))

@@ -37,6 +37,8 @@ class RunSummary:
     """What the result says (aligned, not_aligned, aborted, fault), or: running, cut off, unreadable."""
     duration_s: float
     complete: bool
+    tip_lag_deg: float = math.nan
+    """How far the tip lags at the end."""
 
 
 def list_runs(directory: str | os.PathLike[str]) -> list[RunSummary]:
@@ -177,4 +179,12 @@ def run_summary(path: Path) -> RunSummary:
         status=status,
         duration_s=0.0 if math.isnan(first_s) else last_s - first_s,
         complete=ending.complete,
+        tip_lag_deg=_tip_lag_deg(ending.result),
     )
+
+
+def _tip_lag_deg(result: JsonObject | None) -> float:
+    """How far the tip lags at the end of a run; not a number where it is not known."""
+    final = (result or {}).get("final")
+    lag_deg = final.get("tip_lag_deg") if isinstance(final, dict) else None
+    return float(lag_deg) if isinstance(lag_deg, int | float) else math.nan

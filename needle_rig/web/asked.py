@@ -94,6 +94,12 @@ class Work(Asked):
     chart: Chart | None = None
 
 
+class RigModel(Asked):
+    """The model that orders plan with where they name none; None is that of the rig file."""
+
+    model: Key | None
+
+
 class Lesson(Asked):
     """An effect in the standard trial."""
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from needle_rig.errors import BadInput
 from needle_rig.model import parameter_sets
+from needle_rig.recording import changed_in
 from needle_rig.web.asked import Work
 from needle_rig.web.identity import data_hash, file_hash, model_hash, question_text
 from needle_rig.web.jobs import Job, Jobs, Subject
 from needle_rig.web.places import COMPARISON, DATASET, DATASET_KINDS, DIAGNOSIS, MODEL
 from needle_rig.web.sources import Source, Sources, free_name
-from needle_rig.web.store import sealed
+from needle_rig.web.store import RIG_MODEL, Store, sealed
 from needle_rig.web.uploads import Uploads, model_in
 
 OF_A_MODEL = ("compare", "diagnose", "take_values", "undo", "strategies", "learn", "add_effect")
@@ -43,8 +45,10 @@ Document = dict[str, Any]
 class Desk:
     """Questions in, jobs out."""
 
-    def __init__(self, sources: Sources, jobs: Jobs, effects: tuple[str, ...], processes: int) -> None:
-        self._sources, self._jobs = sources, jobs
+    def __init__(
+        self, sources: Sources, jobs: Jobs, store: Store, effects: tuple[str, ...], processes: int
+    ) -> None:
+        self._sources, self._jobs, self._store = sources, jobs, store
         self._effects, self._processes = effects, processes
         for job in jobs.all():
             self._know(job)
@@ -78,6 +82,12 @@ class Desk:
             given |= {name: question[name] for name in OF_VALUES if name in question}
         elif kind == "figure":
             given |= self._figure(asked)
+        elif kind == "watch":
+            given |= {"directory": str(self._sources.runs), "effects": list(self._effects)}
+            # runs that came since are another question
+            question["runs"] = sorted(await asyncio.to_thread(changed_in, self._sources.runs))[-1:]
+        elif kind == "report":
+            given |= await self._report(asked)
         elif kind == "open":
             upload = self._uploads.get(str(asked.upload))
             if (dropped := model_in(upload.folder)) is None:
@@ -217,6 +227,25 @@ class Desk:
         }
         return {"comparison": str(job.folder / COMPARISON), "what": str(asked.what), "again": again}
 
+    async def _report(self, asked: Work) -> Document:
+        """A diagnosis that was answered, and the comparison whose pictures go with it."""
+        job = self._jobs.find(asked.diagnosis)
+        if job is None or job.of.kind != "diagnose" or job.state != "done":
+            raise BadInput("this diagnosis is not there any more; diagnose again")
+        told = json.loads(await self._jobs.result(job))
+        del told["candidates"]  # its traces are megabytes, and no part of the report
+        given = self._figure(asked)
+        question = {**given["again"], "quick": told["quick"]}
+        for name in OF_VALUES:
+            question.pop(name, None)
+        return {
+            "told": told,
+            "diagnosis": self._file(asked.diagnosis, DIAGNOSIS),
+            "comparison": given["comparison"],
+            "again": given["again"],
+            "question": question,
+        }
+
     def _recordings(self, asked: Work) -> Document:
         """An upload of recordings, with its mapping or with its name."""
         upload = self._uploads.get(str(asked.upload))
@@ -239,6 +268,16 @@ class Desk:
         path = self._file(key, MODEL)
         assert path is not None
         return Path(path).read_text(encoding="utf-8")
+
+    def set_rig_model(self, key: str | None) -> None:
+        """Let orders plan with the model of this key where they name none. Raises BadInput."""
+        if key is not None:
+            self.model_text(key)
+        self._store.keep_setting(RIG_MODEL, None if key is None else {"key": key, "name": self.name_of(key)})
+
+    def rig_model(self) -> Document | None:
+        """Key and name of that model; None where nobody set one."""
+        return self._store.setting(RIG_MODEL)
 
     def model_of(self, sha256: str) -> tuple[str, list[str]] | None:
         """The model file of the library with this hash, and the folders of its effects; None for another."""

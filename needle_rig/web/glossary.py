@@ -6,7 +6,10 @@ import html
 import re
 from pathlib import Path
 
+from needle_rig.web.static_files import place
+
 _HERE = Path(__file__).parent
+
 _PLACES = (_HERE / "glossary.md", _HERE.parents[1] / "docs" / "glossary.md")
 """In a wheel, and in a clone."""
 
@@ -25,7 +28,7 @@ def glossary_html() -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Glossary · needle-rig</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<link rel="stylesheet" href="style.css"></head><body><main>'
+        f'<link rel="stylesheet" href="{place()[1:]}/style.css"></head><body><main>'
         '<p><a href="./">Back to the page</a></p>' + "\n".join(parts) + "</main></body></html>"
     )
 

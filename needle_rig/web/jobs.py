@@ -38,8 +38,8 @@ TOLD = 30
 LINE_BYTES = 64 << 20
 """A line of a job's answer: a comparison of 12 trials of 9 channels takes 3 MB."""
 CLOSED = "needle-rig web was closed while this ran; start it again"
-MODELS = frozenset({"adopt", "add_effect", "take_values", "open"})
-"""Kinds whose result is a model."""
+MODELS = frozenset({"adopt", "add_effect", "take_values", "open", "undo"})
+"""Kinds whose result is a model; that of an undo may be the null model, which has no name."""
 LASTING = MODELS | DATASET_KINDS | {"learn"}
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -237,7 +237,9 @@ class Jobs:
 
     def models(self) -> list[Job]:
         """Those that made a model, oldest first."""
-        return [job for job in self._jobs.values() if job.of.kind in MODELS and job.state == "done"]
+        return [
+            job for job in self._jobs.values() if job.of.kind in MODELS and job.state == "done" and job.name
+        ]
 
     async def result(self, job: Job) -> bytes:
         """What it found, as JSON."""
@@ -271,7 +273,8 @@ class Jobs:
         if job.state != "running":
             result = None  # it was cancelled at its end
         elif result is not None and job.of.kind in LASTING:
-            job.name = self._unique(str(result.get("model") or result.get("name") or job.of.kind), job)
+            if job.of.kind != "undo" or result["model"] is not None:
+                job.name = self._unique(str(result.get("model") or result.get("name") or job.of.kind), job)
             job.added = list(result.get("added", []))
             if job.of.kind == "learn":
                 seal(job.folder)

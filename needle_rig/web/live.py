@@ -15,7 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.service.api.orders import read_order
-from needle_rig.web.guard import WEBSOCKET_PAGE, WEBSOCKET_TOKEN
+from needle_rig.web.guard import SESSION, WATCHES, WEBSOCKET_PAGE, WEBSOCKET_TOKEN, Session
 
 if TYPE_CHECKING:
     from starlette.websockets import WebSocket
@@ -29,7 +29,8 @@ NOT_UNDERSTOOD = 1008
 
 
 async def live(rig: RigLink, socket: WebSocket) -> None:
-    """Tell all that the daemon tells, and pass stops on, until one side leaves."""
+    """Tell all that the daemon tells, and pass stops on, but for watchers', until one side leaves."""
+    given: Session = socket.scope["state"][SESSION]
     both_ways = (WEBSOCKET_TOKEN, WEBSOCKET_PAGE)
     offered = [name for name in socket.scope["subprotocols"] if name.startswith(both_ways)]
     await socket.accept(subprotocol=offered[0] if offered else None)
@@ -48,7 +49,7 @@ async def live(rig: RigLink, socket: WebSocket) -> None:
                 await socket.close(NOT_UNDERSTOOD, str(error)[:120])
                 return
             # a stop never waits for the answer to one before it
-            stop = asyncio.create_task(_pass_on(rig, socket, key, content))
+            stop = asyncio.create_task(_pass_on(None if given.watches else rig, socket, key, content))
             stops.add(stop)
             stop.add_done_callback(stops.discard)
 
@@ -78,9 +79,11 @@ def _stop(text: str | None) -> tuple[int, dict[str, Any]]:
     return key, read_order("stop", said).model_dump(exclude_none=True)
 
 
-async def _pass_on(rig: RigLink, socket: WebSocket, key: int, content: dict[str, Any]) -> None:
+async def _pass_on(rig: RigLink | None, socket: WebSocket, key: int, content: dict[str, Any]) -> None:
     said: dict[str, Any] = {"type": "stop", "key": key}
     try:
+        if rig is None:
+            raise BadInput(WATCHES)
         await rig.order("stop", content)
     except NeedleRigError as error:
         said["error"] = str(error)

@@ -12,10 +12,12 @@ from typing import Any
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.questions.compare import Compare
+from needle_rig.questions.diagnose import Diagnose
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.identify import Identify
 from needle_rig.web.models import kept_document
 from needle_rig.web.places import COMPARISON
+from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.observations import Comparison
 
 FORMATS = ("svg", "png", "pdf")
@@ -53,12 +55,7 @@ def figure(
     from needle_rig.figures.residuals import described, drawn, function, write_figure
 
     function(what)
-    place = Path(comparison)
-    if not place.is_file():
-        place.parent.mkdir(parents=True, exist_ok=True)
-        keep(Compare.from_request(again).answer(Doing(say=say)), str(place.parent))
-    kept: Comparison = pickle.loads(place.read_bytes())
-    found = kept.traces()
+    found = _kept(say, comparison, again).traces()
     say(f"drawing {what.replace('_', ' ')}")
     files = {kind: f"{what}.{kind}" for kind in FORMATS}
     for name in files.values():
@@ -66,6 +63,42 @@ def figure(
     files["csv"] = f"{what}.csv"
     write_numbers(drawn(found, what), Path(out) / files["csv"])
     return {"figure": what, "words": described(found, what), "files": files}
+
+
+def _kept(say: Callable[[str], None], comparison: str, again: Mapping[str, Any]) -> Comparison:
+    """A comparison that was kept, or made again where an earlier server kept it."""
+    place = Path(comparison)
+    if not place.is_file():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        keep(Compare.from_request(again).answer(Doing(say=say)), str(place.parent))
+    kept: Comparison = pickle.loads(place.read_bytes())
+    return kept
+
+
+def report(
+    say: Callable[[str], None],
+    *,
+    told: Mapping[str, Any],
+    diagnosis: str,
+    comparison: str,
+    again: Mapping[str, Any],
+    question: Mapping[str, Any],
+    out: str,
+) -> Document:
+    """A diagnosis as one HTML file: `told` is what its job answered, `again` the question of its comparison.
+
+    Raises BadInput, SolverError.
+    """
+    needed("matplotlib", "a report", "figures")
+    from needle_rig.workbench.learning.diagnosis_file import load_diagnosis
+
+    asked = Diagnose.from_request(question)
+    compared = _kept(say, comparison, again)
+    say("writing the report")
+    kept = load_diagnosis(diagnosis, effects=asked.folders())
+    file = Path(out) / "report.html"
+    asked.write_report(told, kept, compared if isinstance(compared, TraceComparison) else None, file)
+    return {"file": file.name}
 
 
 def take_values(question: Identify, doing: Doing, out: str) -> Document:

@@ -32,7 +32,10 @@ class Resident:
             await self._running()
 
     async def ask(self, question: str, **given: Any) -> Any:
-        """The answer to `effects`, `lesson` or `expect`, with what it is given. Raises BadInput, RigFault."""
+        """The answer to `effects`, `lesson`, `expect` or `trends`, with what it is given.
+
+        Raises BadInput, RigFault.
+        """
         async with self._alone:
             process = await self._running()
             assert process.stdin is not None
@@ -79,12 +82,14 @@ def main() -> None:
     from needle_rig.model import effect_directories
     from needle_rig.web.expectation import Expectations
     from needle_rig.web.lessons import effects_document, lesson
+    from needle_rig.web.trends import trends
 
     directories = effect_directories(tuple(sys.argv[1:]))
     answers: dict[str, Callable[..., Any]] = {
         "effects": lambda: effects_document(directories),
         "lesson": lambda **given: lesson(directories=directories, **given),
         "expect": Expectations().after,
+        "trends": trends,
     }
     for line in sys.stdin:
         asked = json.loads(line)

@@ -14,6 +14,8 @@ from needle_rig.web.store import Store
 READ_S = 0.3
 """So long one answer reads files that the index lacks; a thread reads the others."""
 BATCH = 50
+READ_AS = 2
+"""What is kept of a run: another number reads all again."""
 
 Document = dict[str, Any]
 
@@ -35,7 +37,8 @@ class RunIndex:
         """
         with self._alone:
             stamps = {
-                name: f"{changed_ns:020d}:{size}" for name, (changed_ns, size) in changed_in(folder).items()
+                name: f"{READ_AS}:{changed_ns:020d}:{size}"
+                for name, (changed_ns, size) in changed_in(folder).items()
             }
             gone = [name for name in self._known if name not in stamps]
             for name in gone:
@@ -54,6 +57,11 @@ class RunIndex:
                 self._reading = threading.Thread(target=self._read_all, args=(folder, left), daemon=True)
                 self._reading.start()
             return [document for _, document in self._known.values()], len(lacking)
+
+    def lags(self, folder: Path) -> dict[str, float]:
+        """By run, how far the tip lags at its end; without those that are not known yet. Raises BadInput."""
+        documents, _ = self.documents(folder)
+        return {one["name"]: abs(one["tip_lag_deg"]) for one in documents if one["tip_lag_deg"] is not None}
 
     def _read(self, folder: Path, wanted: dict[str, str], until_s: float) -> list[str]:
         """Read until then; the names that are left."""
@@ -96,4 +104,5 @@ def read_document(path: Path) -> Document:
         "parameters": run.parameters,
         "status": run.status,
         "duration_s": round(run.duration_s, 1),
+        "tip_lag_deg": None if math.isnan(run.tip_lag_deg) else round(run.tip_lag_deg, 2),
     }

@@ -16,7 +16,6 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from needle_rig.control.strategy import find_strategies
@@ -27,23 +26,24 @@ from needle_rig.service.api.connections import Connections
 from needle_rig.service.api.endpoint import QUEUE
 from needle_rig.service.api.orders import read_order
 from needle_rig.service.api.serving import connection_limit, server
-from needle_rig.web.asked import Lesson, Work, read
+from needle_rig.web.asked import Lesson, RigModel, Work, read
 from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate
 from needle_rig.web.expecting import Expecting
 from needle_rig.web.glossary import glossary_html
-from needle_rig.web.guard import LOOPBACK, SESSION, Guard, Session
+from needle_rig.web.guard import LOOPBACK, SESSION, WATCHED_JOBS, WATCHES, Guard, Keys, Session
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.live import STOP_BYTES, live
+from needle_rig.web.openapi import openapi_document
 from needle_rig.web.resident import Resident
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.run_index import RunIndex
 from needle_rig.web.sources import NOTES_BYTES, Listed, Sources
+from needle_rig.web.static_files import STATIC, KeptFiles, index, place
 from needle_rig.web.store import Store
 from needle_rig.web.uploads import NoRoom, TooMuch, Uploads, data_in, model_in
 from needle_rig.workbench.contest.strategies_table import NEEDS_OTHERS
 
-STATIC = Path(__file__).parent / "static"
 BODY_BYTES = 64 << 10
 FILTER_LETTERS = 200
 MOST_RUNS = 10**9
@@ -86,7 +86,7 @@ class Page:
         for key, kept in store.uploads().items():
             self.uploads.restore(key, **kept)
         self.sources = Sources(settings.data, settings.runs, self.uploads, RunIndex(store))
-        self.desk = Desk(self.sources, self.jobs, settings.effects, settings.jobs)
+        self.desk = Desk(self.sources, self.jobs, store, settings.effects, settings.jobs)
 
     # the rig
 
@@ -99,19 +99,35 @@ class Page:
         name = request.path_params["order"]
         if name not in ORDERS:
             raise HTTPException(404)
-        content = read_order(name, await self._with_model(await body(request))).model_dump(exclude_none=True)
+        content = read_order(name, await self._with_model(name, await body(request))).model_dump(
+            exclude_none=True
+        )
         return JSONResponse(await self.rig.order(name, content), 202)
 
-    async def _with_model(self, content: bytes) -> bytes:
-        """An order as it came; the key of a model becomes the model file. Raises BadInput."""
+    async def _with_model(self, name: str, content: bytes) -> bytes:
+        """An order as it came; the key of a model becomes the model file, no word of one the rig's.
+
+        Raises BadInput.
+        """
         try:
             asked = json.loads(content or b"{}")
         except (ValueError, RecursionError):
             return content  # the order's record says what is wrong
-        if not isinstance(asked, dict) or not isinstance(asked.get("model"), str):
+        if not isinstance(asked, dict):
+            return content
+        if name == "compensate" and "model" not in asked:
+            kept = await asyncio.to_thread(self.desk.rig_model)
+            asked["model"] = None if kept is None else kept["key"]
+        if not isinstance(asked.get("model"), str):
             return content
         text = await asyncio.to_thread(self.desk.model_text, asked["model"])
         return json.dumps(asked | {"model": text}).encode()
+
+    async def rig_model(self, request: Request) -> Response:
+        """Set the model that orders plan with where they name none."""
+        asked = read(RigModel, await body(request))
+        await asyncio.to_thread(self.desk.set_rig_model, asked.model)
+        return JSONResponse({"rig_model": self.desk.rig_model()})
 
     async def estimate(self, request: Request) -> Response:
         """The matrix that gives the shaft's angle between its sensors."""
@@ -135,6 +151,7 @@ class Page:
                     if name not in NEEDS_OTHERS
                 ],
                 "models": [job.as_json() for job in self.jobs.models()],
+                "rig_model": self.desk.rig_model(),
                 "parameters": sorted(parameter_sets()),
                 "runs": str(self._settings.runs),
                 "unkept": self._unkept,
@@ -143,7 +160,11 @@ class Page:
 
     async def begin_job(self, request: Request) -> Response:
         """Start a computation, or find that of the same question: its key."""
-        job = await self.desk.begin(read(Work, await body(request, JOB_BYTES)))
+        asked = read(Work, await body(request, JOB_BYTES))
+        given: Session = request.scope["state"][SESSION]
+        if given.watches and asked.kind not in WATCHED_JOBS:
+            raise HTTPException(403, WATCHES)
+        job = await self.desk.begin(asked)
         return JSONResponse({"job": job.key}, 202)
 
     async def all_jobs(self, _: Request) -> Response:
@@ -232,10 +253,10 @@ class Page:
 
     async def session(self, request: Request) -> Response:
         """Whether this browser is let in; a POST gives the two halves of a session for its other tabs."""
-        if request.method == "GET":
-            return JSONResponse({})
         given: Session = request.scope["state"][SESSION]
-        answer = JSONResponse({"page": given.page})
+        if request.method == "GET":
+            return JSONResponse({"watches": given.watches})
+        answer = JSONResponse({"page": given.page, "watches": given.watches})
         answer.set_cookie(given.cookie_name, given.cookie, httponly=True, samesite="strict")
         return answer
 
@@ -247,6 +268,11 @@ class Page:
         """
         said = await asyncio.to_thread(read_contradiction, self._settings.runs)
         return JSONResponse({"contradiction": said, "version": self.rig.other_version or ""})
+
+    async def trends(self, _: Request) -> Response:
+        """What the watch over the runs found: each parameter with its range, and alarms."""
+        lags = await asyncio.to_thread(self.sources.index.lags, self.sources.runs)
+        return JSONResponse(await self.lessons.ask("trends", directory=str(self.sources.runs), lags_deg=lags))
 
     async def notes(self, request: Request) -> Response:
         """Keep tags and a note beside a run."""
@@ -287,7 +313,7 @@ class Page:
             await self.rig.close()
 
 
-def application(page: Page, port: int, token: str) -> Guard:
+def application(page: Page, port: int, keys: Keys, hosts: tuple[str, ...] = ()) -> Guard:
     """The whole server at `port`, guarded."""
 
     def put(path: str, answer: Callable[[Request], Awaitable[Response]], *methods: str) -> Route:
@@ -297,6 +323,7 @@ def application(page: Page, port: int, token: str) -> Guard:
         routes=[
             WebSocketRoute("/api/live", page.live),
             put("/api/rig/{order}", page.order, "POST"),
+            put("/api/rig_model", page.rig_model, "PUT"),
             put("/api/estimate", page.estimate, "POST"),
             put("/api/about", page.about, "GET"),
             put("/api/session", page.session, "GET", "POST"),
@@ -311,16 +338,24 @@ def application(page: Page, port: int, token: str) -> Guard:
             put("/api/runs", page.runs, "GET"),
             put("/api/runs/{name}", page.run, "GET", "DELETE"),
             put("/api/watch", page.watch, "GET"),
+            put("/api/trends", page.trends, "GET"),
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),
+            put("/api/openapi", openapi, "GET"),
             put("/glossary.html", glossary, "GET"),
-            Mount("/", StaticFiles(directory=STATIC, html=True)),
+            put("/", index, "GET"),
+            Mount(place(), KeptFiles(directory=STATIC)),
         ],
         exception_handlers={NeedleRigError: refuse, HTTPException: refuse_path},
         lifespan=page.lifespan,
     )
-    return Guard(app, port, token)
+    return Guard(app, port, keys, hosts)
+
+
+async def openapi(_: Request) -> Response:
+    """What this server answers, as OpenAPI."""
+    return JSONResponse(openapi_document())
 
 
 async def glossary(_: Request) -> Response:
@@ -384,13 +419,15 @@ def listening(port: int) -> sockets.socket:
     return listener
 
 
-async def serve(page: Page, listener: sockets.socket, token: str, ready: Callable[[], None]) -> None:
+async def serve(
+    page: Page, listener: sockets.socket, keys: Keys, hosts: tuple[str, ...], ready: Callable[[], None]
+) -> None:
     """Serve until SIGINT or SIGTERM."""
     connections = Connections(
         listener, connection_limit(CONNECTIONS, OWN_DESCRIPTORS), timed_by_application=True
     )
     served = server(
-        application(page, listener.getsockname()[1], token),
+        application(page, listener.getsockname()[1], keys, hosts),
         connections,
         server_header=False,
         ws_max_size=STOP_BYTES,

@@ -84,7 +84,7 @@ class Sources:
     """All that the page may read."""
 
     def __init__(self, data: Sequence[Path], runs: Path, uploads: Uploads, index: RunIndex) -> None:
-        self._data, self._runs, self.uploads, self.index = tuple(data), runs, uploads, index
+        self._data, self.runs, self.uploads, self.index = tuple(data), runs, uploads, index
         self.imported: dict[str, Path] = {}
         """Datasets that were made of dropped recordings, by key."""
         self._writing = threading.Lock()
@@ -117,7 +117,7 @@ class Sources:
 
     def run(self, name: str) -> Path:
         """Where the recorded run of this name lies; raises BadInput."""
-        path = self._runs / f"{name}.h5"
+        path = self.runs / f"{name}.h5"
         if not name or name.startswith(".") or Path(name).name != name or not is_run_file(str(path)):
             raise BadInput(f"{name[:80]}: no such run in the list; it may have been removed")
         return path
@@ -167,8 +167,8 @@ class Sources:
 
     def run_documents(self, asked: Listed) -> Document:
         """Some of the recorded runs, with what people added; how many there are, and are to be read."""
-        documents, indexing = self.index.documents(self._runs)
-        noted = {path.name for path in self._runs.glob(f"*{NOTES_SUFFIX}")}
+        documents, indexing = self.index.documents(self.runs)
+        noted = {path.name for path in self.runs.glob(f"*{NOTES_SUFFIX}")}
         without = Notes().model_dump()
         documents = [
             one | (self.notes(name).model_dump() if f"{name}{NOTES_SUFFIX}" in noted else without)
@@ -219,4 +219,4 @@ class Sources:
     def _notes_path(self, name: str) -> Path:
         if Path(name).name != name:
             raise BadInput(f"{name[:80]}: is no name of a run")
-        return self._runs / f"{name}{NOTES_SUFFIX}"
+        return self.runs / f"{name}{NOTES_SUFFIX}"

@@ -27,6 +27,8 @@ FOLDER = ".page"
 DATABASE = "page.sqlite"
 FORMAT = 1
 SEAL = "seal"
+RIG_MODEL = "rig_model"
+"""Setting: key and name of the model that orders plan with where they name none."""
 KEY_BYTES = 32
 
 Document = dict[str, Any]
@@ -35,6 +37,7 @@ TABLES = """
 CREATE TABLE IF NOT EXISTS jobs (key TEXT PRIMARY KEY, data_hash TEXT, model_hash TEXT, asked_utc_s REAL,
     kept TEXT NOT NULL, result BLOB);
 CREATE TABLE IF NOT EXISTS uploads (key TEXT PRIMARY KEY, kept TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS settings (name TEXT PRIMARY KEY, kept TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS runs (name TEXT PRIMARY KEY, stamp TEXT NOT NULL, kept TEXT NOT NULL);
 """
 
@@ -107,6 +110,19 @@ class Store:
         rows = self._database.execute("SELECT key, kept FROM uploads ORDER BY rowid")
         return {key: json.loads(kept) for key, kept in rows.fetchall()}
 
+    # what a person set
+
+    def keep_setting(self, name: str, kept: Document | None) -> None:
+        """Write one setting; None forgets it. Raises BadInput for a full disk."""
+        if kept is None:
+            self._write("DELETE FROM settings WHERE name = ?", (name,))
+        else:
+            self._write("INSERT OR REPLACE INTO settings VALUES (?, ?)", (name, json.dumps(kept)))
+
+    def setting(self, name: str) -> Document | None:
+        """One setting; None where nobody set it."""
+        return _setting(self._database, name)
+
     # the index of runs
 
     def runs(self) -> dict[str, tuple[str, Document]]:
@@ -166,6 +182,23 @@ def opened(runs: Path, otherwise: Path) -> Iterator[tuple[Store, str]]:
     finally:
         if lock >= 0:
             os.close(lock)
+
+
+def _setting(database: sqlite3.Connection, name: str) -> Document | None:
+    row = database.execute("SELECT kept FROM settings WHERE name = ?", (name,)).fetchone()
+    kept: Document | None = None if row is None else json.loads(row[0])
+    return kept
+
+
+def rig_model_name(runs: Path) -> str:
+    """The model that a person set as the rig's on the page beside `runs`; empty where none is known."""
+    path = (runs / FOLDER / DATABASE).absolute()
+    with (
+        suppress(sqlite3.Error, ValueError),
+        closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as found,
+    ):
+        return str((_setting(found, RIG_MODEL) or {}).get("name", ""))
+    return ""
 
 
 def seal(folder: Path) -> None:

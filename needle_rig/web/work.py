@@ -35,6 +35,7 @@ from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
 from needle_rig.web.places import DATASET, DIAGNOSIS
 from needle_rig.web.sequences import strategies
+from needle_rig.web.trends import look
 from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
@@ -105,12 +106,7 @@ def diagnose(question: Diagnose, doing: Doing, out: str) -> Document:
     answer.save(Path(out) / DIAGNOSIS)
     found = answer.found
     document: Document = {
-        **{name: part for name, part in answer.as_json().items() if name != "policy"},
-        "sentence": found.sentence(),
-        "errors_sentence": found.errors_sentence(),
-        "ties": list(found.ties),
-        "left_over": found.left_in_words(),
-        "reasons": [reason.as_json() for reason in found.reasons],
+        **answer.told(),
         "quick": question.quick,
         "candidates": {},
     }
@@ -282,9 +278,11 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
     "import": recordings.imported,
     "figure": pictures.figure,
+    "report": pictures.report,
     "chart": chart,
     "open": opened,
     "show": show,
     "export": export,
     "example": example,
+    "watch": look,
 }

@@ -21,7 +21,9 @@ def started(shell: Shell, *arguments: str) -> Iterator[Served]:
         assert process.stdout is not None
         line = process.stdout.readline()
         assert "the page: " in line, process.communicate()[1]
-        yield Served(own, process, line.split("the page: ")[1].strip())
+        second = process.stdout.readline() if "--watchers" in arguments else ""
+        addresses = line.split("the page: ")[1].strip(), second.partition("to watch alone: ")[2].strip()
+        yield Served(own, process, *addresses)
         process.terminate()
         process.communicate(timeout=30)
     all_gone(own.processes())

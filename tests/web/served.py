@@ -18,6 +18,8 @@ class Served:
     shell: Shell
     process: subprocess.Popen[str]
     address: str
+    watching: str = ""
+    """The address of watchers, where it was asked for."""
 
     @property
     def port(self) -> int:

@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from needle_rig.web import guard
+from needle_rig.web.static_files import place
 from tests.web.served import Served
 
 COMMANDS = [
@@ -99,7 +100,7 @@ def test_the_token_is_compared_in_constant_time() -> None:
     assert "hmac.compare_digest" in [ast.unparse(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)]
 
 
-@pytest.mark.parametrize("path", ["/", "/app.js", "/glossary.html", "/api/about", "/nothing"])
+@pytest.mark.parametrize("path", ["/", f"{place()}/app.js", "/glossary.html", "/api/about", "/nothing"])
 def test_every_answer_forbids_inline_script_and_other_hosts(served: Served, path: str) -> None:
     policy = served.ask("GET", path, {}).headers["content-security-policy"]
     parts = dict(part.split(" ", 1) for part in policy.split("; "))
@@ -131,7 +132,14 @@ def test_it_listens_at_the_loopback_address_alone(served: Served) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", ["/../guard.py", "/%2e%2e/guard.py", "/..%2fguard.py", "/vendor/../../guard.py"]
+    "path",
+    [
+        *("/../guard.py", "/%2e%2e/guard.py", "/..%2fguard.py"),
+        *(
+            f"{place()}/{up}"
+            for up in ("../guard.py", "%2e%2e/guard.py", "..%2fguard.py", "vendor/../../guard.py")
+        ),
+    ],
 )
 def test_no_file_outside_the_static_folder_is_served(served: Served, path: str) -> None:
     raw = http.client.HTTPConnection("127.0.0.1", served.port, timeout=10)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,19 @@ from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.strategies import Strategies
 from needle_rig.web import traces
+from needle_rig.web.openapi import REFERENCE
 from needle_rig.web.places import COMPARISON, DIAGNOSIS, MODEL
 from needle_rig.web.work import work
+from tests.web.fitting import fits
 from tests.workbench.hidden import dataset
 
+RESULTS = {
+    "compare": "CompareResult",
+    "diagnose": "DiagnoseResult",
+    "strategies": "StrategiesResult",
+    **dict.fromkeys(("adopt", "add_effect", "undo", "take_values", "open"), "ModelResult"),
+}
+"""Kinds whose form the browser's types say."""
 TIED = ["chuck_compliance", "torque_gain"]
 
 
@@ -23,6 +33,8 @@ def asked(kind: str, out: Path, **request: Any) -> tuple[dict[str, Any], list[st
     """The document, and the steps that were told on the way."""
     said: list[str] = []
     document = work(kind, {**request, "out": str(out)}, Doing(jobs=1, say=said.append))
+    if kind in RESULTS:
+        fits(document, {"$ref": f"{REFERENCE}{RESULTS[kind]}"}, kind, whole=False)
     return document, said
 
 
@@ -38,6 +50,12 @@ def test_from_a_diagnosis_to_a_model_and_back(tmp_path: Path) -> None:
     assert "policy" not in found
     assert said[-1] == "keeping the fits"
     file = str(tmp_path / DIAGNOSIS)
+    if find_spec("matplotlib"):
+        again = {**about, "model": None}
+        given = {"diagnosis": file, "comparison": str(tmp_path / "kept" / COMPARISON), "again": again}
+        del found["candidates"]
+        written, _ = asked("report", tmp_path, **given, told=found, question={**again, "quick": True})
+        assert "chuck_compliance" in (tmp_path / written["file"]).read_text()
     model, _ = asked("adopt", tmp_path, **about, diagnosis=file, chosen=["tissue_elasticity"])
     assert model["added"] == ["tissue_elasticity"]
     back, _ = asked("undo", tmp_path, effects=[], model=str(tmp_path / MODEL))

@@ -106,7 +106,9 @@ def firmware_document(told: Mapping[str, Firmware]) -> dict[str, documents.Node]
 def _firmware_text(firmware: Firmware) -> str:
     if firmware.protocol is None:
         return "version unknown"
-    said = [firmware.version or "version not told yet"]
+    said = [firmware.version or "version not told"]
+    if firmware.of_another_maker:
+        return f"{said[0]}, CiA {firmware.protocol}"
     if firmware.build:
         said.append(f"build {firmware.build:06x}")
     said.append(f"protocol {firmware.protocol}{' (not known here)' if firmware.refusal else ''}")

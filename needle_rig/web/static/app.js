@@ -2,13 +2,14 @@
 import { Strip, followJobs } from "./jobs.js";
 import { Live, connected, open, rig, watch } from "./live.js";
 import { Models } from "./models.js";
-import { access } from "./net.js";
+import { access, watching } from "./net.js";
 import { FIRST, about, look, place, said } from "./store.js";
 import { Stopped, stop } from "./stop.js";
 import { Workbench } from "./workbench.js";
 import { Runs } from "./runs.js";
 import { Effects } from "./effects.js";
 import { Strategies } from "./strategies.js";
+import { Trends } from "./trends.js";
 import { effect, html, render, untracked } from "./ui.js";
 
 /** @type {Record<string, [string, any]>} */
@@ -16,6 +17,7 @@ const VIEWS = {
   live: ["Live", Live],
   data: ["Workbench", Workbench],
   runs: ["Runs", Runs],
+  trends: ["Trends", Trends],
   models: ["Models", Models],
   effects: ["Effects", Effects],
   strategies: ["Strategies", Strategies],
@@ -43,7 +45,7 @@ function App() {
         ${connected.value
           ? html`${state?.rig.name.replace(/ *simulated */, " ").trim() || "rig"}${state?.rig.simulated ? html` <span class="tag">simulated</span>` : null}`
           : "no connection to the rig"}</p>
-      <button class="stop" onClick=${() => stop("the page's button")} title="Escape or Space">Stop</button>
+      ${watching.value ? html`<p class="watches"><strong>Watching</strong>: this address orders nothing, not even a stop.</p>` : html`<button class="stop" onClick=${() => stop("the page's button")} title="Escape or Space">Stop</button>`}
       <${Stopped} />
       <${Strip} />
       ${access.value === "stale" ? html`<p class="refusal" role="alert">This page's key is no longer valid. Open the address that the newest <code>needle-rig web</code> printed.</p>` : null}
@@ -67,7 +69,7 @@ addEventListener(
   "keydown",
   (event) => {
     const space = event.key === " " && !(writing(event.target) && !rig.value?.moving && !rig.value?.run);
-    if (event.repeat || (event.key !== "Escape" && !space)) return;
+    if (watching.value || event.repeat || (event.key !== "Escape" && !space)) return;
     if (space && !inMotion()) return;
     event.preventDefault();
     stop(event.key === "Escape" ? "the page's Escape key" : "the page's Space key");

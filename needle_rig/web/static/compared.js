@@ -1,6 +1,9 @@
 // A model held against data: errors by channel and values, as they stand and refitted; what is held; figures.
 import { picture, save } from "./net.js";
-import { html, number, parameter, signal, words } from "./ui.js";
+import { html, number, parameter, signal, ticked, words, written as field } from "./ui.js";
+
+/** @typedef {import("./types").CompareResult} Found */
+/** A number of a document: infinity is a text. @typedef {number | string | null} Told */
 
 /** Distance of a value above which it is marked, and the limit of the residual map. */
 const MARKED_SIGMAS = 3;
@@ -36,16 +39,16 @@ function Apart({ sigmas }) {
   return html`<td class=${far ? "doubt" : ""}>${far ? html`<strong>${text} σ</strong>` : `${text} σ`}</td>`;
 }
 
-/** Each value of the model beside that of a refit. @param {{found: any}} props */
+/** Each value of the model beside that of a refit. @param {{found: Found}} props */
 export function Values({ found }) {
-  const own = found.parameters.some((/** @type {any} */ p) => p.model !== null);
-  const pulled = found.parameters.some((/** @type {any} */ p) => p.pull_sigma !== null && p.pull_sigma !== undefined);
+  const own = found.parameters.some((p) => p.model !== null);
+  const pulled = found.parameters.some((p) => p.pull_sigma !== null && p.pull_sigma !== undefined);
   return html`<h3>Values${own ? ": as the model says, and refitted" : ", fitted"}</h3>
     ${found.verdict_on_values ? html`<p><strong>${sentence(found.verdict_on_values)}</strong></p>` : null}
     <div class="scroll" tabindex="0" role="group" aria-label="Values"><table class="values"><thead><tr><th class="text" scope="col">value</th>
       ${own ? html`<th scope="col">the model says</th>` : null}<th scope="col">${own ? "a refit wants" : "fitted"}</th>${own ? html`<th scope="col">apart</th>` : null}
       ${pulled ? html`<th scope="col">from what is stated</th>` : null}</tr></thead>
-      <tbody>${found.parameters.map((/** @type {any} */ p) => html`<tr><th scope="row">${parameter(p.name)}${p.unit === "1" ? null : html` <span class="quiet">/ ${p.unit}</span>`}</th>
+      <tbody>${found.parameters.map((p) => html`<tr><th scope="row">${parameter(p.name)}${p.unit === "1" ? null : html` <span class="quiet">/ ${p.unit}</span>`}</th>
         ${own ? html`<td><${Measured} value=${p.model} uncertainty=${p.model_uncertainty} /></td>` : null}
         <td>${p.fixed ? html`${told(p.refit)} <span class="quiet">fixed</span>` : html`<${Measured} value=${p.refit} uncertainty=${p.refit_uncertainty} />`}</td>
         ${own ? html`<${Apart} sigmas=${p.sigmas} />` : null}${pulled ? html`<${Apart} sigmas=${p.pull_sigma} />` : null}</tr>`)}</tbody></table></div>
@@ -56,7 +59,7 @@ export function Values({ found }) {
 const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** The table by channel, or by reported value; a narrow page leaves the noise out, which the ratio tells.
- * @param {{found: any}} props */
+ * @param {{found: Found}} props */
 export function Errors({ found }) {
   const side = found.headings.map((/** @type {string} */ name, /** @type {number} */ k) => (k === 0 ? "text" : name === "noise" ? "where-wide" : ""));
   return html`<div class="scroll" tabindex="0" role="group" aria-label="Errors"><table class="values"><thead><tr>${found.headings.map((/** @type {string} */ name, /** @type {number} */ k) =>
@@ -64,7 +67,7 @@ export function Errors({ found }) {
     <tbody>${found.rows.map((/** @type {string[]} */ row) => html`<tr><th scope="row">${words(row[0])}</th>${row.slice(1).map((cell, k) => html`<td class=${side[k + 1]}>${cell}</td>`)}</tr>`)}</tbody></table></div>`;
 }
 
-/** Which values the comparison holds, fixes and fits. @param {{found: any, own: boolean, busy: boolean, again: () => void}} props */
+/** Which values the comparison holds, fixes and fits. @param {{found: Found, own: boolean, busy: boolean, again: () => void}} props */
 export function More({ found, own, busy, again }) {
   const { refit, fixed, free } = held.value;
   /** @param {string} name */
@@ -85,12 +88,12 @@ export function More({ found, own, busy, again }) {
   };
   return html`<details class="more"><summary>More: hold, fix or free values</summary>
     <form onSubmit=${ask}>
-    ${own ? html`<p><label class="row"><input type="checkbox" checked=${refit} onChange=${(/** @type {any} */ e) => (held.value = { refit: e.target.checked, fixed, free: [] })} /> only the refit, nothing as it stands</label></p>` : null}
-    ${found.traces ? html`<ul class="plain">${found.parameters.map((/** @type {any} */ p) => html`<li><label class="row">${parameter(p.name)}${p.unit === "1" ? "" : ` / ${p.unit}`}
-        <select value=${how(p.name)} onChange=${(/** @type {any} */ e) => choose(p.name, e.target.value, told(p.model ?? p.refit).replace("−", "-"))}>
+    ${own ? html`<p><label class="row"><input type="checkbox" checked=${refit} onChange=${(/** @type {Event} */ e) => (held.value = { refit: ticked(e), fixed, free: [] })} /> only the refit, nothing as it stands</label></p>` : null}
+    ${found.traces ? html`<ul class="plain">${found.parameters.map((p) => html`<li><label class="row">${parameter(p.name)}${p.unit === "1" ? "" : ` / ${p.unit}`}
+        <select value=${how(p.name)} onChange=${(/** @type {Event} */ e) => choose(p.name, field(e), told(p.model ?? p.refit).replace("−", "-"))}>
           <option value="">${own && !refit ? "as the model says" : "fitted"}</option><option value="fixed">fixed at</option>${own && !refit ? html`<option value="free">free: fitted in both columns</option>` : null}</select></label>
         ${how(p.name) === "fixed" ? html` <input class="short" inputmode="decimal" required pattern="[-+]?[0-9]*[.,]?[0-9]+([eE][-+]?[0-9]+)?" aria-label=${`${parameter(p.name)} fixed at`} value=${written.value[p.name] ?? told(fixed[p.name]).replace("−", "-")}
-          onInput=${(/** @type {any} */ e) => (written.value = { ...written.value, [p.name]: e.target.value })} />` : null}</li>`)}</ul>` : null}
+          onInput=${(/** @type {Event} */ e) => (written.value = { ...written.value, [p.name]: field(e) })} />` : null}</li>`)}</ul>` : null}
     <p><button disabled=${busy}>Compare again</button></p></form></details>`;
 }
 
@@ -125,7 +128,7 @@ export function forgetFigures() {
 }
 
 /** Every figure of the comparison, drawn when it is asked for.
- * @param {{busy: boolean, draw: (what: string) => Promise<any>, refuse: (error: Error) => void}} props */
+ * @param {{busy: boolean, draw: (what: string) => Promise<{key: string, words: string, files: Record<string, string>} | null>, refuse: (error: Error) => void}} props */
 export function Figures({ busy, draw, refuse }) {
   /** @param {string} what */
   const show = async (what) => {
@@ -145,7 +148,7 @@ export function Figures({ busy, draw, refuse }) {
     <div class="tabs" role="group" aria-label="Figures">${Object.entries(FIGURES).map(([what, name]) => html`<button aria-pressed=${shown.value === what} disabled=${busy && !drawn.value[what]}
       onClick=${() => show(what)}>${name}</button>`)}</div>
     ${now ? html`<figure><div class="paper" tabindex="0" role="group" aria-label="The figure"><img src=${now.url} alt=${now.words} class=${wide.value ? "large" : ""}
-        onLoad=${(/** @type {any} */ e) => (wide.value = e.target.naturalWidth > WIDE_PX)} /></div><figcaption class="quiet">${now.words}</figcaption></figure>
+        onLoad=${(/** @type {Event} */ e) => (wide.value = /** @type {HTMLImageElement} */ (e.target).naturalWidth > WIDE_PX)} /></div><figcaption class="quiet">${now.words}</figcaption></figure>
       <p>Save as ${Object.entries(now.files).map(([kind, file]) => html`<button onClick=${() => save(`jobs/${now.key}/${file}`, file).catch(refuse)}>${kind.toUpperCase()}</button> `)}</p>`
       : html`<p class="quiet">${busy ? "Working …" : "Each is drawn when it is asked for, in some seconds."}</p>`}</section>`;
 }

@@ -2,16 +2,17 @@
 import { ask } from "./net.js";
 import { Legend, Plot, line } from "./plot.js";
 import { about, heldData, place, refuse, route } from "./store.js";
-import { batch, effect, html, signal, significant, number, untracked, useEffect, words } from "./ui.js";
+import { batch, effect, html, signal, significant, number, untracked, useEffect, words, written } from "./ui.js";
 
-/** @type {{value: any[] | null}} */
+/** @typedef {import("./types").EffectDocument} Effect */
+/** @type {{value: Effect[] | null}} */
 const effects = signal(null);
 /** Why an effect of one's own cannot be used, a sentence each. @type {{value: string[]}} */
 const broken = signal([]);
 const name = signal("");
 /** @type {{value: Record<string, number>}} */
 const values = signal({});
-/** @type {{value: any}} */
+/** @type {{value: import("./types").LessonDocument | null}} */
 const lesson = signal(null);
 /** Key of the data whose shaft is used; empty for the paper's. */
 const shaft = signal("");
@@ -37,12 +38,12 @@ async function redraw() {
   }
 }
 
-/** @param {any} one */
+/** @param {Effect} one */
 function choose(one) {
   batch(() => {
     name.value = one.name;
     lesson.value = null;
-    values.value = Object.fromEntries(one.parameters.map((/** @type {any} */ p) => [p.name, p.typical]));
+    values.value = Object.fromEntries(one.parameters.map((p) => [p.name, p.typical]));
   });
   redraw();
 }
@@ -54,9 +55,9 @@ effect(() => {
   if (one) untracked(() => one.name === name.value || choose(one));
 });
 
-/** A slider's 0 … 100 stands for the plausible range, on the parameter's own scale. @param {any} p */
+/** A slider's 0 … 100 stands for the plausible range, on the parameter's own scale. @param {Effect["parameters"][number]} p */
 export function scale(p) {
-  const ends = [p.typical, ...p.literature.filter((/** @type {any} */ v) => v !== null)];
+  const ends = [p.typical, ...p.literature.filter((v) => v !== null)];
   const low = Math.max(p.lower, Math.min(...ends));
   const high = Math.min(p.upper ?? Infinity, Math.max(...ends, p.scale === "linear" ? 2 * p.typical : p.typical));
   const bent = p.scale !== "linear" && low > 0;
@@ -72,8 +73,8 @@ export function scale(p) {
 
 /** Data with traces: what was chosen in the workbench last, and what is listed. @returns {{key: string, name: string}[]} */
 function sources() {
-  const listed = (about.value?.data ?? []).filter((/** @type {any} */ s) => s.kind !== "published" && s.kind !== "recording");
-  const more = heldData.value.filter((one) => !listed.some((/** @type {any} */ s) => s.key === one.key)).slice(0, 1);
+  const listed = (about.value?.data ?? []).filter((s) => s.kind !== "published" && s.kind !== "recording");
+  const more = heldData.value.filter((one) => !listed.some((s) => s.key === one.key)).slice(0, 1);
   return [...more, ...listed];
 }
 
@@ -87,17 +88,17 @@ export function Effects() {
     <div class="side"><section class="card"><h2>Effects</h2>
       ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><a aria-current=${e.name === effect?.name ? "true" : undefined} title=${e.first} href=${route("effects", e.name)}>${words(e.name)}</a></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}
       ${broken.value.length ? html`<div role="alert"><p class="lacks">Cannot be used, until mended:</p><ul aria-label="Broken effects">${broken.value.map((text) => html`<li>${text}</li>`)}</ul></div>` : null}</section>
-    ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2><pre class="law">${effect.text}</pre>
+    ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2>${effect.text.split(/\n\s*\n/).map((part) => (/^ {2}/m.test(part) ? html`<pre class="law">${part}</pre>` : html`<p>${part.replaceAll("\n", " ")}</p>`))}
       ${effect.relatives.length ? html`<p class="quiet">Looks like: ${effect.relatives.map(words).join(", ")}.</p>` : null}
       ${effect.redundant_with.length ? html`<p class="quiet">Cannot be told apart from: ${effect.redundant_with.map(words).join(", ")}.</p>` : null}
-      <label>On the shaft of <select value=${shaft.value} onChange=${(/** @type {any} */ e) => { shaft.value = e.target.value; redraw(); }}>
+      <label>On the shaft of <select value=${shaft.value} onChange=${(/** @type {Event} */ e) => { shaft.value = written(e); redraw(); }}>
         <option value="" selected=${!shaft.value}>the experiment of the paper</option>${sources().map((s) => html`<option value=${s.key} selected=${s.key === shaft.value}>${s.name}</option>`)}</select></label>
-      <div class="sliders">${effect.parameters.map((/** @type {any} */ p) => {
+      <div class="sliders">${effect.parameters.map((p) => {
         const on = scale(p);
         const value = values.value[p.name];
         return html`<label>${p.words}: ${significant(value)} ${p.unit === "1" ? "" : p.unit}
           <input type="range" min="0" max="100" step="0.5" value=${on.place(value)} aria-valuetext=${`${significant(value)} ${p.unit}`}
-            onInput=${(/** @type {any} */ e) => { values.value = { ...values.value, [p.name]: on.value(Number(e.target.value)) }; redraw(); }} />
+            onInput=${(/** @type {Event} */ e) => { values.value = { ...values.value, [p.name]: on.value(Number(written(e))) }; redraw(); }} />
           <span>${significant(on.low)} to ${significant(on.high)}, typical ${significant(p.typical)}${p.shapes ? ", shape only" : ""}</span></label>`;
       })}</div></section>
       ${lesson.value ? html`<${Trial} found=${lesson.value} />` : null}</div>` : null}</div>`;
@@ -105,19 +106,19 @@ export function Effects() {
 
 const COMPARED = [line("null model", "--quiet"), line("with the effect", "--model")];
 
-/** @param {{found: any}} props */
+/** @param {{found: import("./types").LessonDocument}} props */
 function Trial({ found }) {
-  const starts = found.phases.map((/** @type {any} */ p, /** @type {number} */ k) => ({ ...p, end_s: found.phases[k + 1]?.start_s ?? found.time_s.at(-1) }));
+  const starts = found.phases.map((p, k) => ({ ...p, end_s: found.phases[k + 1]?.start_s ?? found.time_s.at(-1) }));
   return html`<section class="card"><h2>Change against the null model, in units of the noise</h2>
     <p class="quiet">A compensation to 45° on ${found.shaft}; noise ${significant(found.channels[0].noise)} N·mm and ${significant(found.channels[1].noise)}°.</p>
-    <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th>channel</th>${found.channels.map((/** @type {any} */ c) => html`<th>${words(c.name)}</th>`)}</tr></thead>
-      <tbody><tr><th scope="row">root mean square / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.rms_sigmas, 1)}</td>`)}</tr>
-      <tr><th scope="row">peak / noise</th>${found.channels.map((/** @type {any} */ c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>
-    <${Legend} series=${found.channels.map((/** @type {any} */ c, /** @type {number} */ k) => line(words(c.name), `--c${k}`))} />
+    <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th>channel</th>${found.channels.map((c) => html`<th>${words(c.name)}</th>`)}</tr></thead>
+      <tbody><tr><th scope="row">root mean square / noise</th>${found.channels.map((c) => html`<td>${number(c.rms_sigmas, 1)}</td>`)}</tr>
+      <tr><th scope="row">peak / noise</th>${found.channels.map((c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>
+    <${Legend} series=${found.channels.map((c, k) => line(words(c.name), `--c${k}`))} />
     <${Plot} name="change" label="Change against the null model by channel" unit="change / noise" height=${200} cursor="learn" marks=${starts}
-      series=${found.channels.map((/** @type {any} */ c, /** @type {number} */ k) => line(words(c.name), `--c${k}`))} data=${[found.time_s, ...found.channels.map((/** @type {any} */ c) => c.sigmas)]} />
+      series=${found.channels.map((c, k) => line(words(c.name), `--c${k}`))} data=${[found.time_s, ...found.channels.map((c) => c.sigmas)]} />
     <${Legend} series=${COMPARED} />
-    <div class="grid2">${found.channels.map((/** @type {any} */ c) => html`<div><h3>${words(c.name)}</h3>
+    <div class="grid2">${found.channels.map((c) => html`<div><h3>${words(c.name)}</h3>
       <${Plot} name=${c.name} label=${`${c.name} with and without the effect`} unit=${`${words(c.name)} / ${c.unit}`} height=${170} cursor="learn" marks=${starts}
         series=${COMPARED} data=${[found.time_s, c.null, c.effect]} /></div>`)}</div></section>`;
 }

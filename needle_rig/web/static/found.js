@@ -1,11 +1,12 @@
 // What the server knows of the present data and model: results that are asked anew whenever these change.
 import { alive, begin, cancel, done, jobs, result } from "./jobs.js";
-import { ask } from "./net.js";
+import { ask, watching } from "./net.js";
 import { about, refuse, subject } from "./store.js";
 import { computed, effect, signal, untracked } from "./ui.js";
 
+/** A result with the key of its job, and what was asked. @template {keyof import("./types").Results} K @typedef {import("./types").Results[K] & {key: string, asked: Record<string, unknown>}} Of */
 /** Results of one subject, which `id` names; null where nothing was found yet.
- * @typedef {{id: string, compare: any, diagnose: any, learn: any, guess: any}} Found */
+ * @typedef {{id: string, compare: Of<"CompareResult"> | null, diagnose: Of<"DiagnoseResult"> | null, learn: Of<"LearnResult"> | null, guess: Of<"GuessResult"> | null}} Found */
 /** @type {Found} */
 const NOTHING = { id: "", compare: null, diagnose: null, learn: null, guess: null };
 const KINDS = /** @type {const} */ (["compare", "diagnose", "learn", "guess"]);
@@ -15,15 +16,15 @@ const known = signal(NOTHING);
 /** Never that of other data or of another model. @type {{value: Found}} */
 export const found = computed(() => (known.value.id === subject.value?.id ? known.value : NOTHING));
 
-/** @param {any} job */
-const idOf = (job) => JSON.stringify([job.data.map((/** @type {any} */ d) => d.key), job.model?.key ?? null]);
-/** The jobs of the present subject, the newest last. @type {{value: any[]}} */
+/** @param {import("./jobs.js").Job} job */
+const idOf = (job) => JSON.stringify([job.data.map((d) => d.key), job.model?.key ?? null]);
+/** The jobs of the present subject, the newest last. @type {{value: import("./jobs.js").Job[]}} */
 export const ofSubject = computed(() => jobs.value.filter((job) => idOf(job) === subject.value?.id));
 /** Whether one runs that the present subject waits for. */
 export const busy = computed(() => ofSubject.value.some(alive));
 
 /** Whether the chosen data are recordings of another kind, of which it is not known what is what. */
-export const recording = computed(() => about.value?.data.find((/** @type {any} */ s) => s.key === subject.value?.data[0].key)?.kind === "recording");
+export const recording = computed(() => about.value?.data.find((s) => s.key === subject.value?.data[0].key)?.kind === "recording");
 
 /** The comparison that was begun because its data were chosen. */
 let chosen = { id: "", key: "" };
@@ -41,7 +42,7 @@ async function load(of) {
     if (subject.value?.id !== of.id) return;
     if (known.value.id !== of.id || KINDS.some((kind) => known.value[kind]?.key !== now[kind]?.key)) known.value = now;
     const first = recording.value ? "guess" : "compare";
-    if (!kinds[first] && chosen.id !== of.id) await choose(of, first);
+    if (!kinds[first] && chosen.id !== of.id && !watching.value) await choose(of, first);
   } catch (error) {
     if (subject.value?.id === of.id) refuse(error);
   }
@@ -70,7 +71,7 @@ effect(() => {
 function follow(of) {
   // in another view a person waits for it still; other data were chosen in its place
   if (of && chosen.key && chosen.id !== of.id) {
-    if (jobs.value.some((/** @type {any} */ job) => job.key === chosen.key && alive(job))) cancel(chosen.key);
+    if (jobs.value.some((job) => job.key === chosen.key && alive(job))) cancel(chosen.key);
     chosen = { id: "", key: "" };
   }
   if (of) load(of);

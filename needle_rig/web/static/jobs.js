@@ -7,12 +7,14 @@ const BUSY_MS = 250;
 const IDLE_MS = 3000;
 const SEEN = "needle-rig-seen";
 
-/** Those that run and those that were asked last, the newest last. @type {{value: any[]}} */
+/** @typedef {import("./types").JobDocument} Job */
+/** @typedef {import("./types").Work} Request */
+/** Those that run and those that were asked last, the newest last. @type {{value: Job[]}} */
 export const jobs = signal([]);
 /** Results by job. @type {Map<string, Promise<any>>} */
 const results = new Map();
 const KEPT_RESULTS = 12;
-/** Those whose end somebody waits for. @type {Map<string, (job: any) => void>} */
+/** Those whose end somebody waits for. @type {Map<string, (job: Job) => void>} */
 const waiting = new Map();
 /** Ended jobs that a person has looked at or dismissed, in any tab. @type {{value: string[]}} */
 const seen = signal(JSON.parse(localStorage.getItem(SEEN) ?? "[]"));
@@ -22,14 +24,14 @@ let timer = 0;
 /** What a job is called. @type {Record<string, string>} */
 const KINDS = {
   compare: "Compare", diagnose: "Diagnose", take_values: "Take values over from", adopt: "Add what is missing in", add_effect: "Add an effect to", undo: "Undo",
-  learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data",
+  learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", report: "Write the report on", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data", watch: "Look at new runs",
 };
 /** Kinds whose end is worth a word in every view; the others are seen where they were asked. */
-const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import"];
+const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import", "watch"];
 /** Kinds after which there is more to choose. */
-const MAKING = ["adopt", "add_effect", "take_values", "open", "import", "example"];
+const MAKING = ["adopt", "add_effect", "undo", "take_values", "open", "import", "example"];
 
-/** @param {any} job */
+/** @param {Job} job */
 export const alive = (job) => job.state === "waiting" || job.state === "running";
 
 /** Ask how far all are, and again: soon while one runs. */
@@ -43,11 +45,11 @@ async function follow() {
   timer = setTimeout(follow, waiting.size || jobs.value.some(alive) ? BUSY_MS : IDLE_MS);
 }
 
-/** @param {any[]} now */
+/** @param {Job[]} now */
 function heard(now) {
   const before = new Map(jobs.value.map((job) => [job.key, job]));
   if (JSON.stringify(now) !== JSON.stringify(jobs.value)) jobs.value = now;
-  const made = now.some((job) => !alive(job) && MAKING.includes(job.kind) && before.has(job.key) && alive(before.get(job.key)));
+  const made = now.some((job) => !alive(job) && MAKING.includes(job.kind) && before.has(job.key) && alive(/** @type {Job} */ (before.get(job.key))));
   if (made) look();
   for (const job of now.filter((one) => !alive(one))) {
     waiting.get(job.key)?.(job);
@@ -56,7 +58,7 @@ function heard(now) {
 }
 
 /** Begin a computation, or find that of the same question: its key, or null when it was refused.
- * @param {any} request @returns {Promise<string | null>} */
+ * @param {Request} request @returns {Promise<string | null>} */
 export async function begin(request) {
   said.value = "";
   try {
@@ -71,7 +73,7 @@ export async function begin(request) {
 }
 
 /** Do a computation to its end: its job, or null when it was refused, failed or was cancelled.
- * @param {any} request @returns {Promise<any>} */
+ * @param {Request} request @returns {Promise<Job | null>} */
 export async function done(request) {
   const key = await begin(request);
   if (!key) return null;
@@ -100,19 +102,20 @@ export function result(key) {
 /** @param {string} key */
 export const cancel = (key) => ask("DELETE", `jobs/${key}`).then(follow, refuse);
 
-/** Where the result of a job is seen. @param {any} job */
+/** Where the result of a job is seen. @param {Job} job */
 function seenAt(job) {
   const made = job.state === "done" && job.name ? { key: job.key, name: job.name } : job.model;
   if (job.kind === "strategies") return route("strategies", "", job.model ? [["model", job.model.name]] : []);
   if (job.kind === "open") return job.name ? route("models", job.name) : route("data");
+  if (job.kind === "watch") return route("trends");
   if (job.kind === "show") return route("runs");
   const imported = dataOf(`imported:${job.key}`);
   if (imported) return dataRoute([imported]);
   return dataRoute(job.data, job.kind === "learn" ? job.model : made);
 }
 
-/** @param {any} job */
-const subjectOf = (job) => [job.data.map((/** @type {any} */ d) => d.name).join(", "), job.model ? `with ${words(job.model.name)}` : ""].filter(Boolean).join(" ");
+/** @param {Job} job */
+const subjectOf = (job) => [job.data.map((d) => d.name).join(", "), job.model ? `with ${words(job.model.name)}` : ""].filter(Boolean).join(" ");
 
 /** What came up to this job is known. @param {string} key */
 function dismiss(key) {
@@ -128,14 +131,14 @@ addEventListener("storage", (event) => {
 /** Time that is left, as people say it. @param {number} seconds */
 const left = (seconds) => (seconds >= 90 ? `about ${Math.round(seconds / 60)} min left` : `about ${number(seconds, 0)} s left`);
 
-/** How far a job is, with a way to end it. @param {{job: any}} props */
+/** How far a job is, with a way to end it. @param {{job: Job}} props */
 export function Progress({ job }) {
   return html`<span class="job"><span class="step">${words(job.step)}${job.total ? ` · ${job.done} of ${job.total}` : ""}${job.left_s === null ? ` · ${number(job.elapsed_s, 0)} s` : ` · ${left(job.left_s)}`}</span>
     <progress aria-label=${job.step} max=${job.total || 1} value=${job.total ? job.done : undefined}></progress>
     <button onClick=${() => cancel(job.key)}>Cancel</button></span>`;
 }
 
-/** The job of these kinds that runs for `of`, where its button stands. @param {{kinds: string[], of: any[]}} props */
+/** The job of these kinds that runs for `of`, where its button stands. @param {{kinds: string[], of: Job[]}} props */
 export function Working({ kinds, of }) {
   return of.filter((job) => kinds.includes(job.kind) && alive(job)).map((job) => html`<p role="status" key=${job.key}><${Progress} job=${job} /></p>`);
 }

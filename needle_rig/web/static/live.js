@@ -1,12 +1,12 @@
 // The rig as it is now: the shaft, torque and angles over time, the sequence, orders, and faults as sentences.
-import { ask, subprotocol, whyNot } from "./net.js";
+import { ask, subprotocol, watching, whyNot } from "./net.js";
 import { Alarm, expected, forget, hear, laid } from "./expected.js";
 import { Opening } from "./opening.js";
 import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
-import { batch, html, number, signal, useEffect, useSignal, words } from "./ui.js";
+import { batch, html, number, signal, useEffect, useSignal, words, written } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
@@ -19,18 +19,20 @@ const DRAW_MS = 1000 / 30;
 /** The watch looks at a run in a quarter of a minute. */
 const WATCH_MS = 15_000;
 
-/** The daemon's newest state; kept, greyed, when the connection is lost. @type {{value: any}} */
+/** @typedef {import("./types").State | import("./types").Moved} State */
+/** @typedef {import("./vendor/uplot.js").Values} Values */
+/** The daemon's newest state; kept, greyed, when the connection is lost. @type {{value: State | null}} */
 export const rig = signal(null);
 export const connected = signal(false);
 /** Why there is no connection. */
 const why = signal("connecting …");
-/** Matrix of the shaft's estimate. @type {{value: any}} */
+/** Matrix of the shaft's estimate. @type {{value: import("./types").EstimateDocument | null}} */
 const estimate = signal(null);
-/** @type {{value: any}} */
+/** @type {{value: import("./types").Told | null}} */
 const ended = signal(null);
 /** What the newest run says against the model of the rig file, and that the daemon is of another version. */
 const besides = signal(/** @type {string[]} */ ([]));
-/** Traces: time, base, each Hall angle; time, torque. @type {{value: {angles: any[], torque: any[]}}} */
+/** Traces: time, base, each Hall angle; time, torque. @type {{value: {angles: Values[], torque: Values[]}}} */
 const traces = signal({ angles: [[]], torque: [[], [], [], [], []] });
 /** @type {number[][]} */
 let columns = [];
@@ -52,7 +54,7 @@ async function order(name, content = {}) {
 
 /** Begin to listen, and again whenever the connection breaks. */
 export function open() {
-  const socket = new WebSocket(`ws://${location.host}/api/live`, ["needle-rig", subprotocol()]);
+  const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/live`, ["needle-rig", subprotocol()]);
   sendOn(socket);
   socket.onmessage = (event) => take(JSON.parse(event.data));
   socket.onclose = () => {
@@ -77,7 +79,8 @@ function lose(text) {
   why.value = text;
 }
 
-/** @param {any} document */
+/** What the WebSocket says: the daemon's documents, and those of the page's own server. @typedef {State | import("./types").Ended | {type: "lost", text: string} | {type: "stop", key: number, error?: string} | ({type: "expected"} & Parameters<typeof hear>[0])} Said */
+/** @param {Said} document */
 function take(document) {
   if (document.type === "lost") return lose(document.text);
   if (document.type === "stop") return answered(document);
@@ -126,17 +129,18 @@ function cut(course, times) {
   return { time_s: times, mean: course.mean.map(part), deviation: course.deviation.map(part) };
 }
 
-/** Keep the last seconds. @param {any} state */
+/** Keep the last seconds. @param {State} state */
 function collect(state) {
-  const { sensors } = state;
-  const row = [state.time_s, sensors.base_deg, sensors.torque_nmm, ...sensors.hall_deg];
+  const { sensors, time_s } = state;
+  if (!sensors || time_s === null) return;
+  const row = [time_s, sensors.base_deg, sensors.torque_nmm, ...sensors.hall_deg];
   const last = columns[0]?.at(-1);
-  if (columns.length !== row.length || (last !== undefined && (row[0] < last || row[0] - last > SHOWN_S)))
+  if (columns.length !== row.length || (last !== undefined && (time_s < last || time_s - last > SHOWN_S)))
     columns = row.map(() => []);
-  if (columns[0].at(-1) === row[0]) return;
-  columns.forEach((column, k) => column.push(row[k]));
+  if (columns[0].at(-1) === time_s) return;
+  columns.forEach((column, k) => column.push(/** @type {number} */ (row[k])));
   let old = 0;
-  while (columns[0][old] < row[0] - SHOWN_S) old += 1;
+  while (columns[0][old] < time_s - SHOWN_S) old += 1;
   if (old > 0) columns.forEach((column) => column.splice(0, old));
 }
 
@@ -166,7 +170,7 @@ export function Live() {
     </div>`;
 }
 
-/** What was measured, and what the model of the run expects of it. @param {{state: any}} props */
+/** What was measured, and what the model of the run expects of it. @param {{state: State}} props */
 function Charts({ state }) {
   const of = state.model_sha256 ? expected.value : null;
   const told = of?.past.time_s.length ? `expected by ${words(state.model ?? "")}, ± ${of.band_sigma} σ` : "";
@@ -184,7 +188,7 @@ function Charts({ state }) {
         series=${[line("torque", "--c0"), ...expects("torque", "--c0")]} bands=${[[3, 4]]} data=${traces.value.torque} /></section>`;
 }
 
-/** @param {{state: any}} props */
+/** @param {{state: State}} props */
 function Faults({ state }) {
   const sensors = state.sensors;
   const next = [];
@@ -210,18 +214,18 @@ const PHASES = {
   done: "done", fault: "fault", aborted: "stopped",
 };
 
-/** @param {{state: any}} props */
+/** @param {{state: State}} props */
 function Sequence({ state }) {
   const settled = state.settled;
   const active = Boolean(state.run) || state.moving;
   const count = Math.max(state.motions_expected, settled.length);
   const steps = Array.from({ length: count }, (_, k) => {
     // the first settled entry of a run may be the rest before its first motion
-    const done = settled.filter((/** @type {any} */ m) => m.phase !== "rest")[k];
-    const now = active && !done && k === settled.filter((/** @type {any} */ m) => m.phase !== "rest").length;
+    const done = settled.filter((m) => m.phase !== "rest")[k];
+    const now = active && !done && k === settled.filter((m) => m.phase !== "rest").length;
     return { name: done?.phase ?? (now ? state.motion : `motion ${k + 1}`), done: Boolean(done), now };
   });
-  const phase = /** @type {any} */ (PHASES)[state.phase] ?? state.phase;
+  const phase = /** @type {Record<string, string>} */ (PHASES)[state.phase] ?? state.phase;
   return html`<section class="card half"><h2>Sequence</h2>
     <p class="phase"><strong>${active && state.motion ? `${words(state.motion)}: ${phase}` : phase}</strong>
       ${state.waiting_for ? html` · waits for ${state.waiting_for}` : null}
@@ -234,11 +238,13 @@ function Sequence({ state }) {
       ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class=${ended.value.result.status === "not_aligned" ? "button go" : "button"} href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
 }
 
-/** @param {{state: any}} props */
+/** @param {{state: State}} props */
 function Orders({ state }) {
-  const wanted = place.value.view === "live" ? place.value.query.get("model") : null;
   const all = about.value?.models ?? [];
-  const model = all.find((/** @type {any} */ m) => m.name === wanted);
+  // no word of a model in the address: the one that was set as the rig's
+  const kept = about.value?.rig_model?.name ?? "";
+  const wanted = (place.value.view === "live" ? place.value.query.get("model") : null) ?? kept;
+  const model = all.find((m) => m.name === wanted);
   const target = useSignal("45");
   const strategy = useSignal("reed2008");
   // a model is given to plan with it
@@ -248,22 +254,23 @@ function Orders({ state }) {
   const by = useSignal("10");
   const busy = Boolean(state.run) || state.moving;
   const known = about.value?.strategies ?? [];
-  const text = known.find((/** @type {any} */ s) => s.name === strategy.value)?.text ?? "";
+  const text = known.find((s) => s.name === strategy.value)?.text ?? "";
   // a button that was pressed keeps the focus: it is not disabled while the needle moves
   /** @param {string} name @param {object} [content] */
   const give = (name, content) => busy || order(name, content);
-  /** @param {any} s */
-  const write = (s) => (/** @type {any} */ e) => (s.value = e.target.value);
+  /** @param {{value: string}} s */
+  const write = (s) => (/** @type {Event} */ e) => (s.value = written(e));
+  if (watching.value) return html`<section class="card half"><h2>Orders</h2><p class="quiet">This address may watch and order nothing.${state.lease ? ` ${state.lease.charAt(0).toUpperCase()}${state.lease.slice(1)} commands this rig.` : ""}</p></section>`;
   return html`<section class="card half"><h2>Orders</h2>
     ${state.lease ? html`<p class="quiet">${state.lease === OWN_LEASE ? "You have control, until ten seconds after the last order." : `${state.lease} commands this rig.`}</p>` : null}
-    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, ...(model ? { model: model.key } : {}) }); }}>
+    <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, model: model?.key ?? null }); }}>
       <label>Target <span class="unit"><input type="number" step="any" required value=${target.value} onInput=${write(target)} /> °</span></label>
-      <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${known.map((/** @type {any} */ s) => html`<option value=${s.name} selected=${s.name === strategy.value} title=${s.text}>${words(s.name)}</option>`)}</select></label>
-      <label>Model <select value=${model?.name ?? ""} onChange=${(/** @type {any} */ e) => (location.hash = route("live", "", e.target.value ? [["model", e.target.value]] : []))}>
-        <option value="" selected=${!model}>that of the rig</option>${all.map((/** @type {any} */ m) => html`<option value=${m.name} selected=${m === model}>${words(m.name)}</option>`)}</select></label>
+      <label>Strategy <select value=${strategy.value} onChange=${write(strategy)}>${known.map((s) => html`<option value=${s.name} selected=${s.name === strategy.value} title=${s.text}>${words(s.name)}</option>`)}</select></label>
+      <label>Model <select value=${model?.name ?? ""} onChange=${(/** @type {Event} */ e) => (location.hash = route("live", "", [["model", written(e)]]))}>
+        <option value="" selected=${!model}>that of the rig file</option>${all.map((m) => html`<option value=${m.name} selected=${m === model}>${words(m.name)}</option>`)}</select></label>
       <button class="go" aria-disabled=${busy}>Compensate</button>
       ${text ? html`<p class="quiet all">${text}</p>` : null}
-      ${model ? html`<p class="quiet all">The run plans with <a href=${route("models", model.name)}>${words(model.name)}</a> and is held against it while it goes. Nothing turns before <em>Compensate</em>.</p>` : null}
+      ${model ? html`<p class="quiet all">The run plans with <a href=${route("models", model.name)}>${words(model.name)}</a> and is held against it while it goes. Nothing turns before <em>Compensate</em>.${model.name === kept ? " It is set as this rig's model." : ""}</p>` : null}
       ${wanted && about.value && !model ? html`<p class="refusal all" role="alert">${wanted}: no such model here. Choose from the list.</p>` : null}
     </form>
     <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("jog", { by_deg: Number(by.value) }); }}>
@@ -278,7 +285,7 @@ function Orders({ state }) {
     <p class="quiet">Escape stops at any time, Space while the needle moves.</p></section>`;
 }
 
-/** What the plan expected before each motion, beside what came. @param {{state: any}} props */
+/** What the plan expected before each motion, beside what came. @param {{state: State}} props */
 function Settled({ state }) {
   if (!state.settled.length) return null;
   const halls = state.rig.hall_positions_mm.length;
@@ -286,9 +293,9 @@ function Settled({ state }) {
     <thead><tr><th>motion</th><th>waypoint / °</th><th>base / °</th><th>torque / N·mm</th>
       <th>predicted lag / °</th><th>measured lag / °</th><th>difference / °</th>
       ${Array.from({ length: halls }, (_, k) => html`<th>hall ${k + 1} / °</th>`)}</tr></thead>
-    <tbody>${state.settled.map((/** @type {any} */ m) => html`<tr><th scope="row">${words(m.phase)}</th>
+    <tbody>${state.settled.map((m) => html`<tr><th scope="row">${words(m.phase)}</th>
       <td>${number(m.waypoint_deg, 1)}</td><td>${number(m.base_deg, 2)}</td><td>${number(m.torque_nmm, 4)}</td>
       <td>${number(m.predicted_lag_deg, 1)}</td><td>${number(m.tip_lag_deg, 1)}</td>
       <td>${number(m.tip_lag_deg === null || m.predicted_lag_deg === null ? null : m.tip_lag_deg - m.predicted_lag_deg, 1)}</td>
-      ${m.hall_deg.map((/** @type {number} */ a) => html`<td>${number(a, 1)}</td>`)}</tr>`)}</tbody></table></div></section>`;
+      ${m.hall_deg.map((a) => html`<td>${number(a, 1)}</td>`)}</tr>`)}</tbody></table></div></section>`;
 }

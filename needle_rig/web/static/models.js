@@ -1,21 +1,21 @@
 // Models that were learnt or dropped: the ladder of their errors, their values, and where they come from.
-import { result } from "./jobs.js";
-import { save } from "./net.js";
-import { about, dataRoute, heldModel, place, refuse, route, subject } from "./store.js";
+import { done, result } from "./jobs.js";
+import { ask, save } from "./net.js";
+import { about, dataRoute, heldModel, look, place, refuse, route, subject } from "./store.js";
 import { take } from "./taking.js";
 import { effect, html, measured, number, parameter, signal, significant, untracked, words } from "./ui.js";
 
-/** The model whose document is shown, by key. @type {{value: {key: string, document: any} | null}} */
+/** The model whose document is shown, by key. @type {{value: {key: string, document: Learnt} | null}} */
 const shown = signal(null);
 
 /** What is known of a model that was learnt; null for a parameter set. @param {string | undefined} key */
-export const learnt = (key) => about.value?.models.find((/** @type {any} */ m) => m.key === key) ?? null;
+export const learnt = (key) => about.value?.models.find((m) => m.key === key) ?? null;
 
 /** The model of the address. */
 const wanted = () => {
   const { view, name } = place.value;
   if (view === "data") return heldModel.value?.key;
-  return view === "models" ? about.value?.models.find((/** @type {any} */ m) => m.name === name)?.key : undefined;
+  return view === "models" ? about.value?.models.find((m) => m.name === name)?.key : undefined;
 };
 effect(() => {
   const key = wanted();
@@ -33,37 +33,61 @@ export function Falls() {
   const of = subject.value;
   const model = learnt(of?.model?.key);
   const now = document_(model?.key);
-  if (!of || !now) return null;
+  if (!of || !model || !now) return null;
   return html`<section class="card wide"><h2>4 · ${isKnown(now) ? "The error falls" : "The model"}</h2>
     <${Ladder} now=${now} />
-    <p class="buttons"><a class="button go" href=${route("live", "", [["model", model.name]])}>Use this model on the rig</a> <a class="button" href=${dataRoute(of.data, model.model)}>Undo</a>
-      <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
+    <p class="buttons"><a class="button go" href=${route("live", "", [["model", model.name]])}>Use this model on the rig</a> <${Undo} model=${model} now=${now} to=${(/** @type {Named | null} */ before) => dataRoute(of.data, before)} />
+      <${Rigs} model=${model} /> <${File} model=${model} /> <a href=${route("models", model.name)}>All about this model</a></p></section>`;
 }
 
-/** @param {{model: any}} props */
+/** Whether the last step of this model was taken elsewhere: an opened file has its steps inside. @param {Job} model @param {Learnt} now */
+const cameWithSteps = (model, now) => ["open", "undo"].includes(model.kind) && now.steps.length > 1;
+
+/** The way back to the model before; what was found of that stands there still.
+ * @param {{model: Job, now: Learnt, to: (before: Named | null) => string}} props */
+function Undo({ model, now, to }) {
+  const take = async () => {
+    const job = await done({ kind: "undo", model: model.key });
+    if (!job) return;
+    await look();
+    location.hash = to(job.name ? { key: job.key, name: job.name } : null);
+  };
+  if (cameWithSteps(model, now)) return html`<button onClick=${take}>Undo</button>`;
+  return model.kind === "open" || model.kind === "undo" ? null : html`<a class="button" href=${to(model.model)}>Undo</a>`;
+}
+
+/** Set the model that orders plan with; null is that of the rig file. @param {string | null} key */
+const setRigs = (key) => ask("PUT", "rig_model", { model: key }).then(look, refuse);
+
+/** Whether this is the rig's model, and a way to change it. @param {{model: Job}} props */
+const Rigs = ({ model }) => (about.value?.rig_model?.key === model.key
+  ? html`<span class="tag">the rig's model</span> <button onClick=${() => setRigs(null)}>No longer the rig's</button>`
+  : html`<button title="Orders plan with it, unless they name another" onClick=${() => setRigs(model.key)}>Set as the rig's</button>`);
+
+/** @param {{model: Job}} props */
 const File = ({ model }) => html`<button onClick=${() => save(`jobs/${model.key}/model.yaml`, `${model.name}.yaml`).catch(refuse)}>Model file</button>`;
 
-/** @param {any} now */
-const isKnown = (now) => now.steps.some((/** @type {any} */ s) => (s.held_out_error ?? s.training_error) !== null);
+/** @param {Learnt} now */
+const isKnown = (now) => now.steps.some((s) => (s.held_out_error ?? s.training_error) !== null);
 
-/** @param {{now: any}} props */
+/** @param {{now: Learnt}} props */
 function Ladder({ now }) {
   const steps = now.steps;
-  const most = Math.max(...steps.map((/** @type {any} */ s) => s.held_out_error ?? s.training_error ?? 0), 1);
+  const most = Math.max(...steps.map((s) => s.held_out_error ?? s.training_error ?? 0), 1);
   const names = Object.keys(steps.at(-1)?.channels ?? {});
   return html`${isKnown(now) ? html`<p>Prediction error on unseen trials, in units of the sensor noise; the line is the noise.</p>
-    <div class="bars">${steps.map((/** @type {any} */ step, /** @type {number} */ k) => {
+    <div class="bars">${steps.map((step, k) => {
       const error = step.held_out_error ?? step.training_error;
       return html`<span>${words(step.step)}</span>
-        <svg viewBox="0 0 100 10" preserveAspectRatio="none" role="img" aria-label=${`${number(error, 2)} times the noise`}><rect class=${k ? "fill after" : "fill"} x="0" y="1" width=${(100 * error) / most} height="8" /><line class="floor" x1=${100 / most} x2=${100 / most} y1="0" y2="10" vector-effect="non-scaling-stroke" /></svg>
+        <svg viewBox="0 0 100 10" preserveAspectRatio="none" role="img" aria-label=${`${number(error, 2)} times the noise`}><rect class=${k ? "fill after" : "fill"} x="0" y="1" width=${(100 * (error ?? 0)) / most} height="8" /><line class="floor" x1=${100 / most} x2=${100 / most} y1="0" y2="10" vector-effect="non-scaling-stroke" /></svg>
         <strong>${number(error, 2)}</strong>`;
     })}</div>
-    <div class="scroll" tabindex="0" role="group" aria-label="Errors by channel"><table><thead><tr><th>channel</th>${steps.map((/** @type {any} */ s) => html`<th>${words(s.step)}</th>`)}<th>noise floor</th></tr></thead>
+    <div class="scroll" tabindex="0" role="group" aria-label="Errors by channel"><table><thead><tr><th>channel</th>${steps.map((s) => html`<th>${words(s.step)}</th>`)}<th>noise floor</th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${words(name.replace(/_(nmm|deg)$/, ""))} / ${name.endsWith("_nmm") ? "N·mm" : "°"}</th>
-        ${steps.map((/** @type {any} */ s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
-        <td>${significant(steps.at(-1).channels[name]?.floor)}</td></tr>`)}</tbody></table></div>` : null}
+        ${steps.map((s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
+        <td>${significant(steps.at(-1)?.channels[name]?.floor)}</td></tr>`)}</tbody></table></div>` : null}
     <h3>Model ${now.model}</h3>
-    <ul>${now.values.filter((/** @type {any} */ v) => v.value !== null).map((/** @type {any} */ v) => html`<li>${parameter(v.name)} = ${measured(v.value, v.uncertainty)} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>`;
+    <ul>${now.values.filter((v) => v.value !== null).map((v) => html`<li>${parameter(v.name)} = ${measured(Number(v.value), v.uncertainty)} ${v.unit === "1" ? "" : v.unit}</li>`)}</ul>`;
 }
 
 /** Names of two models at most that are marked, to be compared. @type {{value: string[]}} */
@@ -71,15 +95,17 @@ const marked = signal([]);
 /** Documents of the models that stand side by side. @type {{value: {id: string, documents: Learnt[]}}} */
 const pair = signal({ id: "", documents: [] });
 /** @typedef {{name: string, value: number | null, uncertainty: number | null, unit: string}} Value */
-/** @typedef {{step: string, held_out_error: number | null, training_error: number | null}} Step */
+/** @typedef {{training_after?: number, held_out_after?: number, floor?: number}} Channel */
+/** @typedef {{step: string, held_out_error: number | null, training_error: number | null, channels: Record<string, Channel>}} Step */
 /** @typedef {{model: string, steps: Step[], values: Value[], added: string[]}} Learnt */
-/** @typedef {{key: string, name: string, kind: string, added: string[], model: {key: string, name: string} | null}} Listed */
+/** @typedef {import("./types").JobDocument} Job */
+/** @typedef {import("./types").Named} Named */
 
 /** The models of the address that stand side by side. */
 const beside = () => (place.value.view === "models" && !place.value.name ? place.value.query.getAll("model") : []);
 effect(() => {
   const names = beside();
-  /** @type {Listed[]} */
+  /** @type {Job[]} */
   const all = about.value?.models ?? [];
   const keys = names.map((name) => all.find((m) => m.name === name)?.key);
   if (keys.length !== 2 || keys.some((key) => !key)) return;
@@ -120,7 +146,7 @@ function Pair({ names }) {
 /** The library: every model, or one of them, or two. */
 export function Models() {
   const { name } = place.value;
-  /** @type {Listed[]} */
+  /** @type {Job[]} */
   const all = about.value?.models ?? [];
   if (name) return html`<${One} model=${all.find((m) => m.name === name)} name=${name} />`;
   if (beside().length === 2) return html`<${Pair} names=${beside()} />`;
@@ -128,30 +154,39 @@ export function Models() {
   const toggle = (/** @type {string} */ one) => (marked.value = chosen.includes(one) ? chosen.filter((m) => m !== one) : [...chosen, one].slice(-2));
   return html`<h1>Models</h1><p class="purpose">Models that were learnt in the workbench, or opened as files: compare them, and use one on the rig.</p><section class="card">
     <div class="orders"><button aria-disabled=${chosen.length !== 2} onClick=${() => chosen.length === 2 && (location.hash = route("models", "", chosen.map((one) => ["model", one])))}>Side by side</button>
-      <label class="row">Open a model file <input type="file" accept=".yaml,.yml" onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></div>
+      <label class="button file">Open a model file<input class="hidden" type="file" accept=".yaml,.yml" onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></div>
     ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table class="marked"><thead><tr><th><span class="hidden">marked</span></th><th scope="col" class="text">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
-      <tbody>${[...all].reverse().map((m) => html`<tr key=${m.key}><td><input type="checkbox" aria-label=${`Mark ${words(m.name)}`} checked=${chosen.includes(m.name)} onChange=${() => toggle(m.name)} /></td><th scope="row" class="text"><a href=${route("models", m.name)}>${words(m.name)}</a>${m.model ? html` <span class="quiet">from ${words(m.model.name)}</span>` : null}</th>
+      <tbody>${[...all].reverse().map((m) => html`<tr key=${m.key}><td><input type="checkbox" aria-label=${`Mark ${words(m.name)}`} checked=${chosen.includes(m.name)} onChange=${() => toggle(m.name)} /></td><th scope="row" class="text"><a href=${route("models", m.name)}>${words(m.name)}</a>${m.model ? html` <span class="quiet">from ${words(m.model.name)}</span>` : null}${about.value?.rig_model?.key === m.key ? html` <span class="tag">the rig's</span>` : null}</th>
         <td class="text">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text">${from(m)}</td><td class="text">${made(m)}</td></tr>`)}</tbody></table></div>`
       : html`<p class="quiet">None yet. <a href="#/data">Choose data in the workbench</a>, diagnose, and add what is missing.</p>`}</section>`;
 }
 
-/** @param {any} m */
-const from = (m) => (m.kind === "open" ? "a file" : m.data.map((/** @type {any} */ d) => d.name).join(", "));
-/** @param {any} m */
+/** @param {Job} m */
+const from = (m) => (m.kind === "open" ? "a file" : m.kind === "undo" ? words(m.model?.name ?? "") : m.data.map((d) => d.name).join(", "));
+/** What a step made of the model before it. @param {Job} step @param {Job | undefined} before */
+function stepped(step, before) {
+  if (step.kind === "open") return words(step.name);
+  if (step.kind === "undo") return "− the last step";
+  const added = step.added.filter((/** @type {string} */ effect) => !before?.added.includes(effect));
+  return added.length ? `+ ${added.map(words).join(" + ")}` : "values taken over";
+}
+
+/** @param {Job} m */
 const made = (m) => new Date(m.begun_utc_s * 1000).toLocaleString();
 
-/** @param {{model: any, name: string}} props */
+/** @param {{model: Job | undefined, name: string}} props */
 function One({ model, name }) {
   if (!about.value) return html`<h1>Models</h1><p class="quiet">Loading …</p>`;
   if (!model) return html`<h1>Models</h1><p class="refusal" role="alert">${name}: no such model here. <a href="#/models">All models</a></p>`;
   const now = document_(model.key);
-  /** @type {any[]} */
+  /** @type {Job[]} */
   const line = [];
-  for (let step = model; step; step = learnt(step.model?.key)) line.unshift(step);
+  for (let step = /** @type {Job | null} */ (model); step; step = learnt(step.model?.key)) line.unshift(step);
   return html`<h1>${words(name)}</h1><section class="card"><p>Learnt from ${from(model)}, ${made(model)}.</p>
-    <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step) => html` → ${step === model ? html`<strong>${words(step.name)}</strong>` : html`<a href=${route("models", step.name)}>${words(step.name)}</a>`}`)}</p>
+    <p>History: ${line[0].kind === "open" ? "a file" : line[0].model ? words(line[0].model.name) : "the null model"}${line.map((step, k) => html` → ${step === model ? html`<strong>${stepped(step, line[k - 1])}</strong>` : html`<a href=${route("models", step.name)}>${stepped(step, line[k - 1])}</a>`}`)}</p>
     ${now ? html`<${Ladder} now=${now} />` : html`<p class="quiet">Loading …</p>`}
     <p class="buttons"><a class="button go" href=${route("live", "", [["model", name]])}>Use this model on the rig</a> ${model.data.length && model.kind !== "open" ? html`<a class="button" href=${dataRoute(model.data, model)}>Hold against its data</a>` : null}
       <a class="button" href=${route("data", "", [["model", name]])}>Hold against other data</a>
-      <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${File} model=${model} /></p></section>`;
+      <a class="button" href=${route("strategies", "", [["model", name]])}>Compare strategies on it</a> <${Rigs} model=${model} /> <${File} model=${model} />
+      ${now ? html`<${Undo} model=${model} now=${now} to=${(/** @type {Named | null} */ before) => (model.data.length && model.kind !== "open" ? dataRoute(model.data, before) : before ? route("models", before.name) : route("models"))} />` : null}</p></section>`;
 }

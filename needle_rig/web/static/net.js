@@ -10,6 +10,9 @@ let token = sessionStorage.getItem(TOKEN) ?? "";
 /** Whether this browser may ask: `incomplete` without a key, `stale` with one that the server does not know. @type {{value: "in" | "incomplete" | "stale"}} */
 export const access = signal("incomplete");
 
+/** Whether this address may see everything and order nothing. */
+export const watching = signal(false);
+
 /** Take the token of the address, and open a session for other tabs and for later. */
 async function enter() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -20,9 +23,14 @@ async function enter() {
   }
   if (!token && !localStorage.getItem(PAGE)) return;
   access.value = "in";
-  if (!token) return;
+  if (!token) {
+    ask("GET", "session").then((given) => (watching.value = given.watches), () => {});
+    return;
+  }
   try {
-    localStorage.setItem(PAGE, (await ask("POST", "session")).page);
+    const given = await ask("POST", "session");
+    watching.value = given.watches;
+    localStorage.setItem(PAGE, given.page);
     sessionStorage.removeItem(TOKEN);
   } catch {
     // told where it matters: this tab goes on with the token
@@ -46,7 +54,7 @@ async function sent(method, path, body, headers = {}) {
   } catch {
     throw new Error(GONE);
   }
-  if (response.status === 401 || response.status === 403) {
+  if (response.status === 401) {
     access.value = "stale";
     throw new Error(STALE);
   }

@@ -53,8 +53,8 @@ export const edges = (label) => ["upper", "lower"].map((side) => ({
 /** What the lines of the charts below stand for, once for all of them. @param {{series: Drawn[], band?: string}} props */
 export function Legend({ series, band }) {
   const told = series.filter((one, k) => one.look !== "edge" && series.findIndex((other) => other.label === one.label) === k);
-  return html`<p class="key">${told.map((one) => html`<span class=${`swatch ${one.look}`} style=${{ color: `var(${one.colour})` }}></span>${one.label} `)}
-    ${band ? html`<span class="swatch band"></span>${band}` : null}</p>`;
+  return html`<p class="key">${told.map((one) => html`<span class="pair"><span class=${`swatch ${one.look}`} style=${{ color: `var(${one.colour})` }}></span>${one.label}</span> `)}
+    ${band ? html`<span class="pair"><span class="swatch band"></span>${band}</span>` : null}</p>`;
 }
 
 const scheme = matchMedia("(prefers-color-scheme: dark)");

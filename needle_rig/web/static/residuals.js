@@ -7,7 +7,9 @@ import { refuse, subject } from "./store.js";
 import { Loop, Traced } from "./traced.js";
 import { computed, effect, html, number, signal, untracked, words } from "./ui.js";
 
-/** The comparison of the present data and model. @type {{value: any}} */
+/** @typedef {import("./types").CompareResult} Found */
+/** @typedef {import("./types").PlaceError} Place */
+/** The comparison of the present data and model. */
 const comparison = computed(() => known.value.compare);
 /** Shown trial, its shown stretch and the cell that was clicked. */
 const trial = signal(0);
@@ -63,33 +65,33 @@ export function Compared() {
       ${found.traces && found.sentences.length ? html`<details><summary>The worst places in words</summary><ul>${found.sentences.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
       ${found.notes?.length ? html`<details><summary>${found.notes.length} ${found.notes.length === 1 ? "note" : "notes"} on the data</summary><ul>${found.notes.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul></details>` : null}
     </section>
-    ${found.traces ? html`<${Traces} found=${found} /><${Figures} busy=${drawing.value} draw=${draw} refuse=${refuse} />` : null}`;
+    ${found.traces ? html`<${Traces} found=${found.traces} /><${Figures} busy=${drawing.value} draw=${draw} refuse=${refuse} />` : null}`;
 }
 
 /** @param {string} what */
 async function draw(what) {
   const of = subject.value;
-  const job = of && (await done({ kind: "figure", compared: comparison.value.key, what, ...asked(of) }));
+  const job = of && comparison.value && (await done({ kind: "figure", compared: comparison.value.key, what, ...asked(of) }));
   return job ? await result(job.key).catch(refuse) : null;
 }
 
-/** @param {{found: any}} props */
+/** @param {{found: Found}} props */
 function ResidualMap({ found }) {
-  const channels = [...new Set(found.places.map((/** @type {any} */ p) => p.channel))];
-  /** @type {Map<string, any>} */
-  const columns = new Map(found.places.map((/** @type {any} */ p) => [`${p.motion}|${p.direction ?? ""}|${p.state}`, p]));
-  /** @type {Map<string, any>} */
-  const at = new Map(found.places.map((/** @type {any} */ p) => [`${p.channel}|${p.motion}|${p.direction ?? ""}|${p.state}`, p]));
-  /** @param {any} place @param {string} key */
+  const channels = [...new Set(found.places.map((p) => p.channel))];
+  /** @type {Map<string, Place>} */
+  const columns = new Map(found.places.map((p) => [`${p.motion}|${p.direction ?? ""}|${p.state}`, p]));
+  /** @type {Map<string, Place>} */
+  const at = new Map(found.places.map((p) => [`${p.channel}|${p.motion}|${p.direction ?? ""}|${p.state}`, p]));
+  /** @param {Place} place @param {string} key */
   const go = (place, key) => {
     cell.value = key;
     if (!found.traces) return;
-    const index = found.traces.trials.findIndex((/** @type {any} */ t) => t.file === place.trial);
-    const k = index >= 0 ? index : found.traces.trials.findIndex((/** @type {any} */ t) => t.motions.some((/** @type {any} */ m) => m.name === place.motion));
+    const index = found.traces.trials.findIndex((t) => t.file === place.trial);
+    const k = index >= 0 ? index : found.traces.trials.findIndex((t) => t.motions.some((m) => m.name === place.motion));
     if (k < 0) return;
     trial.value = k;
     zoom("traces", null);
-    const motion = found.traces.trials[k].motions.find((/** @type {any} */ m) => m.name === place.motion);
+    const motion = found.traces.trials[k].motions.find((m) => m.name === place.motion);
     stretch.value = motion ? [Math.max(0, motion.start_s - 0.5), motion.end_s + 0.5] : null;
     document.getElementById(`trace-${place.channel}`)?.scrollIntoView({ block: "center" });
   };
@@ -102,7 +104,7 @@ function ResidualMap({ found }) {
     return html`<td><button class=${heat(place.sigmas)} title=${text} aria-label=${text} aria-pressed=${cell.value === key}
       onClick=${() => go(place, key)}>${place.sigmas >= 9.95 ? Math.round(place.sigmas) : number(place.sigmas, 1)}</button></td>`;
   };
-  const phases = [...columns].map(([column, p]) => ({ column, name: `${words(p.motion)}${ARROWS[p.direction] ?? ""} ${p.state}` }));
+  const phases = [...columns].map(([column, p]) => ({ column, name: `${words(p.motion)}${ARROWS[p.direction ?? ""] ?? ""} ${p.state}` }));
   return html`<p class="quiet map-words">Error in units of the noise, channel by phase.${found.traces ? " Click a cell to see the place in the traces." : ""}</p>
     <p class="levels" aria-label="Colours of the map, on a logarithmic scale; 3 is the limit">${[0, ...LEVELS].map((level, k) => html`<span class=${`h${k}`}>${k ? html`<b class=${level === 3 ? "limit" : ""}>${level}</b>` : null}</span>`)}<span class="quiet">× noise; 3 is the limit</span></p>
     <div class="scroll" tabindex="0" role="group" aria-label="Residual map">${upright.value
@@ -112,14 +114,14 @@ function ResidualMap({ found }) {
         <tbody>${channels.map((channel) => html`<tr><th scope="row">${words(String(channel))}</th>${phases.map(({ column }) => cellOf(String(channel), column))}</tr>`)}</tbody></table>`}</div>`;
 }
 
-/** @param {{found: any}} props */
+/** @param {{found: import("./types").DrawnTraces}} props */
 function Traces({ found }) {
-  const { channels, trials, of } = found.traces;
+  const { channels, trials, of } = found;
   const shown = trials[Math.min(trial.value, trials.length - 1)];
   const k = trials.indexOf(shown);
   const candidate = over.value ? known.value.diagnose?.candidates?.[over.value]?.[shown.file] : null;
   return html`<section class="card wide"><h2>Traces</h2>
-    <div class="tabs" role="group" aria-label="Trials">${trials.map((/** @type {any} */ t, /** @type {number} */ i) => html`<button aria-pressed=${i === k}
+    <div class="tabs" role="group" aria-label="Trials">${trials.map((t, i) => html`<button aria-pressed=${i === k}
       onClick=${() => { trial.value = i; stretch.value = null; zoom("traces", null); }}>${i + 1} · ${t.title}</button>`)}
       ${stretch.value ? html`<button onClick=${() => (stretch.value = null)}>Whole trial</button>` : null}</div>
     ${trials.length < of ? html`<p class="quiet">${trials.length} of ${of} trials are drawn.</p>` : null}

@@ -5,9 +5,9 @@ import { ask, save } from "./net.js";
 import { Legend, Plot, line, zoom } from "./plot.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { Loop, Traced } from "./traced.js";
-import { computed, effect, html, number, signal, untracked, useEffect, useSignal, words } from "./ui.js";
+import { computed, effect, html, number, signal, untracked, useEffect, useSignal, words, written } from "./ui.js";
 
-/** What the server listed: runs, how many fit, how many were not read yet. @type {{value: any}} */
+/** What the server listed: runs, how many fit, how many were not read yet. @type {{value: import("./types").RunsDocument | null}} */
 const listed = signal(null);
 const filter = signal("");
 const order = signal({ by: "started_utc", down: true });
@@ -16,7 +16,7 @@ const SHOWN = 100;
 const INDEXING_MS = 1000;
 /** Names of marked runs, in the order of marking. @type {{value: string[]}} */
 const marked = signal([]);
-/** Traces of one run or of several. @type {{value: {id: string, runs: any[]}}} */
+/** Traces of one run or of several. @type {{value: {id: string, runs: Shown[]}}} */
 const traces = signal({ id: "", runs: [] });
 /** What is written and not kept yet, by run. @type {{value: Record<string, {tags?: string, note?: string}>}} */
 const drafts = signal({});
@@ -41,7 +41,7 @@ async function list() {
 
 /** The runs of the address. */
 const shown = computed(() => (place.value.view !== "runs" ? [] : place.value.name ? [place.value.name] : place.value.query.getAll("run")));
-/** One run as the list has it. @type {{value: any}} */
+/** One run as the list has it. @type {{value: import("./types").RunDocument | null}} */
 const one = signal(null);
 const lost = signal("");
 
@@ -115,7 +115,7 @@ function List() {
   const go = (/** @type {number} */ to) => { start.value = to; list(); };
   return html`<h1>Runs</h1><p class="purpose">Look at what was recorded, hold a model against it, and choose runs to learn from.</p>
     <section class="card"><div class="orders">
-      <label>Filter <input type="search" value=${filter.value} placeholder="name, status, strategy, tag" onInput=${(/** @type {any} */ e) => { filter.value = e.target.value; start.value = 0; list(); }} /></label>
+      <label>Filter <input type="search" value=${filter.value} placeholder="name, status, strategy, tag" onInput=${(/** @type {Event} */ e) => { filter.value = written(e); start.value = 0; list(); }} /></label>
       <button aria-disabled=${marked.value.length !== 2} onClick=${() => marked.value.length === 2 && (location.hash = route("runs", "", marked.value.map((name) => ["run", name])))}>Side by side</button>
       <button class="go" aria-disabled=${!marked.value.length} onClick=${() => marked.value.length && (location.hash = dataRoute(marked.value.map(run)))}>Diagnose these (${marked.value.length})</button>
       ${now?.indexing ? html`<span class="quiet" role="status">Reading ${now.indexing} more …</span>` : null}</div>
@@ -123,7 +123,7 @@ function List() {
     ${now && !now.runs.length ? html`<p class="quiet">${filter.value ? "No run fits the filter." : html`Nothing is recorded yet. Compensate on the page <a href="#/live">Live</a>: each run is kept here.`}</p>` : null}
     ${now?.runs.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Recorded runs"><table class="runs"><thead><tr><th><span class="hidden">marked</span></th>${COLUMNS.map(([by, label, side]) => html`<th scope="col" class=${side}
         aria-sort=${order.value.by === by ? (order.value.down ? "descending" : "ascending") : undefined}><button class="sort" onClick=${() => sort(by)}>${label}${order.value.by === by ? (order.value.down ? " ↓" : " ↑") : ""}</button></th>`)}</tr></thead>
-      <tbody>${now.runs.map((/** @type {any} */ each) => html`<tr key=${each.name}><td><input type="checkbox" aria-label=${`Mark ${each.name}`} checked=${marked.value.includes(each.name)} onChange=${() => toggle(each.name)} /></td>
+      <tbody>${now.runs.map((each) => html`<tr key=${each.name}><td><input type="checkbox" aria-label=${`Mark ${each.name}`} checked=${marked.value.includes(each.name)} onChange=${() => toggle(each.name)} /></td>
         <th scope="row"><a href=${route("runs", each.name)}>${each.name}</a>${each.simulated ? html` <span class="tag">simulated</span>` : null}</th>
         <td class="text">${local(each.started_utc)}</td><td>${number(each.target_deg, 1)}</td><td class="text">${words(each.strategy)}</td>
         <td class="text">${words(each.status)}</td><td>${number(each.duration_s, 1)}</td><td class="text">${each.tags.join(", ")}</td><td class="text note" title=${each.note}>${each.note}</td></tr>`)}</tbody></table></div>
@@ -149,9 +149,6 @@ function One({ name }) {
         <label>Note <textarea aria-label=${`Note on ${name}`} rows="3" maxlength=${NOTE_LETTERS} value=${draft.note ?? now.note} onInput=${(/** @type {InputEvent} */ e) => write(name, "note", written(e))} onChange=${(/** @type {InputEvent} */ e) => keep(name, "note", written(e))}></textarea></label></div></section>
     <${Told} name=${name} />`;
 }
-
-/** @param {Event} event */
-const written = (event) => /** @type {HTMLInputElement} */ (event.target).value;
 
 /** Remove a run, after a second word. @param {{name: string}} props */
 function Removing({ name }) {

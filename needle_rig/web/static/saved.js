@@ -6,7 +6,7 @@ import { html } from "./ui.js";
 
 /** @typedef {import("./vendor/uplot.js").Values} Values */
 /** A chart by its numbers: shared values along x, or null, and the values of each series: y alone, or x and y.
- * @typedef {{x: string, y: string, series: {label: string, look: string}[], bands: [number, number][], level: number | null, shared: Values | null, each: Values[][]}} Chart */
+ * @typedef {{x: string, y: string, series: import("./types").ChartSeries[], bands: [number, number][], level: number | null, shared: Values | null, each: Values[][]}} Chart */
 
 /** @param {Blob} content @param {string} name */
 function download(content, name) {

@@ -14,27 +14,30 @@ const TOP = 14;
 const GROUND = 190;
 const STEP_DEG = 15;
 
-/** @param {{state: any, estimate: any}} props */
+/** @param {{state: import("./live.js").State, estimate: import("./types").EstimateDocument | null}} props */
 export function Shaft({ state, estimate }) {
   const { rig, sensors, target_deg: target } = state;
   if (!sensors) return html`<p class="quiet">No reading yet.</p>`;
   const readings = [sensors.base_deg, sensors.torque_nmm, ...sensors.hall_deg];
   const whole = readings.every((r) => r !== null);
   const curve = estimate && whole && estimate.gain_deg[0].length === readings.length
-    ? estimate.gain_deg.map((/** @type {number[]} */ row) => row.reduce((sum, g, k) => sum + g * readings[k], 0)) : null;
-  const points = [[0, sensors.base_deg], ...rig.hall_positions_mm.map((/** @type {number} */ p, /** @type {number} */ k) => [p, sensors.hall_deg[k]])];
+    ? estimate.gain_deg.map((/** @type {number[]} */ row) => row.reduce((sum, g, k) => sum + g * Number(readings[k]), 0)) : null;
+  /** @type {Point[]} */
+  const points = [[0, sensors.base_deg], ...rig.hall_positions_mm.map((p, k) => /** @type {Point} */ ([p, sensors.hall_deg[k]]))];
   return html`<${ShaftPicture} rig=${rig} points=${points} target=${target} curve=${curve}
       places=${estimate?.places_mm} deviation=${estimate?.deviation_deg} />
     <dl class="readings">
       <div><dt>base</dt><dd>${number(sensors.base_deg, 2)}°</dd></div>
       <div><dt>torque</dt><dd>${number(sensors.torque_nmm, 4)} N·mm</dd></div>
-      ${sensors.hall_deg.map((/** @type {number} */ a, /** @type {number} */ k) => html`<div><dt>hall ${k + 1}</dt><dd>${number(a, 1)}°</dd></div>`)}
-      ${curve ? html`<div><dt>tip, estimated</dt><dd>${number(curve.at(-1), 1)}° ± ${number(2 * estimate.deviation_deg.at(-1), 1)}°</dd></div>` : null}
+      ${sensors.hall_deg.map((a, k) => html`<div><dt>hall ${k + 1}</dt><dd>${number(a, 1)}°</dd></div>`)}
+      ${curve && estimate ? html`<div><dt>tip, estimated</dt><dd>${number(curve.at(-1), 1)}° ± ${number(2 * (estimate.deviation_deg.at(-1) ?? NaN), 1)}°</dd></div>` : null}
       <div><dt>drive</dt><dd>${sensors.drive_state}</dd></div>
     </dl>`;
 }
 
-/** @param {{rig: any, points: any[], target: number | null, curve: number[] | null, places?: number[], deviation?: number[]}} props */
+/** What is drawn of a rig. @typedef {Pick<import("./types").Rig, "needle_length_mm" | "tissue_sections_mm" | "hall_positions_mm">} Drawn */
+/** A place / mm with the angle that is known there / °. @typedef {[number, number | null]} Point */
+/** @param {{rig: Drawn, points: Point[], target: number | null, curve: number[] | null, places?: number[], deviation?: number[]}} props */
 export function ShaftPicture({ rig, points, target, curve, places, deviation }) {
   const WIDTH = width.value;
   const values = [...points.map((p) => p[1]), ...(curve ?? []), target ?? 0, 0].filter((v) => v !== null);
@@ -59,7 +62,7 @@ export function ShaftPicture({ rig, points, target, curve, places, deviation }) 
     ${target !== null && target !== undefined ? html`<line class="target" x1=${LEFT} x2=${WIDTH - RIGHT} y1=${y(target)} y2=${y(target)} />` : null}
     ${curve && deviation ? html`<polygon class="band" points=${[...edge(1), ...edge(-1).reverse()].join(" ")} />` : null}
     ${curve ? html`<polyline class="curve" points=${path} />` : null}
-    ${points.filter((p) => p[1] !== null).map(([p, a], k) => html`<circle class=${k ? `sensor f${k}` : "base"} cx=${x(p)} cy=${y(a)} r="6" />`)}
+    ${points.filter((p) => p[1] !== null).map(([p, a], k) => html`<circle class=${k ? `sensor f${k}` : "base"} cx=${x(p)} cy=${y(Number(a))} r="6" />`)}
     <rect class="needle" x=${x(0)} y=${GROUND + 4} width=${x(rig.needle_length_mm) - x(0)} height="3" />
     <rect class="chuck" x=${x(0) - 6} y=${GROUND - 3} width="14" height="17" />
     ${rig.tissue_sections_mm.map((/** @type {number[]} */ [a, b]) => html`<rect class="block" x=${x(a)} y=${GROUND - 2} width=${x(b) - x(a)} height="15" />`)}
@@ -68,7 +71,7 @@ export function ShaftPicture({ rig, points, target, curve, places, deviation }) 
     <text class="tick" x=${x(0)} y=${GROUND + 31}>base</text>
     ${(WIDTH < 1000 ? [0, 200, 400] : [0, 100, 200, 300, 400]).filter((mm) => mm <= rig.needle_length_mm).map((mm) => html`<text class="tick" x=${x(mm)} y=${HEIGHT - 6} text-anchor="middle">${mm}${mm ? "" : " mm"}</text>`)}
     <text class="tick" x=${WIDTH - RIGHT} y=${GROUND - 8} text-anchor="end">tip</text></svg>
-  <p class="key"><span class="k base"></span>base <span class="k sensor"></span>Hall sensors
-    ${curve ? html`<span class="k curve"></span>estimate ± 2σ` : null}
-    <span class="k tissue"></span>tissue ${target !== null && target !== undefined ? html`<span class="k target"></span>target` : null}</p>`;
+  <p class="key"><span class="pair"><span class="k base"></span>base</span> <span class="pair"><span class="k sensor"></span>Hall sensors</span>
+    ${curve ? html`<span class="pair"><span class="k curve"></span>estimate ± 2σ</span>` : null}
+    <span class="pair"><span class="k tissue"></span>tissue</span> ${target !== null && target !== undefined ? html`<span class="pair"><span class="k target"></span>target</span>` : null}</p>`;
 }

@@ -33,7 +33,7 @@ export const said = signal("");
 /** @param {unknown} error */
 export const refuse = (error) => (said.value = /** @type {Error} */ (error).message);
 
-/** What can be chosen: data, models, strategies, parameter sets. @type {{value: any}} */
+/** What can be chosen: data, models, strategies, parameter sets. @type {{value: import("./types").AboutDocument | null}} */
 export const about = signal(null);
 /** Ask again what can be chosen. */
 export const look = () => ask("GET", "about").then((found) => (about.value = found), refuse);
@@ -53,7 +53,7 @@ export function dataRoute(data, model = null) {
 }
 
 /** Data of a key, by the name that the server gives them: that of a file may be taken. @param {string} key @returns {Named | undefined} */
-export const dataOf = (key) => about.value?.data.find((/** @type {any} */ source) => source.key === key);
+export const dataOf = (key) => about.value?.data.find((source) => source.key === key);
 
 /** @param {string} key @returns {Named} */
 export const run = (key) => ({ key: `run:${key}`, name: key });
@@ -61,16 +61,16 @@ export const run = (key) => ({ key: `run:${key}`, name: key });
 /** The model that is called so; null for none. @param {string | null} name @returns {Named | null | undefined} */
 export function modelCalled(name) {
   if (!name) return null;
-  const found = about.value.models.find((/** @type {any} */ m) => m.name === name);
+  const found = about.value?.models.find((m) => m.name === name);
   if (found) return { key: found.key, name };
-  return about.value.parameters.includes(name) ? { key: name, name } : undefined;
+  return about.value?.parameters.includes(name) ? { key: name, name } : undefined;
 }
 
 /** Data and model that the address names; a sentence where there are none such. @type {{value: Subject | string | null}} */
 const named = computed(() => {
   const { view, name, query } = place.value;
   if (view !== "data" || !about.value) return null;
-  const source = about.value.data.find((/** @type {any} */ s) => s.name === name);
+  const source = about.value.data.find((s) => s.name === name);
   const data = name ? (source ? [{ key: source.key, name }] : []) : query.getAll("run").map(run);
   if (name && !source) return `${name}: no such data here. Choose from the list, or drop the files again.`;
   const model = modelCalled(query.get("model"));

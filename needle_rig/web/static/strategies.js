@@ -3,13 +3,14 @@ import { Working, alive, begin, jobs, result } from "./jobs.js";
 import { ask } from "./net.js";
 import { ShaftPicture } from "./shaft.js";
 import { about, modelCalled, place, refuse, route } from "./store.js";
-import { computed, effect, html, number, signal, untracked, useEffect, words } from "./ui.js";
+import { computed, effect, html, number, signal, untracked, useEffect, words, written } from "./ui.js";
 
 const targets = signal("45");
 const seeds = signal("2");
 /** A parameter set, where the address names no model that was learnt. */
 const parameters = signal("rig_elastic");
-/** @type {{value: any}} */
+/** @typedef {import("./types").StrategiesResult & {of: string | null, asked: {targets_deg: number[], seeds: number, parameters: string}}} Found */
+/** @type {{value: Found | null}} */
 const found = signal(null);
 const name = signal("reed2008");
 const step = signal(0);
@@ -56,36 +57,44 @@ export function Strategies() {
   const all = about.value?.models ?? [];
   return html`<h1>Strategies</h1><p class="purpose">Try each way of aligning the needle on one simulated needle with noise.</p>
     <section class="card"><form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); if (!busy.value) run(); }}>
-      <label>Needle <select value=${model.value?.name ?? parameters.value} onChange=${(/** @type {any} */ e) => {
-        const learnt = all.some((/** @type {any} */ m) => m.name === e.target.value);
-        if (!learnt) parameters.value = e.target.value;
-        location.hash = route("strategies", "", learnt ? [["model", e.target.value]] : []);
-      }}>${all.map((/** @type {any} */ m) => html`<option value=${m.name} selected=${m.name === model.value?.name}>${words(m.name)} (learnt)</option>`)}
+      <label>Needle <select value=${model.value?.name ?? parameters.value} onChange=${(/** @type {Event} */ e) => {
+        const learnt = all.some((m) => m.name === written(e));
+        if (!learnt) parameters.value = written(e);
+        location.hash = route("strategies", "", learnt ? [["model", written(e)]] : []);
+      }}>${all.map((m) => html`<option value=${m.name} selected=${m.name === model.value?.name}>${words(m.name)} (learnt)</option>`)}
         ${(about.value?.parameters ?? []).map((/** @type {string} */ p) => html`<option value=${p} selected=${!model.value && p === parameters.value}>${words(p)}</option>`)}</select></label>
-      <label>Targets / ° <input value=${targets.value} onInput=${(/** @type {any} */ e) => (targets.value = e.target.value)} /></label>
-      <label>Runs of each kind <input type="number" min="1" max="10" value=${seeds.value} onInput=${(/** @type {any} */ e) => (seeds.value = e.target.value)} /></label>
+      <label>Targets / ° <input value=${targets.value} onInput=${(/** @type {Event} */ e) => (targets.value = written(e))} /></label>
+      <label>Runs of each kind <input type="number" min="1" max="10" value=${seeds.value} onInput=${(/** @type {Event} */ e) => (seeds.value = written(e))} /></label>
       <button class="go" aria-disabled=${busy.value}>Run every strategy</button></form>
       <${Working} kinds=${["strategies"]} of=${own.value} />
     </section>
-    ${shown ? html`<${Table} /><${Moving} />` : null}`;
+    ${shown ? html`<${Table} found=${found.value} /><${Moving} found=${found.value} />` : html`<${Known} />`}`;
 }
 
 /** What a strategy does, in a sentence. @param {string} strategy */
-const told = (strategy) => about.value?.strategies.find((/** @type {any} */ s) => s.name === strategy)?.text ?? "";
+const told = (strategy) => about.value?.strategies.find((s) => s.name === strategy)?.text ?? "";
 
-function Table() {
-  const rows = [...found.value.rows].sort((a, b) => (a.worst_deg?.median ?? Infinity) - (b.worst_deg?.median ?? Infinity));
-  /** @param {any} e @param {number} d */
-  const both = (e, d) => (e ? (found.value.asked.seeds > 1 ? `${number(e.median, d)} (${number(e.q95, d)})` : number(e.median, d)) : "–");
-  return html`<section class="card"><h2>Side by side</h2><p class="quiet">On ${words(found.value.of ? model.value?.name ?? "" : found.value.asked.parameters)}. ${found.value.asked.seeds > 1 ? "Medians, 95 % quantiles in brackets." : "One run of each kind."} Choose one to see its sequence.</p>
+/** What there is to try, before it was tried. */
+function Known() {
+  return html`<section class="card"><h2>What is tried</h2><p class="quiet">Each strategy turns the base in its own sequence. The table will have the error, the lag of the tip, torque and time of each, and its sequence as a moving shaft.</p>
+    <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${each.text}</dd></div>`)}</dl></section>`;
+}
+
+/** @param {{found: Found}} props */
+function Table({ found }) {
+  const rows = [...found.rows].sort((a, b) => (a.worst_deg?.median ?? Infinity) - (b.worst_deg?.median ?? Infinity));
+  /** @param {{median: number, q95: number} | null | undefined} e @param {number} d */
+  const both = (e, d) => (e ? (found.asked.seeds > 1 ? `${number(e.median, d)} (${number(e.q95, d)})` : number(e.median, d)) : "–");
+  return html`<section class="card"><h2>Side by side</h2><p class="quiet">On ${words(found.of ? model.value?.name ?? "" : found.asked.parameters)}. ${found.asked.seeds > 1 ? "Medians, 95 % quantiles in brackets." : "One run of each kind."} Choose one to see its sequence.</p>
     <div class="scroll" tabindex="0" role="group" aria-label="Strategies"><table><thead><tr><th>strategy</th><th>worst error / °</th><th>tip lag / °</th><th>mean error / °</th><th>torque / N·mm</th><th>rotations</th><th>time / s</th></tr></thead>
-      <tbody>${rows.map((row) => html`<tr class=${row.strategy === name.value ? "named" : ""}><th scope="row"><button title=${told(row.strategy)} aria-pressed=${row.strategy === name.value} disabled=${!found.value.sequences[row.strategy]}
+      <tbody>${rows.map((row) => html`<tr class=${row.strategy === name.value ? "named" : ""}><th scope="row"><button title=${told(row.strategy)} aria-pressed=${row.strategy === name.value} disabled=${!found.sequences[row.strategy]}
           onClick=${() => { name.value = row.strategy; step.value = 0; }}>${words(row.strategy)}</button></th>
         ${row.refused && !row.worst_deg ? html`<td class="text" colspan="6">${row.refused}</td>` : html`<td>${both(row.worst_deg, 1)}</td><td>${both(row.tip_lag_deg, 1)}</td><td>${both(row.mean_deg, 1)}</td><td>${both(row.torque_nmm, 3)}</td><td>${number(row.rotations, 0)}</td><td>${number(row.time_s, 1)}</td>`}</tr>`)}</tbody></table></div></section>`;
 }
 
-function Moving() {
-  const motions = found.value.sequences[name.value]?.motions;
+/** @param {{found: Found}} props */
+function Moving({ found }) {
+  const motions = found.sequences[name.value]?.motions;
   useEffect(() => {
     if (!plays.value || !motions) return undefined;
     const every = setInterval(() => {
@@ -101,11 +110,11 @@ function Moving() {
   /** @param {number} a @param {number} b */
   const mix = (a, b) => a + part * (b - a);
   const curve = motions[k].shaft_deg.map((/** @type {number} */ a, /** @type {number} */ i) => mix(a, next.shaft_deg[i]));
-  return html`<section class="card"><h2>${words(name.value)} to ${found.value.target_deg}°</h2>
+  return html`<section class="card"><h2>${words(name.value)} to ${found.target_deg}°</h2>
     <p>${told(name.value)}</p>
-    <${ShaftPicture} rig=${found.value} points=${[[0, curve[0]]]} target=${found.value.target_deg} curve=${curve} places=${motions[k].places_mm} />
+    <${ShaftPicture} rig=${found} points=${[[0, curve[0]]]} target=${found.target_deg} curve=${curve} places=${motions[k].places_mm} />
     <div class="orders"><button class="go" onClick=${() => { if (step.value >= motions.length - 1) step.value = 0; plays.value = !plays.value; }}>${plays.value ? "Pause" : "Play"}</button>
       <label>Motion: ${words(motions[Math.round(step.value)].name)}, base ${number(mix(motions[k].base_deg, next.base_deg), 1)}°, torque ${number(mix(motions[k].torque_nmm, next.torque_nmm), 3)} N·mm
-        <input type="range" min="0" max=${motions.length - 1} step="0.05" value=${step.value} onInput=${(/** @type {any} */ e) => { plays.value = false; step.value = Number(e.target.value); }} /></label></div>
+        <input type="range" min="0" max=${motions.length - 1} step="0.05" value=${step.value} onInput=${(/** @type {Event} */ e) => { plays.value = false; step.value = Number(written(e)); }} /></label></div>
     <p class="quiet">Settled states of the model without noise; between them the picture is interpolated.</p></section>`;
 }

@@ -48,16 +48,17 @@ async function everyFile(items) {
     return [...items].map((file) => ({ path: file.webkitRelativePath || file.name, file }));
   /** @type {{path: string, file: File}[]} */
   const found = [];
-  /** @param {any} entry @param {string} folder */
+  /** @param {FileSystemEntry | null} entry @param {string} folder */
   const walk = async (entry, folder) => {
-    if (entry.isFile) {
-      const file = await new Promise((done, fail) => entry.file(done, fail));
+    if (entry instanceof FileSystemFileEntry) {
+      const file = /** @type {File} */ (await new Promise((done, fail) => entry.file(done, fail)));
       if (!file.name.startsWith(".")) found.push({ path: folder + file.name, file });
       return;
     }
+    if (!(entry instanceof FileSystemDirectoryEntry)) return;
     const reader = entry.createReader();
     for (;;) {
-      const some = await new Promise((done, fail) => reader.readEntries(done, fail));
+      const some = /** @type {FileSystemEntry[]} */ (await new Promise((done, fail) => reader.readEntries(done, fail)));
       if (!some.length) break;
       for (const one of some) await walk(one, `${folder}${entry.name}/`);
     }

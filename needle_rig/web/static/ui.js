@@ -30,6 +30,11 @@ export const measured = (value, uncertainty) => {
   return `${number(value, decimals)} ± ${number(uncertainty, decimals)}`;
 };
 
+/** What stands in the field of this event. @param {Event} event */
+export const written = (event) => /** @type {HTMLInputElement} */ (event.target).value;
+/** Whether its box is ticked. @param {Event} event */
+export const ticked = (event) => /** @type {HTMLInputElement} */ (event.target).checked;
+
 /** A name of the program as people read it.
  * @param {string} name */
 export const words = (name) => name.replaceAll("_", " ");

@@ -55,6 +55,10 @@ LEAST_RELATIVE = 0.02
 """Change of friction and of torsional rigidity that does not matter: what the latter is known to."""
 LEAST_MISFIT = 0.1
 """The same of the logarithm of what the model leaves, and the least of that."""
+MISFIT = "misfit"
+"""What the model leaves, among the parameters that a range is given for."""
+LIMIT_SIGMA = 3.0
+"""Of a range that is shown; as the winsorising of the control chart."""
 TELL_EVERY_S = 5.0
 """While it looks at many runs."""
 UNFINISHED = "its identification did not end: it took too long or too much memory"
@@ -161,8 +165,7 @@ def judge(runs: Sequence[WatchedRun], reference: int) -> Watch:
 
     Of several rigs that of the newest run counts.
     """
-    told = [run for run in runs if not run.not_judged]
-    told = [run for run in told if run.rig == told[-1].rig]
+    told = of_one_rig(runs)
     silent = len(runs) - len(told)
     aside = f" ({silent} runs are not judged: needle-rig watch --list)" if silent else ""
     if len(told) <= reference:
@@ -170,7 +173,7 @@ def judge(runs: Sequence[WatchedRun], reference: int) -> Watch:
         return Watch("reference", (), len(told), silent, reference, (said,))
     first = told[:reference]
     given = Counter(name for run in first for name in run.parameters)
-    names = [name for name, times in given.items() if 2 * times >= reference]
+    names = _names(first)
     charts = len(names) + 1
     changes = [change for name in names if (change := _change(told, name, given[name], charts)) is not None]
     misfit = np.log([max(run.misfit, LEAST_MISFIT) for run in told])
@@ -193,6 +196,44 @@ def judge(runs: Sequence[WatchedRun], reference: int) -> Watch:
     if len(grown) == len(BASE_PARAMETERS) and np.ptp(grown) < LEAST_RELATIVE:
         sentences.append("a torque sensor whose gain has changed looks the same: check it with a weight")
     return Watch("changed", tuple(changes), *counts, tuple(sentences))
+
+
+def limits(runs: Sequence[WatchedRun], reference: int) -> dict[str, tuple[float, float]]:
+    """By parameter, and for `MISFIT`, the range of a reference period that is over: its mean ± 3 deviations.
+
+    In the units of the values. An alarm is the control chart's, which sums small shifts up.
+    """
+    first = of_one_rig(runs)[:reference]
+    if len(first) < reference:
+        return {}
+    seen = {
+        name: [run.parameters[name].value for run in first if name in run.parameters]
+        for name in _names(first)
+    }
+    found = {
+        name: reference_range(values, LEAST_RELATIVE if name in BASE_PARAMETERS else 0.0)
+        for name, values in seen.items()
+    }
+    return found | {MISFIT: reference_range([run.misfit for run in first], LEAST_MISFIT)}
+
+
+def reference_range(values: Sequence[float], least: float = 0.0) -> tuple[float, float]:
+    """Mean ± 3 standard deviations of two values or more; `least` is the least of these, over the mean."""
+    mean = float(np.mean(values))
+    spread = max(float(np.std(values, ddof=1)), least * abs(mean)) * math.sqrt(1.0 + 1.0 / len(values))
+    return mean - LIMIT_SIGMA * spread, mean + LIMIT_SIGMA * spread
+
+
+def of_one_rig(runs: Sequence[WatchedRun]) -> list[WatchedRun]:
+    """Those that were judged, of the rig of the newest of them."""
+    told = [run for run in runs if not run.not_judged]
+    return [run for run in told if run.rig == told[-1].rig]
+
+
+def _names(first: Sequence[WatchedRun]) -> list[str]:
+    """Parameters that at least half of the reference period gives."""
+    given = Counter(name for run in first for name in run.parameters)
+    return [name for name, times in given.items() if 2 * times >= len(first)]
 
 
 def _unknown(first: WatchedRun, why: str) -> str:

@@ -1,0 +1,393 @@
+"""What the page's work finds, by kind, as types: the form of a job's `result`."""
+
+from __future__ import annotations
+
+from typing import Literal, NotRequired, TypedDict
+
+from needle_rig.workbench.contest.strategies_table import Spread
+from needle_rig.workbench.selection.documents import NextExperiment, PlaceError, ValuesDocument, WayOnDocument
+
+Number = float | str | None
+"""Infinity is written as text."""
+Values = list[float | None]
+
+
+class Stretch(TypedDict):
+    """A motion of a trial."""
+
+    name: str
+    words: str
+    start_s: float
+    end_s: float
+
+
+class Channel(TypedDict):
+    """A channel with the standard deviation of a reading."""
+
+    name: str
+    unit: str
+    noise: float
+    digits: int
+
+
+class DrawnTrial(TypedDict):
+    """A trial as measured, with what the model as it stands and refitted predicts."""
+
+    file: str
+    title: str
+    time_s: list[float]
+    base_deg: Values
+    measured: list[Values]
+    motions: list[Stretch]
+    sensors: list[str]
+    model: list[Values]
+    refit: list[Values] | None
+
+
+class DrawnTraces(TypedDict):
+    """Some of the trials, the worst first, of so many."""
+
+    channels: list[Channel]
+    trials: list[DrawnTrial]
+    of: int
+
+
+class ComparedValue(TypedDict):
+    """A value of the model beside that of a refit."""
+
+    name: str
+    unit: str
+    model: Number
+    model_uncertainty: Number
+    refit: Number
+    refit_uncertainty: Number
+    sigmas: Number
+    fixed: bool
+    pull_sigma: Number
+
+
+class CompareResult(TypedDict):
+    """Where a model fails."""
+
+    name: str
+    sentence: str
+    headings: list[str]
+    rows: list[list[str]]
+    sentences: list[str]
+    places: list[PlaceError]
+    values: list[str]
+    parameters: list[ComparedValue]
+    verdict_on_values: str
+    own: list[str]
+    held_out_error: float | None
+    traces: DrawnTraces | None
+    notes: NotRequired[list[str]]
+
+
+class RankedValue(TypedDict):
+    """A value of a candidate with its 95 % range."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+class RankedEffect(TypedDict):
+    """One candidate."""
+
+    effect: str
+    held_out_error: float | None
+    error_removed: float
+    parameters: dict[str, RankedValue]
+    in_favour: str
+    against: str
+
+
+class ReasonDocument(TypedDict):
+    """A rule that found something unexplained, in words."""
+
+    rule: str
+    sentence: str
+
+
+class DiagnoseResult(TypedDict):
+    """What is missing."""
+
+    way_on: NotRequired[WayOnDocument]
+    model_values: NotRequired[ValuesDocument]
+    dataset: str
+    model: str
+    verdict: Literal["effect", "none", "unknown", "cannot_tell"]
+    reasons: list[ReasonDocument]
+    effects: list[str]
+    ties: list[str]
+    ranking: list[RankedEffect]
+    held_out_error_before: float | None
+    held_out_error_after: float | None
+    next_experiment: NextExperiment | None
+    notes: list[str]
+    sentence: str
+    errors_sentence: str
+    left_over: list[str]
+    quick: bool
+    candidates: dict[str, dict[str, list[Values]]]
+
+
+class ModelValue(TypedDict):
+    """A value of a model."""
+
+    name: str
+    value: float | None
+    uncertainty: float | None
+    unit: str
+
+
+class StepChannel(TypedDict, total=False):
+    """Errors of one channel after a step."""
+
+    training_after: float
+    held_out_after: float
+    floor: float
+
+
+class ModelStep(TypedDict):
+    """A step of a model's history."""
+
+    step: str
+    held_out_error: float | None
+    training_error: float | None
+    channels: dict[str, StepChannel]
+
+
+class ModelResult(TypedDict):
+    """A model with the ladder of its errors; None for the null model."""
+
+    model: str | None
+    steps: list[ModelStep]
+    values: list[ModelValue]
+    added: list[str]
+
+
+class LearntLaw(TypedDict):
+    """A law with its curve."""
+
+    name: str
+    words: str
+    tied_with: list[str]
+    experiment: str | None
+    held_out_before: float | None
+    held_out_after: float | None
+    formula: str | None
+    parameters: list[ModelValue]
+    unit: str
+    variable: str
+    variable_unit: str
+    at: Values
+    value: Values
+    low: Values
+    high: Values
+    data: Values
+    halves: list[Values]
+
+
+class LearnResult(TypedDict):
+    """Which law is missing."""
+
+    verdict: str
+    sentence: str
+    tried: int
+    held_out_before: float | None
+    held_out_after: float | None
+    laws: list[LearntLaw]
+    files: list[str]
+
+
+class MappedPart(TypedDict):
+    """A line of a mapping, with its reason and its doubt."""
+
+    why: str
+    doubt: str
+
+
+class MappedChannel(MappedPart):
+    """What a column is."""
+
+    clock: str
+    source: str
+    role: str
+    unit: str | None
+    sign: float
+    zero: float | Literal["start"]
+
+
+class MappedClock(MappedPart):
+    """A column of times, or a rate."""
+
+    source: str | None
+    rate_hz: float | None
+    unit: str | None
+
+
+class MappedTrials(MappedPart):
+    """Where trials begin."""
+
+    at: Literal["whole", "rests", "column", "times"]
+    source: str | None
+    start: str
+
+
+class UnusedColumn(TypedDict):
+    """A column that nothing is made of."""
+
+    source: str
+    clock: str
+    why: str
+
+
+class MappedRig(TypedDict):
+    """The shaft of a mapping, as far as the page edits it."""
+
+    lever_mm: NotRequired[float | None]
+
+
+class MappingResult(TypedDict):
+    """A mapping, as far as the page edits it."""
+
+    name: str
+    channels: list[MappedChannel]
+    clocks: dict[str, MappedClock]
+    trials: MappedTrials
+    layout: MappedPart
+    rig: MappedRig | None
+    not_used: list[UnusedColumn]
+
+
+class ShownChannel(TypedDict):
+    """A mapped channel, to look at."""
+
+    role: str
+    source: str
+    unit: str
+    time_s: list[float]
+    values: Values
+
+
+class GuessResult(TypedDict):
+    """What is what in recordings."""
+
+    mapping: MappingResult
+    lacks: list[str]
+    roles: list[str]
+    shown: list[ShownChannel]
+
+
+class EffectParameter(TypedDict):
+    """A parameter of an effect with its plausible range."""
+
+    name: str
+    words: str
+    unit: str
+    off: float | None
+    typical: float
+    smallest: float
+    lower: float
+    upper: float | None
+    literature: Values
+    scale: str
+    per: str | None
+    shapes: bool
+
+
+class EffectDocument(TypedDict):
+    """An effect of the library."""
+
+    name: str
+    text: str
+    first: str
+    parameters: list[EffectParameter]
+    relatives: list[str]
+    redundant_with: list[str]
+
+
+class EffectsDocument(TypedDict):
+    """The library, and why own effects cannot be used."""
+
+    effects: list[EffectDocument]
+    broken: list[str]
+
+
+class Phase(TypedDict):
+    """Where a motion of the standard trial begins."""
+
+    name: str
+    start_s: float
+
+
+class LessonChannel(TypedDict):
+    """A channel with and without the effect."""
+
+    name: str
+    unit: str
+    noise: float
+    null: list[float]
+    effect: list[float]
+    sigmas: list[float]
+    rms_sigmas: float
+    most_sigmas: float
+
+
+class LessonDocument(TypedDict):
+    """One effect in the standard trial."""
+
+    time_s: list[float]
+    base_deg: list[float]
+    phases: list[Phase]
+    shaft: str
+    channels: list[LessonChannel]
+
+
+class StrategyRow(TypedDict):
+    """Several runs of one strategy."""
+
+    strategy: str
+    refused: NotRequired[str | None]
+    tip_lag_deg: NotRequired[Spread]
+    worst_deg: NotRequired[Spread]
+    mean_deg: NotRequired[Spread]
+    torque_nmm: NotRequired[Spread]
+    rotations: NotRequired[float]
+    time_s: NotRequired[float]
+
+
+class SequenceMotion(TypedDict):
+    """The shaft after one motion."""
+
+    name: str
+    time_s: float
+    base_deg: float
+    torque_nmm: float
+    places_mm: list[float]
+    shaft_deg: list[float]
+
+
+class Sequence(TypedDict):
+    """A sequence on the model itself."""
+
+    motions: list[SequenceMotion]
+    left_deg: float
+    time_s: float
+
+
+class StrategiesResult(TypedDict):
+    """The table of strategies, and their sequences."""
+
+    rows: list[StrategyRow]
+    target_deg: float
+    needle_length_mm: float
+    tissue_sections_mm: list[list[float]]
+    hall_positions_mm: list[float]
+    sequences: dict[str, Sequence]
+
+
+RESULTS = (CompareResult, DiagnoseResult, ModelResult, LearnResult, GuessResult, StrategiesResult)
