@@ -9,7 +9,8 @@ from typing import Any
 from needle_rig.physics.library import find_effects
 from needle_rig.web.models import finite
 from needle_rig.workbench.learning import watch
-from needle_rig.workbench.learning.watch import MISFIT, WatchedRun
+from needle_rig.workbench.learning.watch import MISFIT
+from needle_rig.workbench.learning.watched_runs import WatchedRun
 
 LAG = "tip_lag_deg"
 SHOWN = 500

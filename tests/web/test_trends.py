@@ -10,7 +10,8 @@ import pytest
 
 from needle_rig.recording.watch_summary import WATCH_FOLDER
 from needle_rig.web.trends import LAG, trends
-from needle_rig.workbench.learning.watch import MISFIT, Watched, WatchedRun, limits, reference_range
+from needle_rig.workbench.learning.watch import MISFIT, limits, reference_range
+from needle_rig.workbench.learning.watched_runs import Watched, WatchedRun
 from tests.web.served import Served
 
 FRICTION = "friction_nmm_per_100mm"
