@@ -10,7 +10,7 @@ from needle_rig.physics.library import find_effects
 from needle_rig.web.models import finite
 from needle_rig.workbench.learning import watch
 from needle_rig.workbench.learning.watch import MISFIT
-from needle_rig.workbench.learning.watched_runs import WatchedRun
+from needle_rig.workbench.learning.watched_runs import WatchedRun, kept_runs
 
 LAG = "tip_lag_deg"
 SHOWN = 500
@@ -36,7 +36,7 @@ def trends(directory: str, lags_deg: Mapping[str, float]) -> Document:
     `lags_deg` is how far the tip lags at the end of a run, by run.
     """
     folder = Path(directory)
-    runs = watch.kept_runs(folder)
+    runs = kept_runs(folder)
     if not runs:
         return NOTHING
     section = watch.section_of(folder, runs)
