@@ -11,7 +11,7 @@ from campaigns import ROOT
 
 
 def runnable(package: str) -> dict[str, Path]:
-    """Files of `package` that define `main` or CAMPAIGN, by name; not those that a benchmark runs (*_kinds)."""
+    """Files of `package` that define `main` or CAMPAIGN, by name, but for parts of benchmarks (*_kinds)."""
     found = {}
     for path in sorted((ROOT / package).rglob("*.py")):
         text = path.read_text(encoding="utf-8")
