@@ -26,6 +26,7 @@ from campaigns.workbench.messy_shapes import SHAPES
 from campaigns.workbench.noise_kinds import KINDS
 from campaigns.workbench.rates import as_physics, groups, mimicked, right, wrong
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.machine import NEEDLE, fitting
 from needle_rig.workbench.selection.diagnose import diagnose
 
 MESSY_EVERY = 5
@@ -44,7 +45,7 @@ def plan(given: Namespace) -> list[Row]:
 
 def messy_plan(first_block: int) -> Iterator[Row]:
     """Every effect under noises and in shapes that turn, one in five with nothing hidden."""
-    names, kinds, shapes = sorted(find_effects()), list(KINDS), list(SHAPES)
+    names, kinds, shapes = sorted(fitting(find_effects(), NEEDLE)), list(KINDS), list(SHAPES)
     for k in range(10**6):
         turn = zlib.crc32(f"messy {first_block} {k}".encode())
         effects = [] if k % 5 == 4 else [names[turn % len(names)]]

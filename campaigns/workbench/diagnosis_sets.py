@@ -20,9 +20,9 @@ from needle_rig.dataset.protocol import Protocol, compensation, load_protocol, s
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.machine import NEEDLE, fitting
 from needle_rig.physics.rod import Layout
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import (
     FreeParameter,
     against_mean,
@@ -30,6 +30,7 @@ from needle_rig.workbench.estimation.parameters import (
     free_parameters,
     make_effects,
 )
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
@@ -115,7 +116,7 @@ def plan(seeds: int, first: int = 0) -> list[Task]:
 
     Seeds count from `first`.
     """
-    names = sorted(find_effects())
+    names = sorted(fitting(find_effects(), NEEDLE))
     every = range(first, first + seeds)
     half = range(first, first + (seeds + 1) // 2)
 

@@ -27,6 +27,7 @@ from needle_rig.dataset.protocol import Protocol, load_protocol
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.machine import NEEDLE, fitting
 from needle_rig.workbench.estimation.parameters import (
     at_strength,
     constrained_means,
@@ -34,7 +35,7 @@ from needle_rig.workbench.estimation.parameters import (
     make_effects,
 )
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learn_laws import learn_laws
 from needle_rig.workbench.laws.learnt import LearntLaw
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
@@ -74,7 +75,7 @@ def plan(given: Namespace) -> list[Row]:
     faulty = range(first, first + FAULT_SEEDS)
     for seed in range(first, first + given.size):
         tasks += [{"law": law.name, "size": size, "seed": seed} for law in LAWS for size in SIZES.values()]
-        tasks += [{"effect": name, "seed": seed} for name in sorted(find_effects())]
+        tasks += [{"effect": name, "seed": seed} for name in sorted(fitting(find_effects(), NEEDLE))]
         tasks += [{"nothing": k, "seed": seed} for k in range(20)]
         tasks += [{"laws_hidden": list(pair), "seed": seed} for pair in PAIRS]
         tasks += [{"beside": effect, "laws_hidden": [law], "seed": seed} for effect, law in BESIDE]

@@ -20,6 +20,7 @@ from campaigns.workbench.messy_shapes import SHAPES, made
 from campaigns.workbench.noise_kinds import KINDS
 from campaigns.workbench.rates import HEAD, first, line, right, tied, wrong
 from needle_rig.physics.library import find_effects
+from needle_rig.physics.machine import NEEDLE, fitting
 
 SEED = 880_000
 NULLS = 10
@@ -30,7 +31,7 @@ NOISE_STEP = 3
 
 def plan(given: Namespace) -> list[Row]:
     """Every dataset, block after block."""
-    kinds, shapes, names = list(KINDS), list(SHAPES), sorted(find_effects())
+    kinds, shapes, names = list(KINDS), list(SHAPES), sorted(fitting(find_effects(), NEEDLE))
     fixed = random.Random(0)
     fixed.shuffle(names)
     turned_noise = [k % len(kinds) for k in range(len(names))]

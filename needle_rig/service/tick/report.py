@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import torsional_rigidity_nm2
-from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
+from needle_rig.control.reports import BrainState, Condition, Outcome
+from needle_rig.control.strategy import SettledMotion
 from needle_rig.numerics import rounded
 from needle_rig.records import DriveFault, Firmware, Measurement
 from needle_rig.service.api import documents
