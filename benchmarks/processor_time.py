@@ -22,10 +22,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from campaigns import ROOT
-from needle_rig.service.client import DaemonClient, find_daemon
+from campaigns.rig.daemons import wait_for
+from needle_rig.service.client import DaemonClient
 
 RATES_HZ = (200, 1000)
-START_S = 120.0
 CALM_S = 3.0
 SETTLE_S = 8.0
 """After each motion of a run: it must not end while it is measured."""
@@ -61,17 +61,6 @@ def daemon(tree: Path, rate_hz: int, folder: Path) -> Iterator[tuple[DaemonClien
         finally:
             process.terminate()
             process.wait(60.0)
-
-
-def wait_for(socket: Path) -> DaemonClient:
-    """The daemon, once its rig ticks."""
-    deadline_s = time.monotonic() + START_S
-    while time.monotonic() < deadline_s:
-        client = find_daemon(socket)
-        if client is not None and not client.state()["starting"]:
-            return client
-        time.sleep(0.2)
-    raise SystemExit(f"no daemon within {START_S:g} s")
 
 
 def bench_of(pid: int) -> int:

@@ -210,4 +210,4 @@ def _ask_all(
 
 def _said(row: Row) -> str:
     said = row.get("skipped") or row.get("crash", "").strip().rpartition("\n")[2] or row.get("verdict", "")
-    return f"{key(row['task'])}: {said} {', '.join(row.get('named', ()))} {row['cpu_s']} s"
+    return f"{key(row['task'])[:160]}: {said} {', '.join(row.get('named', ()))} {row['cpu_s']} s"

@@ -96,8 +96,9 @@ class Measurement:
 class Firmware:
     """What a node says of itself; None for each thing that it did not tell.
 
-    `protocol` is what its frames mean, `build` the first 24 bits of its sources' SHA-256 (0 where there are
-    none), `calibration_serial` that of the page that it calibrates with.
+    `protocol` is what its frames mean: up to 255 of this project's nodes, else another maker's CiA profile.
+    `build` is the first 24 bits of its sources' SHA-256 (0 where there are none), `calibration_serial` that
+    of the page that it calibrates with.
     """
 
     protocol: int | None = None
@@ -107,6 +108,11 @@ class Firmware:
     calibration_serial: int | None = None
     refusal: str = ""
     """Why the host does not work with it, for a person; empty when it does."""
+
+    @property
+    def of_another_maker(self) -> bool:
+        """Whether its version is none of needle-rig."""
+        return self.protocol is not None and self.protocol > 255  # the byte that our frames have for it
 
 
 @dataclass(frozen=True, slots=True)

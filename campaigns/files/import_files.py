@@ -1,14 +1,9 @@
-"""Imports recordings in the formats and dialects of laboratories with a guessed mapping, and holds it
-against the truth.
-
-import_files                          66 files and 200 mutations of them, some minutes of one core
-import_files --only labview --mutations 0
-import_files --share 0.2 --seed 3     a part of it
+"""Imports recordings in the formats and dialects of laboratories with a guessed mapping.
 
 A guess is right when every channel has its column, unit, sign and clock and nothing is asked; asked when what
 is wrong or missing has a doubt or is named as lacking; wrong otherwise. Of a mutation the same is asked, or a
-sentence: a wrong unit in silence, a traceback and a wrong column without a doubt are bad. The exit code is 1
-when a guess is wrong or a mutation bad.
+sentence: a wrong unit in silence, a traceback and a wrong column without a doubt are bad. Exit code 1 when a
+guess is wrong or a mutation bad. `--only TASK --keep FOLDER` keeps the files of one task.
 """
 
 from __future__ import annotations
@@ -16,16 +11,17 @@ from __future__ import annotations
 import argparse
 import random
 import shutil
-import sys
 import tempfile
-import time
+from argparse import Namespace
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from campaigns import ROOT
 from campaigns.files import import_kinds, import_mutations
+from campaigns.run import Campaign, Row, answered
 from needle_rig.dataset import read_dataset
 from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
@@ -37,6 +33,7 @@ SAMPLED_TO_S = 0.02
 """Offset between clocks: a sample of the practice recordings."""
 
 
+@cache
 def sources() -> list[import_kinds.Source]:
     """Trials of a practice dataset as recordings."""
     made = []
@@ -118,62 +115,53 @@ def judged(truth: import_kinds.Truth, rig: RigPart, folder: Path, imports: bool)
     return "right", ""
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--only", default="", help="part of a case's name")
-    parser.add_argument("--share", type=float, default=1.0)
-    parser.add_argument("--mutations", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="folder for the files of bad mutations")
-    arguments = parser.parse_args()
-    chosen = [name for name in import_kinds.CASES if arguments.only in name]
-    random.seed(arguments.seed)
-    if arguments.share < 1.0:
-        chosen = sorted(random.sample(chosen, max(1, round(arguments.share * len(chosen)))), key=chosen.index)
-    rig = read_description(PRACTICE)[0].rig
-    recordings = sources()
-    ends: Counter[str] = Counter()
-    bad = 0
-    print(f"{'file':32s}  {'guess':8s}  {'s':>5s}  said")
-    truths = {}
+def plan(given: Namespace) -> list[Row]:
+    """Every kind of file, then mutations of files drawn from all."""
+    names, seed = list(import_kinds.CASES), given.first_seed
+    drawn = random.Random(seed)
+    mutations = [{"file": drawn.choice(names), "mutation": 10_000 * seed + k} for k in range(given.size)]
+    return [*({"file": name} for name in names), *mutations]
+
+
+def ask(task: Row, given: Namespace) -> Row:
+    """What is guessed of one file."""
+    name, kind = task["file"], ""
+    source = sources()[list(import_kinds.CASES).index(name) % len(sources())]
     with tempfile.TemporaryDirectory(prefix="import_files-") as top:
-        for name in chosen:
-            folder = Path(top) / name
-            folder.mkdir()
-            source = recordings[list(import_kinds.CASES).index(name) % len(recordings)]
-            truth = truths[name] = import_kinds.CASES[name](source, folder)
-            began = time.monotonic()
-            end, said = judged(truth, rig, folder, imports=True)
-            ends[end] += 1
-            expected = ("asked",) if truth.askable else ("right",)
-            mark = "" if end in expected else "  ←"
-            bad += end == "wrong"
-            print(f"{name:32s}  {end:8s}  {time.monotonic() - began:5.2f}  {said[:150]}{mark}")
-        print(f"{len(chosen)} files: " + ", ".join(f"{n} {e}" for e, n in sorted(ends.items())))
-        ends.clear()
-        for k in range(round(arguments.mutations * arguments.share)):
-            name = random.choice(chosen)
-            folder = Path(top) / f"mutation-{k}"
-            shutil.copytree(Path(top) / name, folder)
-            truth = import_mutations.moved(truths[name], Path(top) / name, folder)
-            kind, truth = import_mutations.mutated(truth, random.Random(arguments.seed * 10_000 + k))
-            try:
-                end, said = judged(truth, rig, folder, imports=True)
-            except Exception as error:  # noqa: BLE001 - what the campaign looks for
-                end, said = "crash", f"{type(error).__name__}: {error}"
-            ends[f"{kind}: {end}"] += 1
-            if end in ("wrong", "crash"):
-                bad += 1
-                print(f"BAD {name}, {kind}: {end}: {said[:300]}")
-                if arguments.keep:
-                    shutil.copytree(folder, arguments.keep / f"{k}-{name}", dirs_exist_ok=True)
-            shutil.rmtree(folder)
-        for end, count in sorted(ends.items()):
-            print(f"  {count:4d}  {end}")
-    return 1 if bad else 0
+        folder = Path(top) / name
+        folder.mkdir()
+        truth = import_kinds.CASES[name](source, folder)
+        if "mutation" in task:
+            kind, truth = import_mutations.mutated(truth, random.Random(task["mutation"]))
+        if given.keep:
+            shutil.copytree(folder, given.keep / name, dirs_exist_ok=True)
+        verdict, said = judged(truth, read_description(PRACTICE)[0].rig, folder, imports=True)
+    expected = kind != "" or verdict == ("asked" if truth.askable else "right")
+    return {"kind": kind, "verdict": verdict, "said": said, "expected": expected}
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def table(rows: list[Row], _: Namespace) -> str:
+    """How guesses end, by file and by kind of mutation."""
+    files = [row for row in answered(rows) if "mutation" not in row]
+    mutations = Counter((row["kind"], row["verdict"]) for row in answered(rows) if "mutation" in row)
+    lines = ["| file | guess | said |", "|---|---|---|"]
+    for row in files:
+        mark = "" if row["expected"] else " ←"
+        lines.append(f"| {row['file']} | {row['verdict']}{mark} | {row['said'][:150].replace('|', '¦')} |")
+    ends = Counter(row["verdict"] for row in files)
+    lines += ["", f"{len(files)} files: " + ", ".join(f"{n} {end}" for end, n in sorted(ends.items())), ""]
+    lines += ["| mutation | guess | files |", "|---|---|---|"]
+    lines += [f"| {kind} | {end} | {count} |" for (kind, end), count in sorted(mutations.items())]
+    return "\n".join(lines)
+
+
+def failed(rows: list[Row]) -> bool:
+    return any(row["verdict"] == "wrong" for row in answered(rows))
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(first_seed=1)
+    parser.add_argument("--keep", type=Path, help="folder for the files of the task")
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 200, "mutations (200)", options, failed)

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from campaigns import ROOT
+
 DEG = np.pi / 180
 FACTORS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "deg": DEG, "rad": 1.0, "turn": 2 * np.pi,
            "nm": 1.0, "nmm": 1e-3, "ncm": 1e-2, "unm": 1e-6}  # fmt: skip
@@ -888,7 +890,7 @@ def _can_log(source: Source, path: Path) -> Truth:
     import can
     import cantools
 
-    database: Any = cantools.database.load_file(Path(__file__).parent.parent / "config/needle_rig.dbc")
+    database: Any = cantools.database.load_file(ROOT / "config/needle_rig.dbc")
     told = {"TORQUE_STATUS": ("torque", source.torque * 1e3), "DRIVE_STATUS": ("angle", source.base / DEG)}
     with can.Logger(path) as log:
         for k, time_s in enumerate(source.time_s):

@@ -16,11 +16,6 @@ UNCHANGED = "as it was"
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".log", ".lvm", ".asc")
 
 
-def moved(truth: Truth, old: Path, new: Path) -> Truth:
-    """The truth of a copy of the files in another folder."""
-    return dataclasses.replace(truth, files=tuple(new / f.relative_to(old) for f in truth.files))
-
-
 def mutated(truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     """Damages one file in place; the kind of damage, and what is true of the file then."""
     files = [

@@ -18,15 +18,15 @@ import time
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
+from campaigns.rig.daemons import wait_for
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile
 from needle_rig.service.api.documents import Ended, Ticks
-from needle_rig.service.client import DaemonClient, find_daemon
+from needle_rig.service.client import DaemonClient
 
 POINTS = 10
 GROWTH_KB_A_POINT = 300
 """Of resident memory, from the third point on: what 100 runs of a leak of 3 kB each would take."""
-START_S = 180.0
 
 
 @dataclass(frozen=True)
@@ -137,17 +137,6 @@ def main() -> int:
     ]
     print(table(points, ticks, wrong, grown, left))
     return bool(wrong or grown or left)
-
-
-def wait_for(socket: Path) -> DaemonClient:
-    """The daemon, once it answers."""
-    deadline_s = time.monotonic() + START_S
-    while time.monotonic() < deadline_s:
-        client = find_daemon(socket)
-        if client is not None:
-            return client
-        time.sleep(0.2)
-    raise SystemExit(f"no daemon within {START_S:g} s")
 
 
 def judged(ended: Ended) -> list[str]:

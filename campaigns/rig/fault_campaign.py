@@ -1,15 +1,13 @@
 """Breaks the simulated rig in real time, behind its ports, at random instants of a running daemon.
 
-`fault_campaign [--instants 40] [--jobs 2]`: each fault of `KINDS` meets a daemon with
-its drivers on a bench with the firmware's nodes, while the base turns to and fro. Looked at: how long until
-the drive stopped, what the fault was called, whether the run's file is whole, and whether the documented step
-brings the rig back. Prints a table, after Ctrl-C of the trials so far; exit code 1 when one of them failed.
+Each fault of `KINDS` meets a daemon with its drivers on a bench with the firmware's nodes, while the base
+turns to and fro. Looked at: how long until the drive stopped, what the fault was called, whether the run's
+file is whole, and whether the documented step brings the rig back. Exit code 1 when one of them failed.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import random
@@ -18,18 +16,20 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from campaigns.rig.daemons import wait_for
+from campaigns.run import Campaign, Row, answered
 from needle_rig.config.files import find_config_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile
 from needle_rig.service.api.documents import State
-from needle_rig.service.client import DaemonClient, find_daemon
+from needle_rig.service.client import DaemonClient
 from needle_rig.simulation.bench.process import Bench, start
 
 AGE_LIMIT_MS = 250.0
@@ -114,12 +114,7 @@ class Stand:
              "--socket", str(self.folder / "daemon.sock"), "--out", str(self.folder / "runs")],
             stderr=(self.folder / "log").open("w"), env={**os.environ, "XDG_RUNTIME_DIR": str(self.folder)},
         )  # fmt: skip
-        deadline_s = time.monotonic() + 120.0
-        while (found := find_daemon(self.folder / "daemon.sock")) is None:
-            if time.monotonic() > deadline_s:
-                raise SystemExit((self.folder / "log").read_text())
-            time.sleep(0.1)
-        self.client = found
+        self.client = wait_for(self.folder / "daemon.sock", self.folder / "log")
 
     def close(self) -> None:
         """End both."""
@@ -139,7 +134,7 @@ class Stand:
             ):
                 return state
             time.sleep(0.02)
-        raise SystemExit(f"the run does not end: {json.dumps(self.client.state())[:400]}")
+        raise RuntimeError(f"the run does not end: {json.dumps(self.client.state())[:400]}")
 
     def stopped_s(self, since_s: float) -> float | None:
         """When the drive left RUNNING after `since_s`, on the monotonic clock; None if not by now."""
@@ -217,32 +212,38 @@ def told(state: State) -> str:
     return json.dumps({name: state[name] for name in ("phase", "fault", "moving", "lease", "warnings")})
 
 
-def campaign(kinds: list[str], instants: int, part: int, parts: int, seed: int) -> Iterator[Trial]:
-    """This process's share of all trials, in random order."""
-    chance = random.Random(seed)
-    jobs = [kind for kind in kinds for _ in range(instants)]
-    chance.shuffle(jobs)
-    chance = random.Random(seed * parts + part)
-    left = jobs[part::parts]
+def plan(given: Namespace) -> list[Row]:
+    return [{"instant": given.first_seed + number} for number in range(given.size)]
+
+
+def ask(task: Row, given: Namespace) -> Row:
+    """Each fault once in random order, on one stand, or the next where one was not brought back."""
+    chance = random.Random(task["instant"])
+    left = [kind for kind in KINDS if given.fault in kind]
+    chance.shuffle(left)
+    done: list[Trial] = []
     while left:
         with tempfile.TemporaryDirectory() as name:
-            stand = Stand(Path(name), seed + part)
+            stand = Stand(Path(name), task["instant"])
             try:
                 back = True
                 while left and back:
-                    done = trial(stand, left.pop(), chance.uniform(0.0, LATEST_S))
-                    back = done.back
-                    yield done
+                    done.append(trial(stand, left.pop(), chance.uniform(0.0, LATEST_S)))
+                    back = done[-1].back
             finally:
                 stand.close()
+    return {"trials": [asdict(one) for one in done]}
 
 
-def table(trials: list[Trial], seconds: float) -> str:
+def trials_of(rows: list[Row]) -> list[Trial]:
+    return [Trial(**one) for row in answered(rows) for one in row["trials"]]
+
+
+def table(rows: list[Row], _: Namespace) -> str:
     """The figures as Markdown."""
+    trials = trials_of(rows)
     lines = [
-        "# Fault campaign on the bench",
-        "",
-        f"{len(trials)} faults in {seconds:.0f} s, real time, drivers and ports, the firmware's nodes; age"
+        f"{len(trials)} faults, real time, drivers and ports, the firmware's nodes; age"
         f" limits {AGE_LIMIT_MS:g} ms. *Stopped*: from the fault until the drive had left its running state, "
         "of those that met a run.",
         "",
@@ -273,37 +274,13 @@ def wrong(trials: list[Trial]) -> list[Trial]:
     ]
 
 
-def main() -> int:
-    """Run the campaign and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--instants", type=int, default=40, help="of every fault")
-    parser.add_argument("--jobs", type=int, default=1, help="stands at the same time")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="faults whose name holds this")
-    parser.add_argument("--part", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    kinds = [kind for kind in KINDS if options.only in kind]
-    if options.part is not None:
-        part = int(options.part)
-        for one in campaign(kinds, options.instants, part, options.jobs, options.seed):
-            print(json.dumps(asdict(one)), flush=True)
-        return 0
-    start_s = time.monotonic()
-    with tempfile.TemporaryFile("w+") as told:
-        workers = [
-            subprocess.Popen([sys.executable, __file__, *sys.argv[1:], "--part", str(part)], stdout=told)
-            for part in range(options.jobs)
-        ]
-        with contextlib.suppress(KeyboardInterrupt):
-            for worker in workers:
-                worker.wait()
-        told.seek(0)
-        trials = [Trial(**json.loads(line)) for line in told]
-    ended = all(worker.returncode == 0 for worker in workers)
-    text = table(trials, time.monotonic() - start_s)
-    print(text)
-    return int(not ended or bool(wrong(trials)))
+def failed(rows: list[Row]) -> bool:
+    return bool(wrong(trials_of(rows)))
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(jobs=1)  # stands at the same time: ticks are late beside busy neighbours
+    parser.add_argument("--fault", default="", help="faults whose name holds this")
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 40, "instants of every fault (40)", options, failed)

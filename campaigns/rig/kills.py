@@ -1,16 +1,11 @@
 """What kill -9 leaves behind: daemon, private daemon, client, bench and API process, at random instants.
 
-kills --kills 100             a quarter of an hour on two cores
-kills --kills 8 --kind client
-
 After each kill every process that belonged to it must end, and no folder, socket or lock may be left in the
-temporary folder and beside the socket. Exit 1 when anything is.
+temporary folder and beside the socket. Exit code 1 when anything is.
 """
 
 from __future__ import annotations
 
-import argparse
-import collections
 import os
 import random
 import signal
@@ -19,7 +14,10 @@ import sys
 import tempfile
 import time
 import uuid
+from argparse import Namespace
 from pathlib import Path
+
+from campaigns.run import Campaign, Row, answered
 
 PROGRAM = [sys.executable, "-m", "needle_rig"]
 MARK = "NEEDLE_RIG_KILLS_MARK"
@@ -89,31 +87,27 @@ def one(kind: str, folder: Path, chance: random.Random) -> str:
     return f"{sorted(alive.values())} {files}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--kind", choices=list(KINDS), action="append")
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    chance = random.Random(options.seed)
-    kinds = options.kind or list(KINDS)
-    killed: collections.Counter[str] = collections.Counter()
-    left: list[str] = []
-    for number in range(options.kills):
-        kind = kinds[number % len(kinds)]
-        with tempfile.TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
-            what = one(kind, Path(folder), chance)
-        killed[kind] += 1
-        if what:
-            left.append(f"{kind}: {what}")
-            print(f"left behind: {left[-1]}", flush=True)
-    for kind, count in killed.items():
-        print(f"{count:5d}  {kind}")
-    print(f"left something behind: {len(left)} of {options.kills}")
-    return 1 if left else 0
+def plan(given: Namespace) -> list[Row]:
+    kinds = list(KINDS)
+    return [{"kind": kinds[k % len(kinds)], "seed": given.first_seed + k} for k in range(given.size)]
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def ask(task: Row, _: Namespace) -> Row:
+    with tempfile.TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
+        return {"left": one(task["kind"], Path(folder), random.Random(task["seed"]))}
+
+
+def table(rows: list[Row], _: Namespace) -> str:
+    """Kills and what they left, by kind."""
+    lines = ["| killed | kills | left something behind |", "|---|---|---|"]
+    for kind in KINDS:
+        left = [row["left"] for row in answered(rows) if row["kind"] == kind]
+        lines.append(f"| {kind} | {len(left)} | {'; '.join(filter(None, left)) or 0} |")
+    return "\n".join(lines)
+
+
+def failed(rows: list[Row]) -> bool:
+    return any(row["left"] for row in answered(rows))
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 100, "kills (100)", failed=failed)

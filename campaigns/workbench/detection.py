@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.baseline import Baseline
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, at_strength
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.selection.evidence import gain_of
 
 EXPECTED_GAIN = 16.0

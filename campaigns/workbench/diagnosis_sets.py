@@ -23,7 +23,6 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.machine import NEEDLE, fitting
 from needle_rig.physics.rod import Layout
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import (
     FreeParameter,
     against_mean,
@@ -31,6 +30,7 @@ from needle_rig.workbench.estimation.parameters import (
     free_parameters,
     make_effects,
 )
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise

@@ -35,7 +35,7 @@ from needle_rig.workbench.estimation.parameters import (
     make_effects,
 )
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learn_laws import learn_laws
 from needle_rig.workbench.laws.learnt import LearntLaw
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise

@@ -28,7 +28,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.library import find_effects
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learn_laws import learn_laws
 from needle_rig.workbench.laws.symbolic import regressor, settings
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise

@@ -22,9 +22,9 @@ from needle_rig.physics.library import find_effects
 from needle_rig.units import deg, nmm, per_100mm
 from needle_rig.workbench.estimation.baseline import judged, null_model
 from needle_rig.workbench.estimation.cross_validation import cross_validate
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.posterior import start_vector
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.measured_noise import measure_noise
 from needle_rig.workbench.observations.noise_terms.white import White

@@ -91,7 +91,7 @@ def _findings(
     from needle_rig.config.files import find_config_file
     from needle_rig.config.loader import load_rig_config
     from needle_rig.config.schema import NetFtTorque
-    from needle_rig.service.api.endpoint import sockets_for_client
+    from needle_rig.service.api.endpoint import NAME, sockets_for_client
     from needle_rig.service.installed.installation import HERE, nobody_answers
     from needle_rig.service.setup import check
     from needle_rig.service.setup.interface import look_at
@@ -100,7 +100,7 @@ def _findings(
     try:
         config = load_rig_config(path)
     except BadInput as error:
-        again = ", then: sudo systemctl restart needle-rig" if HERE.unit.exists() else ""
+        again = f", then: sudo systemctl restart {NAME}" if HERE.unit.exists() else ""
         yield check.Finding("rig file", "fail", str(error), f"mend it{again}")
         return
     yield check.Finding("rig file", "ok", f"{path}: {config.name}")

@@ -150,7 +150,7 @@ def _warn(model: str | None, out: str | None, config: str | None) -> None:
     else:
         from needle_rig.model import load_saved
         from needle_rig.workbench.learning.last_run import contradiction
-        from needle_rig.workbench.learning.watch import kept_runs
+        from needle_rig.workbench.learning.watched_runs import kept_runs
 
         said = contradiction(kept_runs(directory), load_saved(model), model)
     if said:

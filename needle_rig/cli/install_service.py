@@ -67,11 +67,14 @@ def command(
     --upgrade installs a version beside the present one, backs the rig up, switches, and restarts at rest. It
     goes back by itself where `check` then finds more that fails than before.
 
+    NEEDLE_RIG_AT=NAME in the environment names one of several rigs of this computer, for every command.
+
     \b
     Exit codes: 0 done, 2 bad use, nothing was changed, 3 it failed; an upgrade was taken back.
     """
     from needle_rig.config.loader import load_rig_config
     from needle_rig.recording.retention import kept_text
+    from needle_rig.service.api.endpoint import NAME
     from needle_rig.service.installed.installation import Installation
     from needle_rig.service.setup.install import (
         another_program,
@@ -128,7 +131,7 @@ def command(
         click.echo("Nothing was done.")
         return
     if running:
-        click.echo("It runs with what it had; when no run goes on: sudo systemctl restart needle-rig")
+        click.echo(f"It runs with what it had; when no run goes on: sudo systemctl restart {NAME}")
     _tell_another(another_program(place, wanted.program))
     click.echo("The service is set up. Look at it: needle-rig status; at the rig: needle-rig check")
     recording = load_rig_config(place.rig_file).recording
@@ -202,8 +205,9 @@ def _asked(
         "shear_modulus_gpa": ("The needle's shear modulus, GPa", usual.needle.shear_modulus_gpa),
     }
     found = {key: _answer(key, text, given[key], default) for key, (text, default) in proposed.items()}
-    answers = Answers(**found, keep_gb=keep_gb(place.runs))  # type: ignore[arg-type]  # each as click gave it
-    text = rig_file_text(answers, Path("/var/lib/needle-rig"))
+    kept_gb = keep_gb(place.runs, 1 + len(place.other_units()))
+    answers = Answers(**found, keep_gb=kept_gb)  # type: ignore[arg-type]  # each as click gave it
+    text = rig_file_text(answers, Path("/") / place.runs.relative_to(place.root))
     interface = answers.network_interface
     return Wanted(
         text, interface, answers.bitrate_kbit_s, _members(place, members), _program(place, dry_run), start

@@ -19,6 +19,7 @@ def command(file: Path, root: Path) -> None:
     \b
     Exit codes: 0 done, 2 a damaged file, or a run goes on, 3 the disk is full; with 2 and 3 nothing changed.
     """
+    from needle_rig.service.api.endpoint import NAME
     from needle_rig.service.installed.installation import Installation
     from needle_rig.service.setup.backup import restore
     from needle_rig.service.setup.install import is_active
@@ -31,4 +32,4 @@ def command(file: Path, root: Path) -> None:
     if not place.unit.exists():
         click.echo("Next: needle-rig install-service")
     elif place.root == Path("/") and is_active():
-        click.echo("The daemon runs with what it had; when nothing moves: sudo systemctl restart needle-rig")
+        click.echo(f"The daemon runs with what it had; when nothing moves: sudo systemctl restart {NAME}")

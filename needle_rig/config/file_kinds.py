@@ -6,7 +6,9 @@ It is KIND/NUMBER. A newer number is refused in a sentence, an older one is migr
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Callable
+from typing import Any
 
 from needle_rig.config.places import Places
 from needle_rig.records import JsonObject
@@ -46,28 +48,35 @@ def as_read_here(data: JsonObject, places: Places, *wanted: str, writer: object 
 
     Raises what `judge_format` raises.
     """
-    for given in judge_format(data, places, *wanted, writer=writer):
-        kind, number = _parts(given)
-        data = {**MIGRATIONS[given](copy.deepcopy(data)), "format": f"{kind}/{number + 1}"}
+    judge_format(data, places, *wanted, writer=writer)
+    return migrated(data, *wanted)
+
+
+def judge_format(data: JsonObject, places: Places, *wanted: str, writer: object = None) -> None:
+    """Raise BadInput where no way leads from the format of `data` to one of those `wanted`.
+
+    `writer` is the version of needle-rig that wrote it, where that is known. The sentence stands alone: the
+    keys of another format would all be listed as mistakes.
+    """
+    if _way(data.get("format"), wanted)[-1] not in wanted:
+        who = writer or data.get("written_by") or data.get("program")
+        raise places.error(("format",), _refusal(data.get("format"), wanted, who))
+
+
+def migrated(data: JsonObject, *wanted: str) -> JsonObject:
+    """`data`, whose format was judged, in the one of the formats `wanted` that is of its kind."""
+    for before, after in itertools.pairwise(_way(data.get("format"), wanted)):
+        data = {**MIGRATIONS[before](copy.deepcopy(data)), "format": after}
     return data
 
 
-def judge_format(data: JsonObject, places: Places, *wanted: str, writer: object = None) -> list[str]:
-    """The formats from which `data` must be migrated, one by one, to one of those `wanted`.
-
-    `writer` is the version of needle-rig that wrote it, where that is known. Raises BadInput where no way
-    leads there. One sentence stands alone then: the keys of another format would all be listed as mistakes.
-    """
-    given = data.get("format")
-    way: list[str] = []
-    while given not in wanted and isinstance(given, str) and given in MIGRATIONS:
-        way.append(given)
-        kind, number = _parts(given)
-        given = f"{kind}/{number + 1}"
-    if given in wanted:
-        return way
-    who = writer or data.get("written_by") or data.get("program")
-    raise places.error(("format",), _refusal(data.get("format"), wanted, who))
+def _way(given: Any, wanted: tuple[str, ...]) -> list[Any]:
+    """The formats from `given`, one migration each, until one is wanted or no migration leads on."""
+    way = [given]
+    while way[-1] not in wanted and isinstance(way[-1], str) and way[-1] in MIGRATIONS:
+        kind, number = _parts(way[-1])
+        way.append(f"{kind}/{number + 1}")
+    return way
 
 
 def _parts(form: str) -> tuple[str, int]:

@@ -15,6 +15,7 @@ from needle_rig.errors import RigFault
 
 _ANSWER_S = 0.2
 _TRIES = 2
+_LONGEST_VERSION = 40
 
 # what it would say goes into a RigFault
 logging.getLogger("canopen").addHandler(logging.NullHandler())
@@ -47,6 +48,28 @@ class CanopenNode:
             raise RigFault(
                 f"{self._title}: object {index:#06x}:{subindex} cannot be read: {_reason(refused)}"
             ) from None
+        except SdoCommunicationError as error:
+            raise RigFault(self._silent(error)) from None
+
+    def version(self) -> str | None:
+        """Version of the node's software: its text (0x100A), else its revision (0x1018:3).
+
+        None where it tells neither, as both are optional. Raises RigFault when the node is silent.
+        """
+        text = self._optional(0x100A, 0).decode("ascii", "replace").strip("\0 ")
+        if text and text.isprintable():
+            return text[:_LONGEST_VERSION]
+        revision = self._optional(0x1018, 3)
+        if len(revision) != 4:
+            return None
+        return f"revision {int.from_bytes(revision[2:], 'little')}.{int.from_bytes(revision[:2], 'little')}"
+
+    def _optional(self, index: int, subindex: int) -> bytes:
+        """The object as it is; empty where the node has none."""
+        try:
+            return bytes(self._node.sdo.upload(index, subindex))
+        except SdoAbortedError:
+            return b""
         except SdoCommunicationError as error:
             raise RigFault(self._silent(error)) from None
 

@@ -19,7 +19,7 @@ from needle_rig.control.reference import FASTEST_RAD_S, JUMP_RAD
 from needle_rig.devices.canopen_node import CanopenNode, OperationMode, State402, decode_emergency, meaning_of
 from needle_rig.devices.device import SILENT_S, Drive, Host
 from needle_rig.errors import RigFault
-from needle_rig.records import RELEASE, TEMPORARY, Command, DriveFault, DriveState
+from needle_rig.records import RELEASE, TEMPORARY, Command, DriveFault, DriveState, Firmware
 
 PROFILE, NO_HEARTBEAT = 402, 0x8130
 QUICK_STOP, STOP_AND_DISABLE, KEEP_STATE = 3, 2, 1
@@ -92,6 +92,7 @@ class DriveCia402(Drive):
         """It lost its supply while it was awake: an emergency stop of a rig opens it."""
         self._counter = 0
         self._starts = 0
+        self._firmware = Firmware()
 
     def age_s(self, now_s: float) -> float:
         """Time since the SYNC that the newest status answers; infinite before the first."""
@@ -104,6 +105,10 @@ class DriveCia402(Drive):
         if self.state is DriveState.FAULT and self._error_code:
             return f"error 0x{self._error_code:04x} ({meaning_of(self._error_code)})"
         return ""
+
+    def firmware(self, now_s: float) -> Firmware:  # noqa: ARG002 it was asked when it was set up
+        """The profile that it speaks, and its software's version where it has told one."""
+        return self._firmware
 
     def needs_set_up(self, now_s: float) -> bool:
         """A drive that started again has lost its settings, its zero, and its stop for a lost host."""
@@ -174,6 +179,7 @@ class DriveCia402(Drive):
             raise RigFault(
                 f"CANopen node {options.node_id} has the profile {kind}, not {PROFILE}: it is no drive"
             )
+        self._firmware = Firmware(protocol=PROFILE, version=node.version())
         if not node.read(0x6502) & supported:
             raise RigFault(f"CANopen node {options.node_id} has no mode {options.mode}; see links.drive.mode")
         consumer = self._host_id << 16 | options.lost_host_ms

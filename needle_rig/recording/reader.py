@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
+from needle_rig.config.file_kinds import migrated
 from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.places import show_path
 from needle_rig.config.schema import RigConfig
@@ -23,7 +24,7 @@ from needle_rig.recording.image import LATE
 from needle_rig.recording.journal import SUFFIX, Frames, journal_path
 from needle_rig.recording.liveness import being_written
 from needle_rig.recording.structure import NOT_TABLES, check_attributes, check_times
-from needle_rig.recording.tables import Rows, attributes_as_read_here
+from needle_rig.recording.tables import FORMAT, Rows
 from needle_rig.records import JsonObject
 
 Found = TypeVar("Found")
@@ -61,7 +62,7 @@ class RunFile:
         self.path = given.with_suffix(".h5") if given.suffix == SUFFIX else given
         self.attributes: JsonObject
         self.tables: tuple[str, ...]
-        self.attributes, self.tables = self._read(lambda file: _about(file, self._shown))
+        self.attributes, self.tables = self._read(_about)
 
     @property
     def name(self) -> str:
@@ -145,9 +146,9 @@ class RunFile:
         return read_hdf5(self.path, self._shown, take)
 
 
-def _about(file: h5py.File, shown: str) -> tuple[JsonObject, tuple[str, ...]]:
+def _about(file: h5py.File) -> tuple[JsonObject, tuple[str, ...]]:
     attributes = {key: _plain(value) for key, value in file.attrs.items()} | _late(file)
-    attributes = attributes_as_read_here(attributes, shown)
+    attributes = migrated(attributes, FORMAT)
     check_attributes(attributes)
     return attributes, tuple(sorted(set(file) - NOT_TABLES))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from needle_rig.config.file_kinds import as_read_here, judge_format
+from needle_rig.config.file_kinds import judge_format
 from needle_rig.config.loader import rig_config_text
 from needle_rig.config.places import Places
 from needle_rig.config.schema import RigConfig
@@ -30,12 +30,6 @@ FORMAT = "needle-rig-run/1"
 
 EVENT = np.dtype([("time_s", "f8"), ("kind", "S24"), ("text", "S480")])
 """One event; text longer than its field goes on in the next row, marked by an empty kind."""
-
-
-def attributes_as_read_here(attributes: JsonObject, shown: str) -> JsonObject:
-    """The attributes of the run that `shown` names, migrated where its format is older. Raises BadInput."""
-    judge_run(attributes, shown)
-    return as_read_here(attributes, Places(shown), FORMAT)
 
 
 def judge_run(attributes: JsonObject, shown: str) -> None:

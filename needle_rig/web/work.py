@@ -36,7 +36,7 @@ from needle_rig.web.models import finite, kept_document
 from needle_rig.web.places import DATASET, DIAGNOSIS
 from needle_rig.web.sequences import strategies
 from needle_rig.web.trends import look
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.selection.diagnose import Diagnosis

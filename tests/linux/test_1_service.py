@@ -14,11 +14,14 @@ import pytest
 from tests.linux.conftest import (
     BENCH,
     MOVE,
+    PORTS,
     PROGRAM,
     RIG_FILE,
     RUNS,
+    START_S,
     Rig,
     active,
+    as_user,
     begun,
     cut_run_told,
     journal,
@@ -118,6 +121,7 @@ def test_it_has_real_time_priority_its_children_have_not_and_all_are_caged(rig: 
 
 
 def test_a_start_with_its_rig_leaves_nothing_alarming_in_the_log(rig: Rig) -> None:
+    begun_s = time.time()
     shell("systemctl restart needle-rig", timeout_s=120)
     until(lambda: status().get("fault") is None and status().get("sensors") is not None, "it runs")
     time.sleep(5.0)
@@ -127,6 +131,12 @@ def test_a_start_with_its_rig_leaves_nothing_alarming_in_the_log(rig: Rig) -> No
     alarming = [line for line in said.splitlines() if "error" in line.lower() or "is dead" in line]
     assert alarming == []
     assert len(said.splitlines()) < 12, said
+    of_systemd = shell(
+        f"journalctl UNIT=needle-rig.service _PID=1 --no-pager -o cat --since @{begun_s:.0f}"
+    ).stdout
+    assert "Started needle-rig.service" in of_systemd
+    assert "remains running" not in of_systemd
+    assert "left-over" not in of_systemd
 
 
 def test_an_interface_that_is_renamed_is_missed_and_used_again_under_its_name(rig: Rig) -> None:
@@ -200,6 +210,9 @@ def test_a_stop_in_mid_run_ends_the_run_in_order(rig: Rig) -> None:
 
 def test_a_rig_file_that_cannot_be_used_is_told_with_its_line_and_not_tried_again(rig: Rig) -> None:
     good = RIG_FILE.read_text()
+    hook, told_whom = RIG_FILE.with_name("on-failure"), RUNS / "failed"
+    hook.write_text(f'#!/bin/sh\necho "$1: $(journalctl -u "$1" -n 20 -o cat)" > {told_whom}\n')
+    hook.chmod(0o755)
     line = 1 + [each.partition(":")[0] for each in good.splitlines()].index("tick_hz")
     shell("systemctl stop needle-rig")
     RIG_FILE.write_text(re.sub("tick_hz: .*", "tick_hz: fast", good))
@@ -207,6 +220,8 @@ def test_a_rig_file_that_cannot_be_used_is_told_with_its_line_and_not_tried_agai
         shell("systemctl start needle-rig", check=False)
         until(lambda: "failed" in shell("systemctl is-failed needle-rig", check=False).stdout, "it fails")
         assert "tick_hz" in journal()
+        until(lambda: told_whom.exists() and "tick_hz" in told_whom.read_text(), "its hook tells it")
+        assert told_whom.read_text().startswith("needle-rig.service: ")
         done = needle_rig("status")
         assert done.returncode == 3
         for told in (done.stderr, needle_rig("check").stdout):
@@ -219,7 +234,37 @@ def test_a_rig_file_that_cannot_be_used_is_told_with_its_line_and_not_tried_agai
         assert "real time" not in looked.stdout  # it would be of a daemon of its own
     finally:
         RIG_FILE.write_text(good)
+        hook.unlink()
+        told_whom.unlink(missing_ok=True)
     shell("systemctl restart needle-rig", timeout_s=120)
+
+
+def test_another_rig_of_the_same_computer_comes_and_goes_and_the_first_does_not_notice(rig: Rig) -> None:
+    pid = main_pid()
+    left = "env NEEDLE_RIG_AT=left"
+    set_up = f"{left} {PROGRAM} install-service --name left --can vcan7 --hall {PORTS}/left"
+    shell(f"{set_up} --member tech", timeout_s=180)
+    until(lambda: "since:" in of_left("status"), "it runs", START_S)
+    until(lambda: "fault" in of_left("status"), "it misses its rig")
+    told = of_left("status")
+    assert re.search(r"(?m)^rig: +left, .*/run/needle-rig@left/daemon.sock$", told), told
+    assert f"{PORTS}/left" in told  # what it misses is its own
+    assert status()["fault"] is None
+    assert "vcan7" in shell("ip -brief link show type vcan").stdout
+    removed = shell(f"{left} {PROGRAM} install-service --remove", timeout_s=120).stdout
+    assert "Account, command and rules stay, as needle-rig.service uses them" in removed
+    assert shell("systemctl cat needle-rig@left", check=False).returncode != 0
+    assert not Path("/run/needle-rig@left").exists()
+    shell("ip link del vcan7")
+    assert (main_pid(), status()["fault"]) == (pid, None)
+    assert needle_rig("status").returncode == 0
+
+
+def of_left(*arguments: str) -> str:
+    """What the command says of the rig `left`."""
+    command = as_user("tech", "env", "NEEDLE_RIG_AT=left", PROGRAM, *arguments)
+    done = subprocess.run(command, cwd="/home/tech", capture_output=True, text=True, timeout=180)
+    return done.stdout + done.stderr
 
 
 def test_term_is_obeyed_while_the_first_start_compiles(rig: Rig, tmp_path: Path) -> None:

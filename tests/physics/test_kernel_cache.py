@@ -64,6 +64,17 @@ def test_a_change_in_a_file_of_what_is_called_is_compiled_and_no_change_is_not(a
     assert ask("100.0") == (101.0, 1)
 
 
+@pytest.mark.whole
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_what_a_power_cut_left_of_it_is_compiled_anew(ask: Ask, tmp_path: Path, suffix: str) -> None:
+    ask("1.0")
+    (cut,) = tmp_path.rglob(f"*{suffix}")
+    for length in (0, cut.stat().st_size // 2):
+        os.truncate(cut, length)
+        assert ask("1.0") == (2.0, 0)
+        assert ask("1.0") == (2.0, 1)
+
+
 NO_FOLDER = """
 import sys
 from numba.core import caching

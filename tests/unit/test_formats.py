@@ -33,7 +33,7 @@ from needle_rig.service.setup.archive import packed
 from needle_rig.service.setup.backup import back_up
 from needle_rig.version import VERSION
 from needle_rig.workbench.learning.diagnosis_file import _checksum, load_diagnosis
-from needle_rig.workbench.learning.watch import WatchedRun, _kept_run
+from needle_rig.workbench.learning.watched_runs import WatchedRun, _kept_run
 
 OLD_KEY = "called_before"
 """What the fake format 0 of every kind calls the key that `KEYS` names."""

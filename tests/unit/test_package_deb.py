@@ -67,7 +67,7 @@ def test_it_holds_command_unit_rules_and_account_and_belongs_to_root(package: Pa
     assert not [line for line in lines if line[0][0] != "l" and "w" in line[0][4:]], "root alone may write"
     unit = (tree / "usr/lib/systemd/system/needle-rig.service").read_text()
     assert f"Environment=PATH=/{HOME}/bin:" in unit
-    assert (tree / "usr/lib/systemd/system/needle-rig-failed.service").is_file()
+    assert (tree / "usr/lib/systemd/system/needle-rig-failed@.service").is_file()
     assert "u needle-rig" in (tree / "usr/lib/sysusers.d/needle-rig.conf").read_text()
     assert "dialout" in (tree / "usr/lib/udev/rules.d/70-needle-rig.rules").read_text()
     assert os.readlink(tree / "usr/bin/needle-rig") == "../lib/needle-rig/bin/needle-rig"

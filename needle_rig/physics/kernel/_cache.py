@@ -71,9 +71,28 @@ def kept(*signature: Any, **options: Any) -> Callable[[Any], Any]:
 
     def decorated(function: Any) -> Any:
         decorator: Any = njit
-        return decorator(*signature, cache=_can_be_kept(function), **options)(function)
+        make = decorator(*signature, cache=_can_be_kept(function), **options)
+        try:
+            return make(function)
+        except Exception:
+            # numba writes its files without a sync: a power cut may empty them, and each start would fail
+            if not _forgotten(function):
+                raise
+            return make(function)
 
     return decorated
+
+
+def _forgotten(function: Any) -> bool:
+    """Whether there was kept code of `function`, which is removed."""
+    try:
+        cache = CompileResultCacheImpl(function)
+        kept_files = list(Path(cache.locator.get_cache_path()).glob(f"{cache.filename_base}.*nb[ci]"))
+        for file in kept_files:
+            file.unlink()
+    except (OSError, RuntimeError):
+        return False
+    return bool(kept_files)
 
 
 def _can_be_kept(function: Any) -> bool:

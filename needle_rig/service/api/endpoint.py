@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import socket
 import stat
@@ -15,8 +16,27 @@ from pathlib import Path
 
 from needle_rig.errors import BadInput, RigFault
 
-_NAME = "daemon.sock"
-_SYSTEM_FOLDER = Path("/run/needle-rig")
+RIG_VARIABLE = "NEEDLE_RIG_AT"
+"""Variable of the environment that names one of several rigs of a computer."""
+FIRST = "needle-rig"
+"""Unit and folders of the rig that has no name."""
+
+
+def rig_folder(environment: Mapping[str, str]) -> str:
+    """`needle-rig`, or `needle-rig@NAME` for the rig that the environment names. Raises BadInput."""
+    name = environment.get(RIG_VARIABLE, "")
+    if not re.fullmatch(r"[A-Za-z0-9_-]{0,32}", name):
+        raise BadInput(
+            f"{RIG_VARIABLE}={name[:40]}: a rig's name has up to 32 letters, digits, - and _; choose another"
+        )
+    return f"{FIRST}@{name}" if name else FIRST
+
+
+NAME = rig_folder(os.environ)
+"""Of the rig that this process works with: of its unit, and of its folders in /etc, /run and /var/lib."""
+
+_SOCKET = "daemon.sock"
+_SYSTEM_FOLDER = Path("/run")
 QUEUE = 1024
 """Connections that may wait to be accepted; a client that meets a full queue is turned away at once."""
 _LAST_BREATH_S = 1.0
@@ -27,22 +47,22 @@ _PROBE_EVERY_S = 0.05
 def socket_for_daemon(environment: Mapping[str, str] = os.environ) -> Path:
     """Where a daemon listens when it is not told: systemd's folder, the user's own, or the system's."""
     if folder := environment.get("RUNTIME_DIRECTORY"):
-        return Path(folder.split(":")[0]) / _NAME
+        return Path(folder.split(":")[0]) / _SOCKET
     if folder := environment.get("XDG_RUNTIME_DIR"):
-        return Path(folder) / "needle-rig" / _NAME
-    return _SYSTEM_FOLDER / _NAME
+        return Path(folder) / NAME / _SOCKET
+    return _SYSTEM_FOLDER / NAME / _SOCKET
 
 
 def private_socket(folder: Path) -> Path:
     """Where a daemon listens that one client starts for itself, in a folder of the client's."""
-    return folder / "socket" / _NAME
+    return folder / "socket" / _SOCKET
 
 
-def sockets_for_client(environment: Mapping[str, str] = os.environ) -> list[Path]:
-    """Where a client looks for a daemon: first the user's own, then the system's."""
+def sockets_for_client(environment: Mapping[str, str] = os.environ, name: str = NAME) -> list[Path]:
+    """Where a client looks for the daemon of the rig `name`: first the user's own, then the system's."""
     folder = environment.get("XDG_RUNTIME_DIR")
-    own = [Path(folder) / "needle-rig" / _NAME] if folder else []
-    return [*own, _SYSTEM_FOLDER / _NAME]
+    own = [Path(folder) / name / _SOCKET] if folder else []
+    return [*own, _SYSTEM_FOLDER / name / _SOCKET]
 
 
 @contextmanager

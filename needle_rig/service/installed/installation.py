@@ -9,43 +9,53 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.service.api.endpoint import sockets_for_client
-from needle_rig.service.installed.systemd import FAILED_UNIT, UNIT, UnitStanding, unit_standing
+from needle_rig.service.api.endpoint import FIRST, NAME, sockets_for_client
+from needle_rig.service.installed.systemd import FAILED_UNIT, UnitStanding, unit_standing
 
-_NETWORK_PREFIX = "60-needle-rig-"
 _UNIT_PATH = re.compile(r"(?m)^Environment=PATH=([^:\s]+)")
 
 
 @dataclass(frozen=True)
 class Installation:
-    """The places of a service, below `root`."""
+    """The places of a rig's service, below `root`; what has not `name` in it belongs to all rigs there."""
 
     root: Path = Path("/")
+    name: str = NAME
 
     @property
     def unit(self) -> Path:
         """The systemd unit."""
-        return self.root / "etc/systemd/system" / UNIT
+        return self.root / "etc/systemd/system" / f"{self.name}.service"
 
     @property
     def failed_unit(self) -> Path:
-        """The unit that runs `on_failure`."""
+        """The template of the units that run `on_failure`."""
         return self.unit.with_name(FAILED_UNIT)
+
+    @property
+    def on_failure_unit(self) -> str:
+        """The one of this rig."""
+        return FAILED_UNIT.replace("@", f"@{self.name}")
+
+    def other_units(self) -> list[Path]:
+        """The units of other rigs of this computer."""
+        found = (*self.unit.parent.glob(f"{FIRST}.service"), *self.unit.parent.glob(f"{FIRST}@?*.service"))
+        return sorted(path for path in found if path != self.unit)
 
     @property
     def on_failure(self) -> Path:
         """A program of this computer's own, which is run when the daemon has failed."""
-        return self.root / "etc/needle-rig/on-failure"
+        return self.rig_file.with_name("on-failure")
 
     @property
     def rig_file(self) -> Path:
         """The rig file that the unit names."""
-        return self.root / "etc/needle-rig/rig.yaml"
+        return self.root / "etc" / self.name / "rig.yaml"
 
     @property
     def runs(self) -> Path:
         """Folder of the runs."""
-        return self.root / "var/lib/needle-rig"
+        return self.root / "var/lib" / self.name
 
     @property
     def udev_rules(self) -> Path:
@@ -79,11 +89,11 @@ class Installation:
     @property
     def calibration(self) -> Path:
         """What `needle-rig calibrate` wrote for this rig's nodes."""
-        return self.root / "etc/needle-rig/calibration"
+        return self.rig_file.with_name("calibration")
 
     def network(self, interface: str) -> Path:
         """What brings the CAN interface up."""
-        return self.root / f"etc/systemd/network/{_NETWORK_PREFIX}{interface}.network"
+        return self.root / f"etc/systemd/network/60-{self.name}-{interface}.network"
 
     def device(self, interface: str) -> Path:
         """What makes a virtual CAN interface."""
@@ -91,7 +101,7 @@ class Installation:
 
     def unmanaged(self, interface: str) -> Path:
         """What keeps NetworkManager from an interface."""
-        return self.root / f"etc/NetworkManager/conf.d/{_NETWORK_PREFIX}{interface}.conf"
+        return self.root / f"etc/NetworkManager/conf.d/60-{self.name}-{interface}.conf"
 
     @property
     def has_network_manager(self) -> bool:
@@ -101,11 +111,11 @@ class Installation:
     def networks(self) -> list[Path]:
         """Every such file that is there."""
         folders = ("etc/systemd/network", "etc/NetworkManager/conf.d")
-        return sorted(path for each in folders for path in (self.root / each).glob(f"{_NETWORK_PREFIX}*"))
+        return sorted(path for each in folders for path in (self.root / each).glob(f"60-{self.name}-*"))
 
     def signs(self, environment: Mapping[str, str] = os.environ) -> list[Path]:
         """What shows that a rig is set up here: a unit, a rig file, a socket even when nobody listens."""
-        sockets = [self.root / path.relative_to("/") for path in sockets_for_client(environment)]
+        sockets = [self.root / path.relative_to("/") for path in sockets_for_client(environment, self.name)]
         return [path for path in (self.unit, self.rig_file, *sockets) if os.path.lexists(path)]
 
     def runs_directory(self) -> Path | None:
@@ -140,7 +150,7 @@ def _why_down(standing: UnitStanding) -> str:
         others = f" (and {len(more)} more)" if more else ""
         return (
             f"its service failed, as its rig file cannot be used: {found}{others};"
-            " mend it, then: sudo systemctl restart needle-rig"
+            f" mend it, then: sudo systemctl restart {NAME}"
         )
     ended = Logbook(HERE.runs).last_end
     return f"{standing.sentence}{f'; the daemon said: {ended}' if ended else ''}"

@@ -5,10 +5,12 @@ from __future__ import annotations
 import subprocess
 from dataclasses import dataclass
 
-UNIT = "needle-rig.service"
-FAILED_UNIT = "needle-rig-failed.service"
-"""What systemd starts when the daemon has failed."""
-LOG = "journalctl -u needle-rig"
+from needle_rig.service.api.endpoint import NAME
+
+UNIT = f"{NAME}.service"
+FAILED_UNIT = "needle-rig-failed@.service"
+"""What systemd starts when a daemon has failed, for any rig."""
+LOG = f"journalctl -u {NAME}"
 """How a person reads the service's log."""
 _TIMEOUT_S = 3.0
 _PROPERTIES = ("LoadState", "ActiveState", "SubState", "Result", "StatusText")
@@ -37,10 +39,10 @@ class UnitStanding:
         if self.state in ("activating", "active", "reloading"):
             return f"its service is starting{said}; try again in a moment, or look at: {LOG}"
         if self.state == "deactivating":
-            return "its service is ending; wait for it, then: sudo systemctl start needle-rig"
+            return f"its service is ending; wait for it, then: sudo systemctl start {NAME}"
         if self.state == "failed":
             return f"its service failed ({self.result}); see why: {LOG}; then: sudo systemctl restart {UNIT}"
-        return "its service is stopped; start it: sudo systemctl start needle-rig"
+        return f"its service is stopped; start it: sudo systemctl start {NAME}"
 
 
 def unit_standing(unit: str = UNIT) -> UnitStanding | None:

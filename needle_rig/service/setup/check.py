@@ -14,6 +14,7 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import torsional_rigidity_nm2
 from needle_rig.control.supervision import BLIND_S
 from needle_rig.recording import kept_text, run_tables, size_bytes, to_remove
+from needle_rig.records import Firmware
 from needle_rig.service.api.documents import Sensors, State
 from needle_rig.service.setup.interface import Interface
 from needle_rig.units import deg
@@ -251,7 +252,7 @@ def check_firmware(state: State) -> list[Finding]:
             continue  # the check of its link says that it is not heard
         elif node["protocol"] is None:
             found.append(Finding(name, "warn", f"{node['text']}: older than 0.2.0", flash))
-        elif node["version"] not in (None, VERSION):
+        elif not Firmware(node["protocol"]).of_another_maker and node["version"] not in (None, VERSION):
             found.append(Finding(name, "warn", f"{node['text']}; needle-rig is {VERSION}", flash))
         else:
             found.append(Finding(name, "ok", node["text"]))

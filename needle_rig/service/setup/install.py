@@ -13,6 +13,7 @@ from pathlib import Path
 from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput
 from needle_rig.extras import install_arguments, install_command
+from needle_rig.service.api.endpoint import FIRST
 from needle_rig.service.installed.installation import Installation
 from needle_rig.service.installed.systemd import FAILED_UNIT, UNIT
 from needle_rig.service.setup.steps import (
@@ -30,6 +31,7 @@ from needle_rig.service.setup.steps import (
 
 ACCOUNT = "needle-rig"
 """The service's user, and the group whose members may use its rig."""
+_SHIPPED = f"{FIRST}.service"
 _IN_UNIT = "/opt/needle-rig/bin"
 _FAMILIES = "RestrictAddressFamilies=AF_UNIX AF_CAN AF_NETLINK"
 _NO_NETWORK = "IPAddressDeny=any"
@@ -113,9 +115,10 @@ def install_steps(place: Installation, wanted: Wanted) -> list[Step]:
     steps += units
     if live and changed:
         steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
-    steps.append(Run(["systemctl", *_at(place), "enable", UNIT], functools.partial(_is_enabled, place, UNIT)))
+    unit = place.unit.name
+    steps.append(Run(["systemctl", *_at(place), "enable", unit], functools.partial(_is_enabled, place, unit)))
     if live and wanted.start:
-        steps.append(Run(["systemctl", "start", "--no-block", UNIT], is_active))
+        steps.append(Run(["systemctl", "start", "--no-block", unit], is_active))
     return steps
 
 
@@ -126,7 +129,9 @@ def stays(place: Installation) -> list[str]:
         told.append(f"The runs stay in {place.runs}; they are root's, and readable for everybody.")
     if place.rig_file.parent.exists():
         told.append(f"Rig file, calibration and models stay in {place.rig_file.parent}.")
-    if os.path.lexists(place.link):
+    if others := place.other_units():
+        told.append(f"Account, command and rules stay, as {others[0].name} uses them.")
+    elif os.path.lexists(place.link):
         told.append(f"{place.link} stays: it is not the service's.")
     return told
 
@@ -142,27 +147,32 @@ def another_program(place: Installation, program: Path) -> str | None:
 
 
 def removal_steps(place: Installation) -> list[Step]:
-    """What takes the service away: all but the runs, and the rig file under another name."""
-    live = place.root == Path("/")
+    """What takes the service away: all but the runs, the rig file under another name, what others use."""
+    live, unit, alone = place.root == Path("/"), place.unit.name, not place.other_units()
     steps: list[Step] = []
     if live:
         steps += [
-            Run(["systemctl", "stop", unit], functools.partial(_rests, unit)) for unit in (UNIT, FAILED_UNIT)
+            Run(["systemctl", "stop", each], functools.partial(_rests, each))
+            for each in (unit, place.on_failure_unit)
         ]
-    enabled = functools.partial(_is_enabled, place, UNIT)
-    steps.append(Run(["systemctl", *_at(place), "disable", UNIT], lambda: not enabled()))
-    if links_to(place.link, place.program):  # before the unit, which tells that it is ours
+    enabled = functools.partial(_is_enabled, place, unit)
+    steps.append(Run(["systemctl", *_at(place), "disable", unit], lambda: not enabled()))
+    if alone and links_to(place.link, place.program):  # before the unit, which tells that it is ours
         steps.append(Remove(place.link))
     reload = live and place.unit.exists()
-    steps += [Remove(path) for path in (place.unit, place.failed_unit, *place.networks(), place.udev_rules)]
+    steps += [Remove(path) for path in (place.unit, *place.networks())]
+    if alone:
+        steps += [Remove(path) for path in (place.failed_unit, place.udev_rules)]
     if reload:
         steps.append(Run(["systemctl", "daemon-reload"], lambda: False))
     if live:
-        steps.append(AwaitProcesses(ACCOUNT))
+        steps.append(AwaitProcesses(ACCOUNT, "" if alone else unit))
         # the number of a user who is gone may be given to another
         steps.append(LeaveToAll(place.runs))
-    steps.append(RemoveFolder(place.cache))
     steps.append(Rename(place.rig_file, place.rig_file.with_suffix(".yaml.removed")))
+    if not alone:
+        return steps
+    steps.append(RemoveFolder(place.cache))
     prefix = [] if live else [f"--prefix={place.root}"]
     for command, file in (("userdel", "etc/passwd"), ("groupdel", "etc/group")):
         # where a user is of this group alone, userdel takes it along
@@ -184,7 +194,7 @@ def refuse_unable(user_id: int, systemd: Path = Path("/run/systemd/system")) -> 
 def packaged_files(program: Path) -> dict[str, str]:
     """What a package of a distribution puts below /usr/lib for a service that runs `program`."""
     return {
-        f"systemd/system/{UNIT}": unit_text(program),
+        f"systemd/system/{_SHIPPED}": unit_text(program),
         f"systemd/system/{FAILED_UNIT}": _shipped_unit(FAILED_UNIT),
         "sysusers.d/needle-rig.conf": _account(()),
         "udev/rules.d/70-needle-rig.rules": _UDEV_RULES,
@@ -196,7 +206,7 @@ def unit_text(program: Path, sensor_address: str | None = None) -> str:
 
     Raises BadInput for what is no IP address.
     """
-    text = _shipped_unit(UNIT).replace(_IN_UNIT, str(program.parent))
+    text = _shipped_unit(_SHIPPED).replace(_IN_UNIT, str(program.parent))
     if sensor_address is None:
         return text
     try:

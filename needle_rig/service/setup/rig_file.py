@@ -9,9 +9,10 @@ from pathlib import Path
 
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import parse_rig_config
+from needle_rig.service.api.endpoint import NAME
 
-_HEAD = """\
-# The rig of this computer. After a change: needle-rig check, then sudo systemctl restart needle-rig
+_HEAD = f"""\
+# The rig of this computer. After a change: needle-rig check, then sudo systemctl restart {NAME}
 # Units are in the key names; a key that is not known here is refused with its line.
 """
 
@@ -20,10 +21,10 @@ _KEPT_SHARE = 0.5
 """Of the disk: the rest is for runs that nobody read yet, which never go, and for all else."""
 
 
-def keep_gb(runs: Path) -> float:
-    """What runs may take on the disk of `runs`, there already or not."""
+def keep_gb(runs: Path, rigs: int = 1) -> float:
+    """What runs may take on the disk of `runs`, there already or not, of the last one of so many rigs."""
     there = next(folder for folder in (runs, *runs.parents) if folder.exists())
-    return _KEPT_SHARE * shutil.disk_usage(there).total / 1e9
+    return _KEPT_SHARE**rigs * shutil.disk_usage(there).total / 1e9
 
 
 @dataclass(frozen=True)

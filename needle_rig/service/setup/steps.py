@@ -56,7 +56,10 @@ class WriteFile:
         with _told(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             made = self.path.with_name(f".{self.path.name}.new")
-            made.write_text(self.text, encoding="utf-8")
+            with open(made, "w", encoding="utf-8") as file:
+                file.write(self.text)
+                file.flush()
+                os.fsync(file.fileno())
             made.chmod(0o644)
             made.replace(self.path)
 
@@ -215,17 +218,18 @@ class Run:
 
 @dataclass(frozen=True)
 class AwaitProcesses:
-    """The end of what still runs as `account`: a recorder outlives its daemon until the run is closed.
+    """The end of what still runs as `account`, or of that in its `unit`: a recorder closes its run first.
 
     What goes on after `patience_s`, such as a watch over the runs, is ordered to end.
     """
 
     account: str
+    unit: str = ""
     patience_s: float = 20.0
 
     def describe(self) -> str:
         """See Step."""
-        return f"wait  until no process of {self.account} runs"
+        return f"wait  until no process of {self.unit or self.account} runs"
 
     def is_done(self) -> bool:
         """See Step."""
@@ -258,7 +262,7 @@ class AwaitProcesses:
         found = []
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
-                if folder.stat().st_uid == owner:
+                if folder.stat().st_uid == owner and self.unit in (folder / "cgroup").read_text():
                     found.append(int(folder.name))
         return sorted(found)
 

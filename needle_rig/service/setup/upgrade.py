@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -197,6 +198,7 @@ def _install(new: Path, requirement: str) -> None:
     try:
         _run([sys.executable, "-m", "venv", str(new)], None)
         _run([str(new / "bin/python"), "-m", "pip", "install", "--quiet", requirement], None)
+        os.sync()  # what is said to be whole is so after a power cut
         (new / _WHOLE).touch()
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)

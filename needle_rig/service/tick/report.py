@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.in_si import torsional_rigidity_nm2
-from needle_rig.control.reports import BrainState, Condition, Outcome, SettledMotion
+from needle_rig.control.reports import BrainState, Condition, Outcome
+from needle_rig.control.strategy import SettledMotion
 from needle_rig.numerics import rounded
 from needle_rig.records import DriveFault, Firmware, Measurement
 from needle_rig.service.api import documents
@@ -105,7 +106,9 @@ def firmware_document(told: Mapping[str, Firmware]) -> dict[str, documents.Node]
 def _firmware_text(firmware: Firmware) -> str:
     if firmware.protocol is None:
         return "version unknown"
-    said = [firmware.version or "version not told yet"]
+    said = [firmware.version or "version not told"]
+    if firmware.of_another_maker:
+        return f"{said[0]}, CiA {firmware.protocol}"
     if firmware.build:
         said.append(f"build {firmware.build:06x}")
     said.append(f"protocol {firmware.protocol}{' (not known here)' if firmware.refusal else ''}")

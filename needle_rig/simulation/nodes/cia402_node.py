@@ -18,7 +18,7 @@ PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
 
 _NOT_THERE, _READ_ONLY, _WRONG_LENGTH = 0x06020000, 0x06010002, 0x06070010
 _NO_SUBINDEX, _OUT_OF_RANGE, _NOT_NOW = 0x06090011, 0x06090030, 0x08000022
-_SDO_COMMAND = 0x05040001
+_SDO_COMMAND, _TOGGLE = 0x05040001, 0x05030000
 _NO_HEARTBEAT = 0x8130
 _QUICK_STOP_RAD_S2 = math.radians(2000.0)
 _SUPPORTED_MODES = 1 << 2 | 1 << 8
@@ -46,11 +46,12 @@ _DRIVE_STATES = {
 
 @dataclass
 class _Entry:
-    """One object: how many bytes it has, its value, whether it may be written."""
+    """One object: how many bytes it has, its value, whether it may be written; or its text."""
 
     size_bytes: int
     value: int = 0
     writable: bool = True
+    text: bytes = b""
 
 
 class Cia402Node:
@@ -79,6 +80,7 @@ class Cia402Node:
         self._velocity_rad_s = 0.0
         self._stopped_by = DriveFault.NONE
         self._emergency_stop = False
+        self._sending, self._toggle = b"", 0
 
     @property
     def state(self) -> DriveState:
@@ -187,10 +189,16 @@ class Cia402Node:
     def _serve(self, request: bytes) -> bytes:
         """The answer to an expedited SDO request."""
         command, index, subindex = struct.unpack_from("<BHB", request)
+        if command >> 5 == 3 and self._sending:
+            return self._segment(command)
+        self._sending = b""
         entry = self._objects.get((index, subindex))
         refused = 0
         if entry is None:
             refused = _NO_SUBINDEX if any(known == index for known, _ in self._objects) else _NOT_THERE
+        elif command >> 5 == 2 and entry.text:
+            self._sending, self._toggle = entry.text, 0
+            return struct.pack("<BHBI", 0x41, index, subindex, len(entry.text))
         elif command >> 5 == 2:
             told = entry.value.to_bytes(4, "little")
             return struct.pack("<BHB4s", 0x43 | (4 - entry.size_bytes) << 2, index, subindex, told)
@@ -202,6 +210,16 @@ class Cia402Node:
             if not refused:
                 return struct.pack("<BHB4x", 0x60, index, subindex)
         return struct.pack("<BHBI", 0x80, index, subindex, refused)
+
+    def _segment(self, request: int) -> bytes:
+        """The next seven bytes of a text that is read."""
+        if request & 0x10 != self._toggle:
+            self._sending = b""
+            return struct.pack("<B3xI", 0x80, _TOGGLE)
+        part, self._sending = self._sending[:7], self._sending[7:]
+        head = self._toggle | (7 - len(part)) << 1 | (not self._sending)
+        self._toggle ^= 0x10
+        return struct.pack("<B7s", head, part)
 
     def _set(self, index: int, subindex: int, entry: _Entry, size_bytes: int, value: int) -> int:
         """Write an object; 0, or why not."""
@@ -303,9 +321,11 @@ def _factory_settings(node_id: int) -> dict[tuple[int, int], _Entry]:
     made: dict[tuple[int, int], _Entry] = {
         (0x1000, 0): _Entry(4, 0x00020192, writable=False),
         (0x1001, 0): _Entry(1, 0, writable=False),
+        (0x100A, 0): _Entry(0, writable=False, text=b"needle-rig twin 1.4"),
         (0x1016, 0): _Entry(1, 1, writable=False),
         (0x1016, 1): _Entry(4),
         (0x1017, 0): _Entry(2),
+        (0x1018, 3): _Entry(4, 0x00010004, writable=False),
         (0x1029, 1): _Entry(1),
         (0x1400, 1): _Entry(4, 0x200 + node_id),
         (0x1400, 2): _Entry(1, 255),

@@ -11,7 +11,7 @@ import pytest
 from needle_rig.config.schema import Cia402Drive
 from needle_rig.devices.contract import Bench, Broken
 from needle_rig.devices.drive_cia402 import DriveCia402, SyncAnswers
-from needle_rig.records import STOP, Command, DriveFault, DriveState
+from needle_rig.records import STOP, Command, DriveFault, DriveState, Firmware
 from needle_rig.simulation.nodes.cia402_node import _Entry
 from needle_rig.simulation.nodes.twins import DriveTwin
 
@@ -87,6 +87,31 @@ def test_a_drive_that_would_not_stop_by_itself_is_refused(
     assert drive_of(made).needs_set_up(made.host.now_s)
     made.run(0.1, Command(1.0, enable=True))
     assert made.motor_rad_s == 0.0
+
+
+def garbled(twin: DriveTwin) -> None:
+    twin._drive._objects[0x100A, 0].text = b"\xff\x01\x02"
+
+
+def nothing_told(twin: DriveTwin) -> None:
+    without(0x100A)(twin)
+    without(0x1018, 3)(twin)
+
+
+@pytest.mark.parametrize(
+    ("change", "version"),
+    [
+        (lambda twin: None, "needle-rig twin 1.4"),
+        (without(0x100A), "revision 1.4"),
+        (garbled, "revision 1.4"),
+        (nothing_told, None),
+    ],
+)
+def test_it_tells_its_version_as_far_as_it_has_one(
+    change: Callable[[DriveTwin], None], version: str | None
+) -> None:
+    assert drive_of(bench()).firmware(0.0) == Firmware()
+    assert drive_of(set_up(change)).firmware(0.0) == Firmware(protocol=402, version=version)
 
 
 def test_a_node_that_does_not_answer_is_named_with_its_bus() -> None:

@@ -207,6 +207,7 @@ def node(**told: Any) -> Any:
         (node(), "ok", "what it said", ""),
         (node(version=None), "ok", "what it said", ""),
         (node(version="0.1.9"), "warn", f"what it said; needle-rig is {VERSION}", "flash it"),
+        (node(protocol=402, version="7.1"), "ok", "what it said", ""),
         (node(protocol=None, version=None), "warn", "older than 0.2.0", "flash it"),
         (node(protocol=2, refusal="it speaks 2; flash it"), "fail", "it speaks 2", "flash it"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -14,9 +15,17 @@ from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
+from needle_rig.service.api.endpoint import rig_folder
 from needle_rig.service.installed.installation import Installation
-from needle_rig.service.setup.install import installed_program, refuse_unable, unit_text
+from needle_rig.service.setup.install import (
+    Wanted,
+    install_steps,
+    installed_program,
+    refuse_unable,
+    unit_text,
+)
 from needle_rig.service.setup.rig_file import Answers, rig_file_text
+from needle_rig.service.setup.steps import WriteFile
 
 pytestmark = pytest.mark.skipif(
     not all(map(shutil.which, ("systemd-sysusers", "systemctl", "userdel"))), reason="no systemd here"
@@ -323,11 +332,13 @@ def test_networkmanager_leaves_the_bus_alone_where_it_is_installed(place: Instal
 
 def test_a_failure_runs_a_program_of_this_computer(place: Installation) -> None:
     put_in_place(place, "--hall", HALL)
-    assert f"OnFailure={place.failed_unit.name}\n" in place.unit.read_text()
+    # %N and %i are needle-rig
+    assert "OnFailure=needle-rig-failed@%N.service\n" in place.unit.read_text()
+    assert place.on_failure_unit == "needle-rig-failed@needle-rig.service"
     hook = place.failed_unit.read_text()
-    program = f"/{place.on_failure.relative_to(place.root)}"
+    program = f"/{place.on_failure.relative_to(place.root)}".replace("needle-rig", "%i")
     assert f"ConditionFileIsExecutable={program}\n" in hook
-    assert f"timeout 60 {program} {place.unit.name}\n" in hook
+    assert f"timeout 60 {program} %i.service\n" in hook
     put_in_place(place, "--remove")
     assert not place.failed_unit.exists()
 
@@ -341,6 +352,96 @@ def test_systemd_takes_both_units(place: Installation, tmp_path: Path) -> None:
     names = [str(tmp_path / unit.name) for unit in (place.unit, place.failed_unit)]
     done = subprocess.run(["systemd-analyze", "verify", *names], capture_output=True, text=True)
     assert not [line for line in done.stderr.splitlines() if str(tmp_path) in line], done.stderr
+
+
+def test_adapters_that_are_plugged_in_already_get_the_rules_and_the_bus_comes_up_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(WriteFile, "is_done", lambda _: False)
+    wanted = Wanted("", "can0", 500, (), Path("/opt/needle-rig/bin/needle-rig"))
+    here = [step.describe() for step in install_steps(Installation(Path("/")), wanted)]
+    rules = next(n for n, told in enumerate(here) if "70-needle-rig.rules" in told)
+    assert here[rules + 1 : rules + 3] == [
+        "run   udevadm control --reload",
+        "run   udevadm trigger --action=add --subsystem-match=tty --subsystem-match=usb-serial",
+    ]
+    assert {"run   networkctl reload", "run   systemctl start systemd-networkd.service"} & {*here}
+    elsewhere = install_steps(Installation(Path("/nowhere")), wanted)
+    assert not [step for step in elsewhere if "udevadm" in step.describe()]
+
+
+@pytest.fixture
+def second(place: Installation, monkeypatch: pytest.MonkeyPatch) -> Installation:
+    """Another rig of the same computer, with which the commands that follow work."""
+    put_in_place(place, "--hall", HALL, "--member", "anna")
+    made = Installation(place.root, "needle-rig@left")
+    monkeypatch.setattr(Installation.__init__, "__defaults__", (Path("/"), made.name))
+    return made
+
+
+def test_a_second_rig_has_unit_and_folders_of_its_own(place: Installation, second: Installation) -> None:
+    before = files(place)
+    assert put_in_place(second, "--hall", f"{HALL}-2", "--can", "can1", "--member", "anna") == 0
+    new = files(place)
+    assert {path: new[path] for path in before} == before
+    assert set(new) - set(before) == {
+        "etc/needle-rig@left/rig.yaml",
+        "etc/systemd/network/60-needle-rig@left-can1.network",
+        "etc/systemd/system/multi-user.target.wants/needle-rig@left.service",
+        "etc/systemd/system/needle-rig@left.service",
+    }
+    rig = load_rig_config(second.rig_file)
+    assert (rig.links.hall_port, rig.recording.directory) == (f"{HALL}-2", "/var/lib/needle-rig@left")
+    first_gb = load_rig_config(place.rig_file).recording.keep_gb
+    assert first_gb is not None
+    assert rig.recording.keep_gb == pytest.approx(first_gb / 2, rel=0.01)
+    assert second.signs({}) == [second.unit, second.rig_file]
+    assert second.other_units() == [place.unit]
+    again = files(place)
+    assert put_in_place(second) == 0
+    assert files(place) == again
+
+
+def test_one_of_two_rigs_is_taken_away_and_the_other_keeps_what_it_uses(
+    place: Installation, second: Installation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files(place)
+    put_in_place(second, "--hall", f"{HALL}-2", "--can", "can1")
+    capsys.readouterr()
+    assert put_in_place(second, "--remove") == 0
+    assert "Account, command and rules stay, as needle-rig.service uses them" in capsys.readouterr().out
+    left = files(place)
+    assert left.pop("etc/needle-rig@left/rig.yaml.removed")
+    assert left == before
+
+
+@pytest.mark.parametrize("name", ["../x", "a b", "a@b", "x" * 33])
+def test_a_name_of_a_rig_that_cannot_be_a_units_is_refused(name: str) -> None:
+    with pytest.raises(BadInput, match="a rig's name has up to 32 letters"):
+        rig_folder({"NEEDLE_RIG_AT": name})
+
+
+def test_a_process_works_with_the_rig_that_its_environment_names() -> None:
+    code = """
+from needle_rig.service.api.endpoint import sockets_for_client
+from needle_rig.service.client import LOG
+from needle_rig.service.installed.installation import HERE
+print(HERE.rig_file, HERE.runs, LOG, *sockets_for_client({"XDG_RUNTIME_DIR": "/u"}), sep="|")
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "NEEDLE_RIG_AT": "left"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stdout.strip().split("|") == [
+        "/etc/needle-rig@left/rig.yaml",
+        "/var/lib/needle-rig@left",
+        "journalctl -u needle-rig@left",
+        "/u/needle-rig@left/daemon.sock",
+        "/run/needle-rig@left/daemon.sock",
+    ]
 
 
 def test_nothing_is_begun_without_systemd_or_without_root(tmp_path: Path) -> None:

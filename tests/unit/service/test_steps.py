@@ -46,6 +46,13 @@ def test_it_waits_for_a_process_that_ends_by_itself() -> None:
         assert process.wait(10) == 0
 
 
+def test_of_one_unit_of_several_nothing_else_is_waited_for() -> None:
+    with running(ENDING, "echo ready; exec sleep 60") as process:
+        own = Path(f"/proc/{process.pid}/cgroup").read_text().strip()
+        assert AwaitProcesses(ENDING, "needle-rig@left.service").is_done()
+        assert not AwaitProcesses(ENDING, own).is_done()
+
+
 def test_what_goes_on_is_told_to_end() -> None:
     with running(OBEYING, "echo ready; exec sleep 60") as process:
         AwaitProcesses(OBEYING, patience_s=0.3).do()

@@ -52,6 +52,17 @@ def bus() -> Bus:
     return Bus()
 
 
+def test_its_version_is_a_text_in_segments(bus: Bus) -> None:
+    assert bus.sdo("40 0a 10 00 00 00 00 00") == "41 0a 10 00 13 00 00 00"
+    assert bus.sdo("60 00 00 00 00 00 00 00") == f"00 {b'needle-'.hex(' ')}"
+    assert bus.sdo("70 00 00 00 00 00 00 00") == f"10 {b'rig twi'.hex(' ')}"
+    assert bus.sdo("60 00 00 00 00 00 00 00") == f"05 {b'n 1.4'.hex(' ')} 00 00"
+    # one that is asked for twice is refused, and the text begins anew
+    assert bus.sdo("40 0a 10 00 00 00 00 00") == "41 0a 10 00 13 00 00 00"
+    assert bus.sdo("70 00 00 00 00 00 00 00") == "80 00 00 00 00 00 03 05"
+    assert bus.sdo("60 00 00 00 00 00 00 00").startswith("80 ")
+
+
 def test_it_says_once_that_it_started(bus: Bus) -> None:
     assert bus.boot == [(0x703, b"\x00")]
     assert bus.step(20) == []

@@ -17,9 +17,8 @@ from needle_rig.workbench.estimation.discretisation_error import (
     whitened_error,
     with_discretisation_error,
 )
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.selection import shown_noise
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import within_discretisation_error

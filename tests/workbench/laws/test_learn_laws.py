@@ -16,11 +16,11 @@ from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.library import find_effects, load_effect
 from needle_rig.physics.rod import Rod
 from needle_rig.workbench.estimation.baseline import fit_baseline
-from needle_rig.workbench.laws import learn
+from needle_rig.workbench.laws import learn_laws as learn
 from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learn_laws import learn_laws
 from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.learning.adopt import adopt, undo

@@ -19,9 +19,9 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.cross_validation import cross_validate
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.laws.draft import Origin, written
 from needle_rig.workbench.laws.fitting import (
     NOT_HELD_OUT,

@@ -11,17 +11,14 @@ import numpy as np
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.laws.curve import fitted_curve
 from needle_rig.workbench.laws.draft import Origin, Table, formula_text
 from needle_rig.workbench.laws.fitting import Parent, present_score
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learnt import Learnt, LearntLaw, Verdict
-from needle_rig.workbench.laws.made import FormulaLaw, Shared
-from needle_rig.workbench.laws.screening import Screened
-from needle_rig.workbench.laws.search import (
+from needle_rig.workbench.laws.law_search import (
     FoundLaw,
     LawSearch,
     Say,
@@ -29,6 +26,9 @@ from needle_rig.workbench.laws.search import (
     kept,
     tied,
 )
+from needle_rig.workbench.laws.learnt import Learnt, LearntLaw, Verdict
+from needle_rig.workbench.laws.made import FormulaLaw, Shared
+from needle_rig.workbench.laws.screening import Screened
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.candidates import Candidate, fitted, score, screened

@@ -9,7 +9,7 @@ from needle_rig.config.schema import SimulationSection
 from needle_rig.errors import BadInput
 from needle_rig.model import MODEL_LAYOUT, load_parameters
 from needle_rig.physics.needle_model import FRICTION
-from needle_rig.workbench.paper.identify import (
+from needle_rig.workbench.paper.experiments import (
     held_tip_torque_nm,
     identify_damping,
     identify_friction,

@@ -1,6 +1,6 @@
 """Which effect is missing, asked of settled values: the same answer as on traces, from a few numbers.
 
-Few numbers leave ties (see `search`); among effects that tie, plausibility gives the order, and what
+Few numbers leave ties (see `single_effects`); among effects that tie, plausibility gives the order, and what
 would tell them apart is computed. One effect is added at a time.
 """
 
@@ -24,7 +24,7 @@ from needle_rig.workbench.published.fit import (
     held_out_error,
     separation,
 )
-from needle_rig.workbench.published.search import (
+from needle_rig.workbench.published.single_effects import (
     Candidate,
     effect_parameters,
     fits_of,
