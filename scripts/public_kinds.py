@@ -1,7 +1,7 @@
-"""Twelve public recordings of drives, joints, cables and slides, made small again: shape, columns, units, rates.
+"""Twelve public recordings of drives, joints, cables and slides, made small again.
 
-The shapes were read from the repositories that each case names; the numbers are those of a plain law. Each case
-says what its owner knows: which column is what, and the answer that he would recognise.
+Shape, columns, units and rates were read from the repositories that each case names; the numbers are those of
+a plain law. Each case says what its owner knows: which column is what, and what he would recognise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TICK = TURN / 4096
 
 @dataclass(frozen=True)
 class Is:
-    """What one column is: the SI value of one of it, and its sign; any of several columns that hold the same."""
+    """What one column is: its unit, scale and sign; any of several columns that hold the same."""
 
     sources: tuple[str, ...]
     unit: str
@@ -206,15 +206,16 @@ THRUST = (
     "Time (s),ESC signal (µs),Servo 1 (µs),Servo 2 (µs),Servo 3 (µs),AccX (g),AccY (g),AccZ (g),Torque (N·m),"
     "Thrust (kgf),Voltage (V),Current (A),Motor Electrical Speed (RPM),Motor Optical Speed (RPM),"
     "Electrical Power (W),Mechanical Power (W),Motor Efficiency (%),Propeller Mech. Efficiency (kgf/W),"
-    "Overall Efficiency (kgf/W),Left Load Cell (mV),Right Load Cell (mV),Thrust Load Cell (mV),Vibration (g),"
-    "Burst Current Cutoff (A),Pin State 1,Pin State 2,Pin State 3,Pin State 4,Debug 0,Debug 1,Debug 2,Debug 3,"
+    "Overall Efficiency (kgf/W),Left Load Cell (mV),Right Load Cell (mV),Thrust Load Cell (mV),"
+    "Vibration (g),Burst Current Cutoff (A),"
+    "Pin State 1,Pin State 2,Pin State 3,Pin State 4,Debug 0,Debug 1,Debug 2,Debug 3,"
     "App message,"
 )
 
 
 @case
 def thrust_stand(folder: Path) -> Public:
-    """amantiwary10/Servo-Motor-System-Identification: a log of a thrust stand whose first row is a late one."""
+    """amantiwary10/Servo-Motor-System-Identification: a thrust stand whose first row is a late one."""
     rng = np.random.default_rng(5)
     n = 300
     time_s = 0.24 + 5.5 * np.arange(n) + 0.02 * rng.random(n)
@@ -224,14 +225,15 @@ def thrust_stand(folder: Path) -> Public:
     torque = 0.049 + 0.004 * rate + 4e-4 * rng.standard_normal(n)
     lines = [THRUST]
     for k in range(n):
-        cells = ["%.17g" % v for v in (time_s[k], esc[k])]
-        cells[0] = "0.28001775000034834" if k == 0 else cells[0]
+        time = "0.28001775000034834" if k == 0 else f"{time_s[k]:.17g}"
         small = 0.01 * rng.standard_normal(3)
-        cells = [cells[0], "", "", "", cells[1], *("%.9g" % v for v in small), "%.17g" % torque[k]]
-        cells += ["%.9g" % (-0.039 + 1e-3 * small[0]), "0", "-0.0255", "0", "%g" % rpm[k], "0"]
-        cells += ["%.9g" % (torque[k] * rate[k]), "0", "0.1555", "0", "%.9g" % (torque[k] / 1.2), "-0.2937"]
-        cells += ["-0.0394", "0.0867", "-0.02647", "0", "%g" % rng.choice((0.3, 0.35, 0.4, 0.45)), "1"]
-        cells += ["%g" % rng.choice((0, 0.05, 0.1, 0.15)), "0", "0", "0", "0", "", ""]
+        pins = rng.choice((0.3, 0.35, 0.4, 0.45)), rng.choice((0, 0.05, 0.1, 0.15))
+        # as in the file, the second and third servo have no column in a row
+        cells = [time, "", "", "", f"{esc[k]:.17g}", *(f"{v:.9g}" for v in small), f"{torque[k]:.17g}"]
+        cells += [f"{-0.039 + 1e-3 * small[0]:.9g}", "0", "-0.0255", "0", f"{rpm[k]:g}", "0"]
+        cells += [f"{torque[k] * rate[k]:.9g}", "0", "0.1555", "0", f"{torque[k] / 1.2:.9g}", "-0.2937"]
+        cells += ["-0.0394", "0.0867", "-0.02647", "0", f"{pins[0]:g}", "1"]
+        cells += [f"{pins[1]:g}", "0", "0", "0", "0", "", ""]
         lines.append(",".join(cells))
     (folder / "StepsTest.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -254,7 +256,7 @@ def thrust_stand(folder: Path) -> Public:
 
 @case
 def rack_and_pinion(folder: Path) -> Public:
-    """KonradMnich/friction-identification: force and position of a slide as volts, each with a time of its own."""
+    """KonradMnich/friction-identification: force and position as volts, each with a time of its own."""
     rng = np.random.default_rng(6)
     time_s, angle, rate = swings(15.0, 400.0)
     place_mm, rate_mm_s = 10.0 * angle, 10.0 * rate
@@ -278,7 +280,7 @@ def rack_and_pinion(folder: Path) -> Public:
 
 @case
 def motor_by_its_speed(folder: Path) -> Public:
-    """neurobionics/TMotorCANControl: torque by a cell and speed by the drive, in no unit, without an angle."""
+    """neurobionics/TMotorCANControl: torque by a cell and speed by the drive, without units."""
     rng = np.random.default_rng(7)
     time_s, angle, rate = swings(40.0, 100.0)
     torque = Joint(0.6, 0.12, 0.2, noise_nm=0.03).torque_nm(angle, rate, rng)
@@ -303,7 +305,7 @@ def motor_by_its_speed(folder: Path) -> Public:
 
 @case
 def brake_torque(folder: Path) -> Public:
-    """karthikurs/actuator-dynamometer, brake test: the speed in Hz and the torque of a brake, without an angle."""
+    """karthikurs/actuator-dynamometer, brake test: speed in Hz and torque, without an angle."""
     rng = np.random.default_rng(8)
     time_s, angle, rate = swings(40.0, 33.0)
     torque = Joint(0.3, 0.02, 0.0, noise_nm=0.005).torque_nm(angle, rate, rng)
@@ -348,7 +350,7 @@ def cogging(folder: Path) -> Public:
 
 @case
 def surgical_manipulator(folder: Path) -> Public:
-    """nhoyh/hysteresis_compensation_ROS: nine columns without names, of which some repeat the bending angle."""
+    """nhoyh/hysteresis_compensation_ROS: nine columns without names, some repeat the bending angle."""
     rng = np.random.default_rng(10)
     time_s = np.cumsum(rng.choice((0.004, 0.005, 0.005, 0.011), 3000))
     asked_deg = 40.0 * np.sin(time_s * 0.7) * np.minimum(1.0, time_s / 3.0)
@@ -387,8 +389,8 @@ def servo_backlash(folder: Path) -> Public:
     under = np.round(2047.0 - after_play(driven, 12.0) + 0.2 * rng.standard_normal(n))
     names, columns = ["timestamp"], []
     for servo, place in ((5, under), (3, pull[3]), (4, pull[4])):
-        names += [f"{w} ({servo})" for w in ("target pos", "pos", "speed", "load", "current", "temp", "status")]
-        names.append(f"moving ({servo})")
+        words = ("target pos", "pos", "speed", "load", "current", "temp", "status", "moving")
+        names += [f"{word} ({servo})" for word in words]
         speed = np.round(np.abs(np.gradient(place)) * 10)
         moves = (speed > 0).astype(float)
         columns += [np.round(place, -2), np.round(place), speed, 8 + 4 * speed, np.round(speed / 60)]
@@ -396,7 +398,7 @@ def servo_backlash(folder: Path) -> Public:
     lines = [",".join(names)]
     for k in range(n):
         stamp = began + datetime.timedelta(milliseconds=101 * k)
-        values = ",".join("%d" % column[k] for column in columns)
+        values = ",".join(f"{column[k]:.0f}" for column in columns)
         lines.append(stamp.isoformat(timespec="milliseconds") + "Z," + values)
     (folder / "motor_telemetry_single.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return Public(
@@ -412,7 +414,7 @@ def servo_backlash(folder: Path) -> Public:
 
 @case
 def friction_damper(folder: Path) -> Public:
-    """ARTS-Laboratory/Dataset-Friction-Damper-with-Backlash: JSON, one matrix without names, inches and kips."""
+    """ARTS-Laboratory/Dataset-Friction-Damper-with-Backlash: a matrix in JSON, inches and kips."""
     rng = np.random.default_rng(12)
     time_s = np.arange(0.0, 12.0, 1 / 256)
     wave = 0.5 * np.sin(TURN * 0.5 * time_s) * np.minimum(1.0, time_s / 2.0) * (1.0 + 0.2 * np.sin(time_s))
@@ -420,7 +422,8 @@ def friction_damper(folder: Path) -> Public:
     far = after_play(wave, 0.05)
     dry = (far - after_play(far, 0.02)) / 0.01
     force = 0.9 * dry + 0.02 * rate - 0.012 + 0.0012 * rng.standard_normal(len(time_s))
-    actuators = np.column_stack((500 * force + 24.5, 500 * force + 5.3)) + 0.4 * rng.standard_normal((len(wave), 2))
+    noise = 0.4 * rng.standard_normal((len(wave), 2))
+    actuators = np.column_stack((500 * force + 24.5, 500 * force + 5.3)) + noise
     table = np.column_stack((time_s, wave + 0.0015, force, rate, actuators))
     (folder / "1Hz30lbtension0.5amplitude.json").write_text(json.dumps({"data": table.tolist()}))
     return Public(

@@ -55,7 +55,9 @@ def impossible(
     found = list(_base(trials, base, machine))
     # friction may hold any line but a needle wound when the recording begins: the sensor's zero counts there
     relaxed = machine is MACHINES[NEEDLE]
-    torque = [_from_start(t.torque_nm, b) if relaxed else t.torque_nm for t, b in zip(trials, base, strict=True)]
+    torque = [
+        _from_start(t.torque_nm, b) if relaxed else t.torque_nm for t, b in zip(trials, base, strict=True)
+    ]
     if any(np.isfinite(x).any() for x in torque):
         work = _weighed([signals.work_share(b, x) for b, x in zip(base, torque, strict=True)], base)
         loaded = any(t.trial.tip_torque_nm is not None for t in trials)

@@ -124,7 +124,7 @@ def channels_of(
 
 
 def _repeated(base: Series, followers: Sequence[Series]) -> dict[tuple[str, str], Series]:
-    """By follower the base or follower that it holds once more; of two that which turns as far as the base."""
+    """By follower what it holds once more; of two the one that turns as far as the base is kept."""
     kept: list[Series] = [base]
     repeated = {}
     for s in sorted(followers, key=lambda s: abs(math.log(max(_turns(s), 1e-300) / _turns(base)))):

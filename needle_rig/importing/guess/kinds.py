@@ -10,7 +10,6 @@ from needle_rig.importing.recording import Column
 from needle_rig.importing.signals import CLEAR_LAG
 from needle_rig.importing.unit_text import is_counted
 
-
 AMPERES = frozenset({"a", "ma", "amp", "amps"})
 
 

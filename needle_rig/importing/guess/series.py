@@ -20,7 +20,7 @@ LEAST_FILLED = 0.9
 """Share of the rows below which a column keeps its own times; single samples that are lost leave more."""
 TURN_RAD = 2.0 * math.pi
 ROUNDING = 1e-5
-"""Of the span: what the digits of a file leave between two columns of one reading; a sensor's noise is more."""
+"""Of the span: what the digits of a file leave between two columns of one reading; noise is more."""
 COMMON = 0.01
 """Difference of two records of one quantity, over its span; a practice needle's loop leaves 0.09."""
 
@@ -133,7 +133,7 @@ def written_dimension(column: Column) -> str:
 
 
 def repeats(one: Series, other: Series) -> bool:
-    """Whether two columns on one clock hold one reading, as an encoder's counts at the motor and over a gear."""
+    """Whether two columns on one clock hold one reading, as an encoder at the motor and over a gear."""
     if one.clock != other.clock:
         return False
     return signals.difference_share(one.time_s, one.values, other.time_s, other.values) < ROUNDING

@@ -205,7 +205,9 @@ def joint_friction(found: Seen) -> JointFriction | None:
     two_rates = high > TWO_RATES * low
     together = {"coulomb": np.sign(rate), "offset": np.ones_like(rate)}
     # one way alone Coulomb friction and offset are one constant
-    columns = (together if both_ways else {DRAG: np.ones_like(rate)}) | ({"viscous": rate} if two_rates else {})
+    columns = (together if both_ways else {DRAG: np.ones_like(rate)}) | (
+        {"viscous": rate} if two_rates else {}
+    )
     turned = {**columns, "inertia": found.acceleration_rad_s2}
     left_nm = _typical(turned, torque)
     fit, names = _linear(columns, rate, torque, left_nm), list(columns)
@@ -220,7 +222,7 @@ def joint_friction(found: Seen) -> JointFriction | None:
     values = {n: Number(n, float(v), float(s)) for n, v, s in zip(names, fit.at, fit.deviations, strict=True)}
     faster = "turn at rates that lie a factor of five apart"
     slower = f"turn more slowly than {math.degrees(float(np.abs(rate).min())):.2g}°/s, evenly, both ways"
-    missing = {name: OTHER_WAY for name in ("coulomb", "offset", "stribeck")} if not both_ways else {}
+    missing = dict.fromkeys(("coulomb", "offset", "stribeck"), OTHER_WAY) if not both_ways else {}
     missing = {"viscous": faster, "stribeck": f"no excess is seen at low rates: {slower}"} | missing
     asked_for = (*(() if both_ways else (DRAG,)), "coulomb", "viscous", "offset", "stribeck")
     told = (
