@@ -35,9 +35,9 @@ def test_an_encoder_at_the_motor_and_over_a_gear_is_one_angle(tmp_path: Path) ->
     columns = {"t [s]": time_s, "a1 position [rad]": angle, "c1 position [rev]": angle / (2 * np.pi)}
     columns |= {"c2 position [rev]": 6 * far / (2 * np.pi), "a2 position [rad]": far, "cell [Nm]": torque}
     mapping = guessed(tmp_path, columns, "shaft")
-    assert [c.source for c in mapping.channels if c.role.startswith("angle")] == ["a2 position"]
+    assert [c.source for c in mapping.channels if c.role.startswith("angle")] == ["a2 position [rad]"]
     why = {part.source: part.why for part in mapping.not_used}
-    assert why["c2 position"] == "a2 position once more"
+    assert why["c2 position [rev]"] == "a2 position [rad] once more"
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_a_force_in_volts_is_asked_of_a_slide(tmp_path: Path) -> None:
     time_s, angle, _, torque = moved()
     columns = {"t [s]": time_s, "Input 1 [V]": angle, "Force [V]": 10 * torque}
     force = channel(guessed(tmp_path, columns, "linear"), "base_torque")
-    assert force.source == "Force"
+    assert force.source == "Force [V]"
     assert force.doubt
 
 
@@ -60,10 +60,10 @@ def test_a_current_stands_for_the_torque_of_a_joint_alone(tmp_path: Path) -> Non
     time_s, angle, _, torque = moved()
     columns = {"t [s]": time_s, "position [rad]": angle, "Iq [A]": 30 * torque}
     asked = channel(guessed(tmp_path, columns, "joint"), "base_torque")
-    assert asked.source == "Iq"
+    assert asked.source == "Iq [A]"
     assert "the motor's constant in N·m/A" in asked.doubt
     columns["torque [Nm]"] = torque
-    assert channel(guessed(tmp_path, columns, "joint"), "base_torque").source == "torque"
+    assert channel(guessed(tmp_path, columns, "joint"), "base_torque").source == "torque [Nm]"
 
 
 def test_a_speed_in_hertz_is_asked(tmp_path: Path) -> None:
@@ -79,4 +79,4 @@ def test_a_speed_in_hertz_is_asked(tmp_path: Path) -> None:
 def test_a_torque_in_its_unit_comes_before_a_raw_load_cell(tmp_path: Path) -> None:
     time_s, angle, _, torque = moved()
     columns = {"t [s]": time_s, "q [rad]": angle, "Left Load Cell [mV]": torque, "Torque [Nm]": torque}
-    assert channel(guessed(tmp_path, columns, "joint"), "base_torque").source == "Torque"
+    assert channel(guessed(tmp_path, columns, "joint"), "base_torque").source == "Torque [Nm]"

@@ -290,8 +290,8 @@ def _fit(
 def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_nm: float) -> _Fit | None:
     """The fit with an excess at low rates; None where it is no better than chance makes it.
 
-    None as well where the excess has not faded at the highest rate, or leaves friction that drives: then it
-    stands for another law, as drag that grows with the square of the rate.
+    None as well where the excess has not faded at the highest rate, or where drag that grows with the square
+    of the rate, as of a propeller, leaves less.
     """
     sign, size = np.sign(rate), np.abs(rate)
 
@@ -311,6 +311,7 @@ def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_
     best = min(tried, key=lambda f: f.chi2, default=None)
     if best is None or not best.is_better(plain) or best.at[-1] >= FADED * highest:
         return None
-    # Coulomb friction and viscous friction, in the order of `joint_friction`
-    drives = any(best.at[k] < -SIGMAS * best.deviations[k] for k in (0, 2))
-    return None if drives else best
+    rival = np.column_stack((design, rate * size))
+    begin = np.asarray(np.linalg.lstsq(rival, torque, rcond=None)[0], dtype=np.float64)
+    squared = _fit(lambda _, *p: rival @ np.array(p), rate, torque, begin, left_nm)
+    return None if squared.chi2 < best.chi2 else best
