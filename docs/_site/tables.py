@@ -107,8 +107,8 @@ def _field_texts(model: type[BaseModel]) -> dict[str, str]:
 
 
 def _routes() -> str:
-    from needle_rig.service.openapi import ROUTES
-    from needle_rig.service.orders import MODELS
+    from needle_rig.service.api.openapi import ROUTES
+    from needle_rig.service.api.orders import MODELS
 
     rows = []
     for route in ROUTES:
@@ -127,7 +127,7 @@ def _routes() -> str:
 
 
 def _orders() -> str:
-    from needle_rig.service.orders import MODELS
+    from needle_rig.service.api.orders import MODELS
 
     parts = []
     for model in dict.fromkeys(m for m in MODELS.values() if m.model_fields):

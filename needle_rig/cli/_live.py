@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.text import Text
 
-    from needle_rig.service.documents import Document, Whole
+    from needle_rig.service.api.documents import Document, Whole
 
 _REFRESH_S = 0.08
 _MOVING = ("rest", "moving", "settling", "measuring")

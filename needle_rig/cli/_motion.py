@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from needle_rig.cli._live import View
+    from needle_rig.service.api.documents import Document, Message, Started, Whole
     from needle_rig.service.client import DaemonClient
-    from needle_rig.service.documents import Document, Message, Started, Whole
 
 End = TypeVar("End")
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from needle_rig.service.documents import Settled, Told
+    from needle_rig.service.api.documents import Settled, Told
 
 PIPED_COLUMNS = 100_000
 """No line is longer: notes are sentences, and tables have a row a result."""

@@ -30,7 +30,7 @@ def runs_directory(directory: Path | None, config_path: Path | None) -> Path:
     if directory is not None:
         return directory
     from needle_rig.config.loader import load_rig_config
-    from needle_rig.service.installation import HERE
+    from needle_rig.service.installed.installation import HERE
 
     nearest = Path("config/rig.yaml")
     if config_path is None and not nearest.is_file() and (of_service := HERE.runs_directory()) is not None:

@@ -19,8 +19,8 @@ def command(file: Path, with_runs: bool, root: Path) -> None:
     \b
     Exit codes: 0 done, 2 bad use or a run goes on (with --runs), 3 FILE cannot be written.
     """
-    from needle_rig.service.backup import back_up
-    from needle_rig.service.installation import Installation
+    from needle_rig.service.installed.installation import Installation
+    from needle_rig.service.setup.backup import back_up
 
     done = back_up(Installation(root.absolute()), file, with_runs=with_runs)
     for sentence in done.told:

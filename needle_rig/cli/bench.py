@@ -13,7 +13,7 @@ import click
 from needle_rig.cli._complete import completing
 
 if TYPE_CHECKING:
-    from needle_rig.simulation.bench_lines import Said
+    from needle_rig.simulation.bench.bench_lines import Said
 
 _WORDS = """\
 Words that it takes, a line each:
@@ -60,8 +60,8 @@ def command(
     from needle_rig.config.loader import load_rig_config, rig_config_text
     from needle_rig.errors import BadInput
     from needle_rig.folders import temporary_folder
-    from needle_rig.simulation.bench import PREFIX, with_ports
-    from needle_rig.simulation.bench_loop import BenchLoop, be_urgent
+    from needle_rig.simulation.bench.bench_loop import BenchLoop, be_urgent
+    from needle_rig.simulation.bench.process import PREFIX, with_ports
     from needle_rig.simulation.build import build_plant
 
     others = _other_devices(config)

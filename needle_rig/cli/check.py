@@ -20,9 +20,9 @@ from needle_rig.errors import BadInput, NeedleRigError, RigFault
 
 if TYPE_CHECKING:
     from needle_rig.config.schema import NetFtTorque, RigConfig
-    from needle_rig.service.check import Finding
+    from needle_rig.service.api.documents import Sensors
     from needle_rig.service.client import DaemonClient
-    from needle_rig.service.documents import Sensors
+    from needle_rig.service.setup.check import Finding
 
 _LISTEN_S = 2.5
 """Rates are counted over a second, and 50 samples tell a scatter to 10 %."""
@@ -61,7 +61,7 @@ def command(
     \b
     Exit codes: 0 nothing failed (warnings may stand), 1 something failed, 2 bad use.
     """
-    from needle_rig.service.check import worst
+    from needle_rig.service.setup.check import worst
 
     findings: list[Finding] = []
     simulated = None
@@ -91,10 +91,10 @@ def _findings(
     from needle_rig.config.files import find_config_file
     from needle_rig.config.loader import load_rig_config
     from needle_rig.config.schema import NetFtTorque
-    from needle_rig.service import check
-    from needle_rig.service.endpoint import sockets_for_client
-    from needle_rig.service.installation import HERE, nobody_answers
-    from needle_rig.service.interface import look_at
+    from needle_rig.service.api.endpoint import sockets_for_client
+    from needle_rig.service.installed.installation import HERE, nobody_answers
+    from needle_rig.service.setup import check
+    from needle_rig.service.setup.interface import look_at
 
     path = rig_file or (HERE.rig_file if HERE.rig_file.exists() else find_config_file("rig.yaml"))
     try:
@@ -147,7 +147,7 @@ def _findings(
 def _network_sensor(sensor: NetFtTorque) -> Finding:
     """Whether the sensor's page can be read, and what it says."""
     from needle_rig.devices.ethernet import fetch_page
-    from needle_rig.service.check import Finding
+    from needle_rig.service.setup.check import Finding
     from needle_rig.wire.rdt import PAGE, decode_page
 
     try:
@@ -159,7 +159,7 @@ def _network_sensor(sensor: NetFtTorque) -> Finding:
 
 
 def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iterator[Finding]:
-    from needle_rig.service import check
+    from needle_rig.service.setup import check
 
     seen = _listen(client, _LISTEN_S)
     state = client.state()
@@ -181,7 +181,7 @@ def _at_rest(client: DaemonClient, config: RigConfig, calibration: Path) -> Iter
 def _moved(client: DaemonClient, config: RigConfig, turn_deg: float) -> Iterator[Finding]:
     """Turn the base and back, with the display and the stop of every command that moves."""
     from needle_rig.cli._motion import commanding, end_as_by_ctrl_c, follow, moved, view
-    from needle_rig.service import check
+    from needle_rig.service.setup import check
 
     end_as_by_ctrl_c()
     seen = []

@@ -60,7 +60,7 @@ def _found(name: str, given: tuple[str, ...]) -> tuple[type[Device], Section, Ca
         shipped_device,
     )
     from needle_rig.errors import BadInput
-    from needle_rig.simulation.twins import TWINS
+    from needle_rig.simulation.nodes.twins import TWINS
 
     values: dict[str, Any] = {}
     for text in given:

@@ -22,8 +22,8 @@ from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
+    from needle_rig.service.api.documents import Document, Message, Started, Told
     from needle_rig.service.client import DaemonClient
-    from needle_rig.service.documents import Document, Message, Started, Told
 
 
 _CHOICES = frozenset(("config", "parameters", "seed", "simulated", "rig", "fast"))
@@ -150,7 +150,7 @@ def _warn(model: str | None, out: str | None, config: str | None) -> None:
     else:
         from needle_rig.model import load_saved
         from needle_rig.workbench.learning.last_run import contradiction
-        from needle_rig.workbench.learning.watch import kept_runs
+        from needle_rig.workbench.learning.watched_runs import kept_runs
 
         said = contradiction(kept_runs(directory), load_saved(model), model)
     if said:
@@ -165,7 +165,7 @@ def _orders(
         raise BadInput("give either --target, as in --target 45, or --protocol")
     if target is not None:
         return [_order(target, strategy, options, *more)]
-    from needle_rig.simulation.protocol import load_protocol
+    from needle_rig.dataset.protocol import load_protocol
 
     assert protocol is not None
     extra, settle, speed = more
@@ -252,9 +252,9 @@ def _daemon(path: Path | None, rig: JsonObject) -> Iterator[DaemonClient]:
 
 def _refuse_where_a_rig_is_set_up(given: list[str]) -> None:
     """Nobody who wants the real needle turned may watch a simulated one."""
+    from needle_rig.service.api.endpoint import sockets_for_client
     from needle_rig.service.client import find_daemon
-    from needle_rig.service.endpoint import sockets_for_client
-    from needle_rig.service.installation import HERE, nobody_answers
+    from needle_rig.service.installed.installation import HERE, nobody_answers
 
     signs = HERE.signs()
     if not signs:

@@ -17,7 +17,7 @@ from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.records import JsonObject
 
 if TYPE_CHECKING:
-    from needle_rig.service.daemon import Daemon
+    from needle_rig.service.tick.daemon import Daemon
 
 _ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -67,7 +67,7 @@ def command(
 
 def _refuse_where_a_rig_is_set_up() -> None:
     """Who starts a daemon at the rig's computer without a word does not mean the simulated rig."""
-    from needle_rig.service.installation import HERE
+    from needle_rig.service.installed.installation import HERE
 
     for sign in (HERE.unit, HERE.rig_file):
         if sign.exists():
@@ -82,7 +82,7 @@ def _place(socket: Path | None, private: Path | None) -> Iterator[Path]:
     """Where to listen; a private daemon takes its client's folder away, in case the client was killed."""
     import shutil
 
-    from needle_rig.service.endpoint import private_socket, socket_for_daemon
+    from needle_rig.service.api.endpoint import private_socket, socket_for_daemon
 
     if private is None:
         yield socket or socket_for_daemon()
@@ -131,7 +131,7 @@ def _build(
 def _serve(daemon: Daemon, path: Path, group: str | None, *, private: bool) -> None:
     import asyncio
 
-    from needle_rig.service.endpoint import listening
+    from needle_rig.service.api.endpoint import listening
 
     _log(private)
     # one that comes before the loop takes it, or a second one at the very end, must not leave the socket

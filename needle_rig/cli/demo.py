@@ -57,7 +57,7 @@ def command(
         click.echo(f"model: {model_out}", err=True)
     if picture is not None:
         from needle_rig.figures.demo import demo_figure
-        from needle_rig.figures.page import png
+        from needle_rig.figures.figure import png
 
         picture.mkdir(parents=True, exist_ok=True)
         file = picture / "demo.png"

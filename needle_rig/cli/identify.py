@@ -116,7 +116,7 @@ def _simulated(
     from needle_rig.config.schema import SimulationSection
     from needle_rig.model import load_parameters
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.workbench.paper.identify import DAMPING, EXPERIMENTS
+    from needle_rig.workbench.paper.experiments import DAMPING, EXPERIMENTS
 
     model = load_parameters(parameters, effects=effects)
     known = library(effects)

@@ -13,9 +13,9 @@ import click
 from needle_rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from needle_rig.service.install import Wanted
-    from needle_rig.service.installation import Installation
-    from needle_rig.service.steps import Step
+    from needle_rig.service.installed.installation import Installation
+    from needle_rig.service.setup.install import Wanted
+    from needle_rig.service.setup.steps import Step
 
 _A_PORT = "/dev/serial/by-id/…"
 """Shown by a dry run where no adapter is plugged in."""
@@ -72,7 +72,8 @@ def command(
     """
     from needle_rig.config.loader import load_rig_config
     from needle_rig.recording.retention import kept_text
-    from needle_rig.service.install import (
+    from needle_rig.service.installed.installation import Installation
+    from needle_rig.service.setup.install import (
         another_program,
         install_steps,
         is_active,
@@ -80,13 +81,12 @@ def command(
         removal_steps,
         stays,
     )
-    from needle_rig.service.installation import Installation
 
     place = Installation(root.absolute())
     if place.root == Path("/") and not dry_run:
         refuse_unable(os.geteuid())
     if upgrade is not None or rollback:
-        from needle_rig.service import upgrade as versions
+        from needle_rig.service.setup import upgrade as versions
 
         if dry_run or remove or (upgrade is not None and rollback):
             raise BadInput("--upgrade and --rollback stand alone, without --dry-run and --remove")
@@ -159,7 +159,7 @@ def _as_it_is(
     """The service of a rig file that is there."""
     from needle_rig.config.loader import load_rig_config
     from needle_rig.config.schema import NetFtTorque
-    from needle_rig.service.install import Wanted
+    from needle_rig.service.setup.install import Wanted
 
     links = load_rig_config(rig_file).links
     can = links.can
@@ -185,8 +185,8 @@ def _asked(
     """The service of a rig file made of the options, and of answers where they are missing."""
     from needle_rig.config.files import shipped_file
     from needle_rig.config.loader import load_rig_config
-    from needle_rig.service.install import Wanted
-    from needle_rig.service.rig_file import Answers, keep_gb, rig_file_text
+    from needle_rig.service.setup.install import Wanted
+    from needle_rig.service.setup.rig_file import Answers, keep_gb, rig_file_text
 
     usual = load_rig_config(shipped_file("rig.hardware.yaml"))
     proposed: dict[str, tuple[str, str | float | None]] = {
@@ -252,7 +252,7 @@ def _members(place: Installation, named: tuple[str, ...]) -> tuple[str, ...]:
 
 def _program(place: Installation, dry_run: bool) -> Path:
     """What the service runs; a dry run shows the usual one where this one could not be run."""
-    from needle_rig.service.install import installed_program
+    from needle_rig.service.setup.install import installed_program
 
     usual = Path("/opt/needle-rig/bin/needle-rig")
     if place.root != Path("/"):

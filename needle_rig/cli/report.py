@@ -27,8 +27,8 @@ def command(file: Path | None, with_run: bool, directory: Path | None, config_pa
 
     from needle_rig.cli._runs import runs_directory
     from needle_rig.errors import BadInput
-    from needle_rig.service.installation import HERE
-    from needle_rig.service.problem_report import write_report
+    from needle_rig.service.installed.installation import HERE
+    from needle_rig.service.setup.problem_report import write_report
 
     path = file or Path(f"needle-rig-report-{datetime.now(UTC):%Y-%m-%d_%H-%M-%SZ}.zip")
     runs = None

@@ -19,9 +19,9 @@ def command(file: Path, root: Path) -> None:
     \b
     Exit codes: 0 done, 2 a damaged file, or a run goes on, 3 the disk is full; with 2 and 3 nothing changed.
     """
-    from needle_rig.service.backup import restore
-    from needle_rig.service.install import is_active
-    from needle_rig.service.installation import Installation
+    from needle_rig.service.installed.installation import Installation
+    from needle_rig.service.setup.backup import restore
+    from needle_rig.service.setup.install import is_active
 
     place = Installation(root.absolute())
     done = restore(place, file)

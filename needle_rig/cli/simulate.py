@@ -89,10 +89,10 @@ def command(
     """
     from needle_rig.cli._layouts import layout_named
     from needle_rig.dataset import write_dataset
+    from needle_rig.dataset.protocol import load_protocol
     from needle_rig.errors import BadInput
     from needle_rig.model import load_parameters
     from needle_rig.physics.effect_text import parse_effects
-    from needle_rig.simulation.protocol import load_protocol
     from needle_rig.workbench.virtual.dataset import simulate_dataset
     from needle_rig.workbench.virtual.noise import Noise
 

@@ -11,7 +11,7 @@ import click
 from needle_rig.cli._motion import socket_option
 
 if TYPE_CHECKING:
-    from needle_rig.service.documents import Sensors, State
+    from needle_rig.service.api.documents import Sensors, State
 
 
 @click.command()

@@ -121,7 +121,7 @@ def command(
         return
     found = question.answer(doing)
     if pictures is not None:
-        from needle_rig.figures.page import png
+        from needle_rig.figures.figure import png
         from needle_rig.figures.strategies import strategies_figure
 
         pictures.mkdir(parents=True, exist_ok=True)

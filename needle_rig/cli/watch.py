@@ -13,7 +13,7 @@ from needle_rig.cli._runs import config_option, directory_option, runs_directory
 from needle_rig.cli._workbench import effects_option, json_option, library, number
 
 if TYPE_CHECKING:
-    from needle_rig.workbench.learning.watch import WatchedRun
+    from needle_rig.workbench.learning.watched_runs import WatchedRun
 
 
 @click.command("watch")
@@ -54,6 +54,7 @@ def command(
     from needle_rig.config.schema import WatchSection
     from needle_rig.errors import BadInput
     from needle_rig.workbench.learning import watch
+    from needle_rig.workbench.learning.watched_runs import kept_runs
     from needle_rig.workbench.parallel import one_thread_each
 
     one_thread_each()
@@ -71,7 +72,7 @@ def command(
                 f"{show_path(folder)}: another process looks at its runs, or it is not yours; wait"
             )
         watch.restart(folder)
-    runs = watch.kept_runs(folder)
+    runs = kept_runs(folder)
     found = watch.said_of(folder, section)
     if as_json:
         listed = {"runs": [run.model_dump() for run in runs]} if as_list else {}

@@ -17,9 +17,9 @@ from needle_rig.control.limits import drive_faults, find_faults, gate, tick_faul
 from needle_rig.control.listening import Listening
 from needle_rig.control.manual import SEARCH_RAD_S, SETTLE_S, WINDOW_S, Turn
 from needle_rig.control.pid import PositionLoop
-from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion, Status
+from needle_rig.control.reports import BrainState, Outcome, Request, Status
 from needle_rig.control.standing import StandingFaults
-from needle_rig.control.strategy import Strategy, Task, Trust, make_strategy
+from needle_rig.control.strategy import SettledMotion, Strategy, Task, Trust, make_strategy
 from needle_rig.control.tasks import Before, Tasks
 from needle_rig.control.verdict import judge, outcome
 from needle_rig.errors import BadInput, NeedleRigError, RigFault

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from needle_rig.control.checked import Checked
-from needle_rig.control.reports import SettledMotion, settled_motion
-from needle_rig.control.strategy import History, Strategy, Task, Waypoint
+from needle_rig.control.reports import settled_motion
+from needle_rig.control.strategy import History, SettledMotion, Strategy, Task, Waypoint
 from needle_rig.records import Measurement, Phase
 from needle_rig.units import deg
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 from needle_rig.control.lag import lag_rad
-from needle_rig.control.strategy import Reason, Strategy, Task, Trust, Waypoint
+from needle_rig.control.strategy import Reason, SettledMotion, Strategy, Task, Trust, Waypoint
 from needle_rig.records import Measurement, Phase
 
 if TYPE_CHECKING:
@@ -38,29 +38,6 @@ class Request:
     run: str = "RUN"
     model: NeedleModel | None = None
     trust: Trust = field(default_factory=Trust)
-
-
-@dataclass(frozen=True)
-class SettledMotion:
-    """The rig after one motion came to rest: means over the torque window.
-
-    `index` 0 is the rest before the first motion. `predicted_lag_rad` is the lag of the tip behind the base
-    that the torque stands for by (5)–(7), (9); `tip_lag_rad` is base minus last Hall angle, as measured;
-    `moved_s` is when the motion began and `time_s` the end of the window, on the clock of the measurements.
-    """
-
-    index: int
-    name: str
-    moved_s: float
-    time_s: float
-    waypoint_rad: float
-    base_angle_rad: float
-    torque_nm: float
-    hall_rad: tuple[float, ...]
-    predicted_lag_rad: float
-    tip_lag_rad: float
-    reason: Reason = Reason.STRATEGY
-    """Why it was made."""
 
 
 def settled_motion(

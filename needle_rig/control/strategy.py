@@ -30,10 +30,7 @@ from needle_rig.errors import BadInput
 from needle_rig.physics.rod import Layout
 
 if TYPE_CHECKING:
-    from needle_rig.control.reports import SettledMotion
     from needle_rig.physics.needle_model import NeedleModel
-
-History = tuple["SettledMotion", ...]
 
 METHODS: Mapping[str, tuple[str, ...]] = {
     "next": ("self", "task", "history"),
@@ -78,6 +75,32 @@ class Waypoint:
     reason: Reason = Reason.STRATEGY
     note: str = ""
     """What the strategy expects of this motion, for a person."""
+
+
+@dataclass(frozen=True)
+class SettledMotion:
+    """The rig after one motion came to rest: means over the torque window.
+
+    `index` 0 is the rest before the first motion. `predicted_lag_rad` is the lag of the tip behind the base
+    that the torque stands for by (5)–(7), (9); `tip_lag_rad` is base minus last Hall angle, as measured;
+    `moved_s` is when the motion began and `time_s` the end of the window, on the clock of the measurements.
+    """
+
+    index: int
+    name: str
+    moved_s: float
+    time_s: float
+    waypoint_rad: float
+    base_angle_rad: float
+    torque_nm: float
+    hall_rad: tuple[float, ...]
+    predicted_lag_rad: float
+    tip_lag_rad: float
+    reason: Reason = Reason.STRATEGY
+    """Why it was made."""
+
+
+History = tuple[SettledMotion, ...]
 
 
 @dataclass(frozen=True)

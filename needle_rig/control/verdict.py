@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from needle_rig.control.reports import Condition, Outcome, SettledMotion, Status
-from needle_rig.control.strategy import Strategy, Task
+from needle_rig.control.reports import Condition, Outcome, Status
+from needle_rig.control.strategy import SettledMotion, Strategy, Task
 from needle_rig.units import deg, nmm
 
 

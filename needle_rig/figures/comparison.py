@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from needle_rig.figures.figure import Figure
-from needle_rig.figures.page import Picture, items, paragraph, png, row, shown, table, write_page
+from needle_rig.figures.figure import Figure, png
+from needle_rig.figures.page import Picture, items, paragraph, row, shown, table, write_page
 from needle_rig.figures.style import COLOURS, HELD, LETTERS_PT, REFIT, SAMPLES, above, column, spelt, titled
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.misfit import modelled

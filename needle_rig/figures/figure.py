@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 from matplotlib import figure
@@ -24,6 +25,11 @@ class Figure(figure.Figure):
 
     def _repr_png_(self) -> bytes:
         # pyplot alone would teach this to a notebook, and is not used
-        from needle_rig.figures.page import png
-
         return png(self)
+
+
+def png(figure: Figure, dpi: int = 110) -> bytes:
+    """A figure as PNG."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,13 +30,6 @@ class Picture:
     name: str
     title: str
     png: bytes
-
-
-def png(figure: Figure, dpi: int = 110) -> bytes:
-    """A figure as PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
-    return buffer.getvalue()
 
 
 def write_pngs(drawn: Sequence[Picture], folder: Path) -> list[Path]:

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from needle_rig.figures.figure import Figure
-from needle_rig.figures.page import Picture, paragraph, png, row, shown, table, write_page
+from needle_rig.figures.figure import Figure, png
+from needle_rig.figures.page import Picture, paragraph, row, shown, table, write_page
 from needle_rig.figures.style import COLOURS
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
 from needle_rig.physics.rod import Layout

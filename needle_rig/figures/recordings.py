@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needle_rig.figures.figure import Figure
-from needle_rig.figures.page import png
+from needle_rig.figures.figure import Figure, png
 from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.problem import Problem

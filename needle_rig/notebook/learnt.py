@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from needle_rig.dataset.protocol import Protocol
 from needle_rig.errors import BadInput
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, or_nan, table_of
-from needle_rig.simulation.protocol import Protocol
 from needle_rig.workbench.contest.contest import Contest
 from needle_rig.workbench.laws.learnt import Learnt
 from needle_rig.workbench.learning.experiment import Experiment as _Proposed

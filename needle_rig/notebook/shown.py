@@ -41,6 +41,7 @@ class Shown:
     def _repr_html_(self) -> str:
         # the picture stands in the HTML: a notebook shows one form of a result, and takes this one first
         from needle_rig.figures import page
+        from needle_rig.figures.figure import png
 
         rows = self._overview()
         body = [
@@ -50,7 +51,7 @@ class Shown:
         left_out = len(rows) - MOST_ROWS
         more = page.paragraph(f"{left_out} rows more in table()") if left_out > 0 else ""
         try:
-            picture = page.image(self.headline(), page.png(self.plot()))
+            picture = page.image(self.headline(), png(self.plot()))
         except BadInput:  # it has none
             picture = ""
         return page.paragraph(self.headline()) + page.table(rows.dtype.names or (), body) + more + picture

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from needle_rig.dataset import write_dataset
+from needle_rig.dataset.protocol import Protocol, load_protocol
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters, load_saved
 from needle_rig.notebook.asking import PathLike, at_work
@@ -17,7 +18,6 @@ from needle_rig.notebook.model import Model
 from needle_rig.notebook.run import Run
 from needle_rig.questions.recordings import Understand
 from needle_rig.recording import RunFile
-from needle_rig.simulation.protocol import Protocol, load_protocol
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise

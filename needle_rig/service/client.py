@@ -19,10 +19,10 @@ from typing import IO, cast
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.folders import temporary_folder
 from needle_rig.records import JsonObject
-from needle_rig.service.documents import Document, Message, Started, State
-from needle_rig.service.endpoint import private_socket, sockets_for_client
-from needle_rig.service.installation import nobody_answers
-from needle_rig.service.systemd import LOG
+from needle_rig.service.api.documents import Document, Message, Started, State
+from needle_rig.service.api.endpoint import private_socket, sockets_for_client
+from needle_rig.service.installed.installation import nobody_answers
+from needle_rig.service.installed.systemd import LOG
 
 _DAEMON = (sys.executable, "-m", "needle_rig", "daemon")
 _PREFIX = "needle-rig-daemon-"

@@ -9,7 +9,7 @@ from needle_rig.control.in_si import layout_of
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
 from needle_rig.rig import RawReadings
-from needle_rig.simulation.drive_guard import guard_settings
+from needle_rig.simulation.drive.drive_guard import guard_settings
 from needle_rig.simulation.plant import Plant
 
 

@@ -12,7 +12,7 @@ from needle_rig.numerics import Array
 from needle_rig.records import Command, DriveFault, Firmware, Measurement
 from needle_rig.rig import RawReadings
 from needle_rig.simulation.faults import Faults, Links, over_index
-from needle_rig.simulation.node_set import build_nodes
+from needle_rig.simulation.nodes.node_set import build_nodes
 from needle_rig.simulation.plant import Plant
 from needle_rig.wire.can_frames import (
     DRIVE_COMMAND_ID,

@@ -18,10 +18,10 @@ from needle_rig.physics.rod import Rod
 from needle_rig.physics.solution import RodState
 from needle_rig.records import Command, DriveState, Firmware, Measurement
 from needle_rig.rig import RawReadings
-from needle_rig.simulation.drive_guard import DriveGuard, GuardSettings
+from needle_rig.simulation.drive.drive_guard import DriveGuard, GuardSettings
+from needle_rig.simulation.drive.motor import Motor, MotorSettings
+from needle_rig.simulation.drive.velocity_loop import VelocityLoop
 from needle_rig.simulation.faults import Faults, Links, over_index
-from needle_rig.simulation.motor import Motor, MotorSettings
-from needle_rig.simulation.velocity_loop import VelocityLoop
 from needle_rig.units import nm, rad
 
 REMEMBERED = 64

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from needle_rig.control.brain import Brain
 from needle_rig.control.compensation import ACTIVE
-from needle_rig.control.reports import BrainState, Outcome, Request, SettledMotion
+from needle_rig.control.reports import BrainState, Outcome, Request
+from needle_rig.control.strategy import SettledMotion
 from needle_rig.errors import RigFault
 from needle_rig.numerics import Array
 from needle_rig.records import Sample

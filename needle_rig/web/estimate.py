@@ -14,7 +14,7 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import BASE_PARAMETERS, FRICTION
-from needle_rig.service.documents import Rig
+from needle_rig.service.api.documents import Rig
 from needle_rig.units import deg, mm, nm, per_length_n, rad
 
 FRICTION_N = per_length_n(BASE_PARAMETERS[FRICTION].literature[1])

@@ -19,7 +19,7 @@ from starlette.responses import JSONResponse
 from starlette.websockets import WebSocketClose
 
 from needle_rig.errors import BadInput
-from needle_rig.service.connections import LET_IN
+from needle_rig.service.api.connections import LET_IN
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send

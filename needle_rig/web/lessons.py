@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import compensation
 from needle_rig.errors import BadInput
 from needle_rig.model import load_parameters
 from needle_rig.numerics import Array
@@ -27,8 +28,7 @@ from needle_rig.physics.effect import Effect, ParameterInfo, Reading, Trial
 from needle_rig.physics.effect_text import effect_called
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.simulation.base_drive import phases
-from needle_rig.simulation.protocol import compensation
+from needle_rig.simulation.drive.base_drive import phases
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.baseline import element_length, null_model
 from needle_rig.workbench.learning.observations import Traces, read_observations

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from starlette.websockets import WebSocketDisconnect
 
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.service.orders import read_order
+from needle_rig.service.api.orders import read_order
 from needle_rig.web.guard import WEBSOCKET_PAGE, WEBSOCKET_TOKEN
 
 if TYPE_CHECKING:

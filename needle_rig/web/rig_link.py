@@ -16,10 +16,10 @@ from websockets.asyncio.client import unix_connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from needle_rig.errors import NeedleRigError, RigFault
+from needle_rig.service.api.endpoint import sockets_for_client
+from needle_rig.service.api.openapi import ROUTES
+from needle_rig.service.api.stream import Listener, Stream
 from needle_rig.service.client import failure
-from needle_rig.service.endpoint import sockets_for_client
-from needle_rig.service.openapi import ROUTES
-from needle_rig.service.stream import Listener, Stream
 from needle_rig.version import differs
 
 AGAIN_S = 0.3

@@ -23,10 +23,10 @@ from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
 from needle_rig.recording.watch_summary import read_contradiction
-from needle_rig.service.connections import Connections
-from needle_rig.service.endpoint import QUEUE
-from needle_rig.service.orders import read_order
-from needle_rig.service.serving import connection_limit, server
+from needle_rig.service.api.connections import Connections
+from needle_rig.service.api.endpoint import QUEUE
+from needle_rig.service.api.orders import read_order
+from needle_rig.service.api.serving import connection_limit, server
 from needle_rig.web.asked import Lesson, Work, read
 from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate

@@ -9,8 +9,7 @@ import numpy as np
 
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.learning.places import motion_words, scale_of
 
 TRIALS = 12

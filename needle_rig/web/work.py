@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from needle_rig.dataset import write_dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.extras import needed
 from needle_rig.model import load_parameters, load_saved
@@ -29,13 +30,12 @@ from needle_rig.questions.strategies import Strategies
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
 from needle_rig.recording.export_mcap import export_mcap
-from needle_rig.simulation.protocol import load_protocol
 from needle_rig.web import pictures, recordings, traces
 from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
 from needle_rig.web.places import DATASET, DIAGNOSIS
 from needle_rig.web.sequences import strategies
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.selection.diagnose import Diagnosis

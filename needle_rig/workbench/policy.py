@@ -12,7 +12,7 @@ from typing import Any
 
 from needle_rig.records import JsonObject
 
-TABLE = "judged by scripts/diagnosis_table: 920 datasets with known answers"
+TABLE = "judged by the campaign diagnosis_table: 920 datasets with known answers"
 CHOSEN = "chosen, not derived; " + TABLE
 
 
@@ -331,8 +331,8 @@ class VerdictPolicy:
     reached: float = _threshold(
         1.3,
         "error in units of the noise above which something is left",
-        "`scripts/null_rates`: nothing hidden left 1.26 at most in ten kinds of noise;"
-        " `scripts/bench_effects`: a needle that snaps left 1.66",
+        "the campaign null_rates: nothing hidden left 1.26 at most in ten kinds of noise;"
+        " a needle of another code that snaps left 1.66",
         _RULES,
     )
     at_any_value: int = _threshold(

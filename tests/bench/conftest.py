@@ -10,9 +10,9 @@ import pytest
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
-from needle_rig.simulation import bench as bench_module
-from needle_rig.simulation.bench import Bench
-from needle_rig.simulation.bench_loop import LINKS
+from needle_rig.simulation.bench import process as bench_module
+from needle_rig.simulation.bench.bench_loop import LINKS
+from needle_rig.simulation.bench.process import Bench
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

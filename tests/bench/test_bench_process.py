@@ -15,8 +15,8 @@ import pytest
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput, RigFault
-from needle_rig.simulation import bench as bench_module
-from needle_rig.simulation.bench import Bench, needs_bench
+from needle_rig.simulation.bench import process as bench_module
+from needle_rig.simulation.bench.process import Bench, needs_bench
 
 COMMAND = [sys.executable, "-m", "needle_rig.simulation.bench"]
 
@@ -110,8 +110,8 @@ def test_a_missing_config_is_one_line_and_exit_2() -> None:
 def test_it_dies_with_its_parent_however_that_dies() -> None:
     script = (
         "import time\nfrom needle_rig.config.loader import load_rig_config\n"
-        "from needle_rig.simulation import bench\n"
-        "b = bench.start(load_rig_config())\nprint(b.pid, flush=True)\nb.heard(600)\nb.heard(600)\n"
+        "from needle_rig.simulation.bench.process import start\n"
+        "b = start(load_rig_config())\nprint(b.pid, flush=True)\nb.heard(600)\nb.heard(600)\n"
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None

@@ -17,7 +17,7 @@ import serial
 from needle_rig.config.loader import rig_config_text
 from needle_rig.config.schema import RigConfig
 from needle_rig.recording.reader import RunFile
-from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench.process import Bench
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.records import DriveFault, DriveState, Phase
-from needle_rig.simulation import bench as bench_module
-from needle_rig.simulation.bench import Bench
-from needle_rig.simulation.bench_lines import Said
+from needle_rig.simulation.bench import process as bench_module
+from needle_rig.simulation.bench.bench_lines import Said
+from needle_rig.simulation.bench.process import Bench
 from needle_rig.units import rad
 from tests.bench.ticking import Ticking
 from tests.values import now

@@ -20,9 +20,9 @@ from needle_rig.control.faults import FaultName
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.errors import RigFault
 from needle_rig.records import DriveState, Phase
-from needle_rig.simulation import bench as bench_module
-from needle_rig.simulation.bench import Bench
-from needle_rig.simulation.bench_lines import Said
+from needle_rig.simulation.bench import process as bench_module
+from needle_rig.simulation.bench.bench_lines import Said
+from needle_rig.simulation.bench.process import Bench
 from needle_rig.units import rad
 from tests.bench.ticking import Ticking
 

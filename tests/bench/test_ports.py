@@ -12,7 +12,7 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench.process import Bench
 
 
 def refusal(config: RigConfig, timeout_s: float = 3.0) -> NeedleRigError:

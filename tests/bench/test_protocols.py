@@ -22,8 +22,8 @@ from needle_rig.errors import RigFault
 from needle_rig.recording.reader import RunFile
 from needle_rig.records import Phase
 from needle_rig.service.client import DaemonClient, the_daemon
-from needle_rig.simulation import bench as bench_module
-from needle_rig.simulation.bench import Bench
+from needle_rig.simulation.bench import process as bench_module
+from needle_rig.simulation.bench.process import Bench
 from needle_rig.units import rad
 from needle_rig.version import VERSION
 from tests.bench.ticking import Ticking

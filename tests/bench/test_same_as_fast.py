@@ -8,10 +8,11 @@ import pytest
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.control.brain import Brain
-from needle_rig.control.reports import Request, SettledMotion
+from needle_rig.control.reports import Request
+from needle_rig.control.strategy import SettledMotion
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.records import Phase
-from needle_rig.simulation import bench as bench_module
+from needle_rig.simulation.bench import process as bench_module
 from needle_rig.simulation.build import build_plant
 from needle_rig.simulation.run import run_virtual
 from needle_rig.units import deg, rad

@@ -11,13 +11,13 @@ import time
 
 import pytest
 
-from needle_rig.assembly import RigOnBench
 from needle_rig.config.loader import load_rig_config
 from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.records import Phase
-from needle_rig.simulation.bench import Bench
+from needle_rig.service.tick.rig_on_bench import RigOnBench
+from needle_rig.simulation.bench.process import Bench
 from needle_rig.units import rad
 from tests.bench.ticking import Ticking
 

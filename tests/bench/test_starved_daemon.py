@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from needle_rig.config.loader import load_rig_config, rig_config_text
-from needle_rig.simulation import bench as bench_module
-from needle_rig.simulation.bench import Bench
-from needle_rig.simulation.bench_lines import Said
+from needle_rig.simulation.bench import process as bench_module
+from needle_rig.simulation.bench.bench_lines import Said
+from needle_rig.simulation.bench.process import Bench
 
 NEEDLE_RIG = [sys.executable, "-m", "needle_rig"]
 STOP_S = 0.06

@@ -1,12 +1,12 @@
-"""One trial of scripts/hazards, begun at a place and judged by its own figures."""
+"""One trial of `hazards`, begun at a place and judged by its own figures."""
 
 from __future__ import annotations
 
-from hazard.cases import Case
-from hazard.faults import FAULTS
-from hazard.scenes import SCENES
-from hazard.setups import SETUPS
-from hazard.trial import Result, Trial, aftermath
+from campaigns.rig.hazard.cases import Case
+from campaigns.rig.hazard.faults import FAULTS
+from campaigns.rig.hazard.scenes import SCENES
+from campaigns.rig.hazard.setups import SETUPS
+from campaigns.rig.hazard.trial import Result, Trial, aftermath
 
 SEED = 7
 

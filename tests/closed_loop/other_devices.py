@@ -15,10 +15,10 @@ from needle_rig.devices.hardware_rig import HardwareRig
 from needle_rig.devices.memory_host import MemoryBytes, MemoryCan, MemoryHost
 from needle_rig.records import Command, Measurement
 from needle_rig.simulation.build import build_plant
-from needle_rig.simulation.cia402_node import Cia402Node
-from needle_rig.simulation.front_end import inputs
-from needle_rig.simulation.netft_sensor import NetFtSensor
-from needle_rig.simulation.text_sensors import TextSensors
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.front_end import inputs
+from needle_rig.simulation.nodes.netft_sensor import NetFtSensor
+from needle_rig.simulation.nodes.text_sensors import TextSensors
 
 STEP_S = 1e-3
 DRIVE = Cia402Drive(device="cia402", node_id=5, position_units_per_turn=409_600, velocity_units_per_rpm=100)

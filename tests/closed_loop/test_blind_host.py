@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hazard.scenes import SCENES
-from hazard.setups import SETUPS
-from hazard.trial import Trial
 
+from campaigns.rig.hazard.scenes import SCENES
+from campaigns.rig.hazard.setups import SETUPS
+from campaigns.rig.hazard.trial import Trial
 from tests.closed_loop.hazard_trials import broken, broken_promises, reached
 
 FAULTS = (

@@ -6,8 +6,8 @@ Virtual time, the host's production code, the firmware's C.
 from __future__ import annotations
 
 import pytest
-from hazard.setups import DISAGREEMENT_DEG
 
+from campaigns.rig.hazard.setups import DISAGREEMENT_DEG
 from tests.closed_loop.hazard_trials import broken, broken_promises, reached
 
 OWN = "own-200Hz-fresh"

@@ -1,26 +1,26 @@
-"""A sample of scripts/hazards, and the figures by which it judges."""
+"""A sample of `hazards`, and the figures by which it judges."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import json
+from argparse import Namespace
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from hazard.campaign import Found, broken, in_a_copy, results, until
-from hazard.cases import Case
-from hazard.faults import FAULTS, LATCHING, PASSING
-from hazard.figures import ON_ITS_WAY_MS, Asked, Commanded, Hull, Latches
-from hazard.plans import Plan, pairs, singles
-from hazard.scenes import SCENES, SLOW
-from hazard.setups import BOUND_DEG, DISAGREEMENT_DEG, SETUPS
-from hazard.tables import report
-from hazard.trial import Result, Trial
 
+from campaigns.rig.hazard.campaign import Found, broken, in_a_copy, results, until
+from campaigns.rig.hazard.cases import Case
+from campaigns.rig.hazard.faults import FAULTS, LATCHING, PASSING
+from campaigns.rig.hazard.figures import ON_ITS_WAY_MS, Asked, Commanded, Hull, Latches
+from campaigns.rig.hazard.plans import Plan, pairs, singles
+from campaigns.rig.hazard.scenes import SCENES, SLOW
+from campaigns.rig.hazard.setups import BOUND_DEG, DISAGREEMENT_DEG, SETUPS
+from campaigns.rig.hazard.tables import report
+from campaigns.rig.hazard.trial import Result, Trial
+from campaigns.rig.hazards import CAMPAIGN, ask, failed, plan, table, trials
+from campaigns.run import run
 from needle_rig.units import deg, nmm
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "hazards"
 QUIET = Result(0.0, 0.0, 0.0, ended=True, off_ms=None, name="", named_ms=None, woken=0, moved=0)
 SAMPLE = (
     "encoder stands still",
@@ -153,8 +153,8 @@ def test_the_campaign_asks_every_fault_at_every_place_and_every_setup() -> None:
 @pytest.mark.parametrize("drive", [pytest.param("own", marks=pytest.mark.whole), "cia402"])
 def test_no_fault_of_a_sample_takes_the_base_beyond_its_bound_and_each_has_a_name(drive: str) -> None:
     breaks = tuple(((name, 0.0),) for name in SAMPLE)
-    plan = Plan(f"{drive}-200Hz-fresh", "run", 60.0, 7, (("single", "moving", breaks),))
-    found = [one for one in results(plan) if isinstance(one, Found)]
+    sequence = Plan(f"{drive}-200Hz-fresh", "run", 60.0, 7, (("single", "moving", breaks),))
+    found = [one for one in results(sequence) if isinstance(one, Found)]
     assert len(found) == len(SAMPLE)
     assert {one.case.text: one.case.broken(one.result) for one in found if one.case.broken(one.result)} == {}
     assert [one.case.text for one in found if not one.result.name] == []
@@ -167,8 +167,8 @@ def test_no_fault_of_a_sample_takes_the_base_beyond_its_bound_and_each_has_a_nam
 @pytest.mark.parametrize("drive", [pytest.param("own", marks=pytest.mark.whole), "cia402"])
 def test_a_trial_can_be_repeated_by_its_line(drive: str) -> None:
     breaks = ((("Hall angle jumps by 90°", 0.0), ("encoder reads half", 0.1)),)
-    plan = Plan(f"{drive}-50Hz-fresh", "run", 20.0, 3, (("pair", "seam", breaks),))
-    (found,) = results(plan)
+    sequence = Plan(f"{drive}-50Hz-fresh", "run", 20.0, 3, (("pair", "seam", breaks),))
+    (found,) = results(sequence)
     assert isinstance(found, Found)
     assert Found.parse(found.line()) == replace(found, cpu_s=round(found.cpu_s, 3))
     case = Case.parse(found.case.text)
@@ -204,21 +204,26 @@ def test_what_the_host_sees_by_torque_and_hall_angles_it_sees_with_either_needle
 
 
 def test_an_error_in_a_copy_is_no_result() -> None:
-    with pytest.raises(SystemExit):
+    with pytest.raises(RuntimeError):
         in_a_copy(lambda: {"no": object()})
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "told"),
-    [
-        (("--repeat", "nonsense"), 2, "copy the whole line"),
-        (("--instants", "1", "--only", "no such fault"), 2, "no fault's name"),
-    ],
-)
-def test_a_wrong_request_is_one_sentence(arguments: tuple[str, ...], code: int, told: str) -> None:
-    done = subprocess.run(
-        [sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == code
-    assert told in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_line_that_is_no_trial_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("hazards", CAMPAIGN, ["--only", '{"trial": "nonsense"}']) == 1
+    assert "copy the whole line" in capsys.readouterr().out
+
+
+def test_a_fault_that_is_unknown_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        run("hazards", CAMPAIGN, ["--fault", "no such fault"])
+    assert "no fault's name" in capsys.readouterr().err
+
+
+@pytest.mark.whole
+def test_a_row_holds_every_trial_of_a_sequence() -> None:
+    given = Namespace(size=1, first_seed=1, fault="emergency")
+    (task,) = [t for t in plan(given) if t["setup"].startswith("cia402") and t["kind"] == "single"][:1]
+    row = json.loads(json.dumps({**task, **ask(json.loads(json.dumps(task)), given)}))
+    assert {one.case.breaks[0][0] for one in trials([row])} == {n for n in FAULTS if "emergency" in n}
+    assert not failed([row])
+    assert "| emergency stop | cia402 |" in table([row], given)

@@ -14,7 +14,7 @@ import pytest
 
 from needle_rig.model import SavedModel, load_parameters, save_model
 from needle_rig.recording import RunFile
-from needle_rig.service.orders import MODEL_LETTERS
+from needle_rig.service.api.orders import MODEL_LETTERS
 from tests.closed_loop.shell import Shell, all_gone, wait_for_line
 
 pytestmark = pytest.mark.whole

@@ -12,7 +12,7 @@ import pytest
 from needle_rig.control.planning import effort as effort_module
 from needle_rig.control.planning.belief import first_belief, needles
 from needle_rig.control.planning.effort import CALL_SOLVES, Effort, Spent
-from needle_rig.control.planning.search import Aim, carry_out, cheapest, likeliest_plans, rate
+from needle_rig.control.planning.plans import Aim, carry_out, cheapest, likeliest_plans, rate
 from needle_rig.control.strategies import planned as planned_module
 from needle_rig.control.strategies.planned import PLAN_SOLVES, Planned
 from needle_rig.control.strategy import History, Reason, Strategy, Task, Trust, Waypoint, make_strategy

@@ -15,8 +15,8 @@ from needle_rig.control.reports import Request
 from needle_rig.model import load_parameters
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.records import Command, DriveFault, DriveState, Sample
-from needle_rig.simulation.drive_guard import DriveGuard
-from needle_rig.simulation.motor import Motor, MotorSettings
+from needle_rig.simulation.drive.drive_guard import DriveGuard
+from needle_rig.simulation.drive.motor import Motor, MotorSettings
 from needle_rig.simulation.plant import Plant
 from needle_rig.simulation.run import run_virtual
 from needle_rig.units import deg, nm, nmm, rad

@@ -1,18 +1,21 @@
-"""A sample of the stop campaign; the whole of it is scripts/stops."""
+"""A sample of the stop campaign; the whole of it is python -m campaigns stops."""
 
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "stops"
+from campaigns import ROOT
 
 
 def campaign(stops: int) -> dict[str, int]:
     done = subprocess.run(
-        [sys.executable, SCRIPT, "--stops", str(stops)], capture_output=True, text=True, timeout=1200
+        [sys.executable, "-m", "campaigns", "stops", "--stops", str(stops)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=1200,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "did not hold: 0" in done.stdout

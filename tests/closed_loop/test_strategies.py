@@ -11,7 +11,6 @@ import pytest
 
 from needle_rig.config.schema import RigConfig
 from needle_rig.control.lag import lag_rad
-from needle_rig.control.reports import SettledMotion
 from needle_rig.control.strategies.decay import Decay
 from needle_rig.control.strategies.dither import Dither
 from needle_rig.control.strategies.protocol import Protocol
@@ -19,7 +18,7 @@ from needle_rig.control.strategies.reed2008 import Reed2008
 from needle_rig.control.strategies.reed2008_elastic import Reed2008Elastic
 from needle_rig.control.strategies.relax import Relax
 from needle_rig.control.strategies.tip_friction import TipFriction
-from needle_rig.control.strategy import History, Strategy, Task, find_strategies, make_strategy
+from needle_rig.control.strategy import History, SettledMotion, Strategy, Task, find_strategies, make_strategy
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
 from needle_rig.units import deg, nmm, rad

@@ -12,7 +12,7 @@ from needle_rig.cli.check_device import command
 from needle_rig.config.loader import parse_rig_config
 from needle_rig.config.schema import Cia402Drive, NetFtTorque, TextHall
 from needle_rig.devices.contract import check_device
-from needle_rig.simulation.twins import DriveTwin
+from needle_rig.simulation.nodes.twins import DriveTwin
 from needle_rig.wire.text_lines import decode_line
 
 ROOT = Path(__file__).parents[2]

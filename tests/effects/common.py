@@ -11,7 +11,7 @@ import numpy as np
 
 from needle_rig.physics.effect import Effect, Trial
 from needle_rig.physics.library import find_effects
-from needle_rig.simulation.base_drive import Motion, base_path
+from needle_rig.simulation.drive.base_drive import Motion, base_path
 
 USERS = Path(__file__).parents[1] / "data" / "effects"
 LIBRARY = find_effects([USERS])

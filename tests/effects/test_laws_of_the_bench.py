@@ -15,7 +15,7 @@ from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect, Reading, Trial
 from needle_rig.physics.needle_model import NeedleModel, shown
 from needle_rig.physics.rod import Layout
-from needle_rig.simulation.base_drive import LAG_S, Motion, base_path
+from needle_rig.simulation.drive.base_drive import LAG_S, Motion, base_path
 from needle_rig.units import rad
 from tests.effects.common import LIBRARY, SEQUENCE, SHORT, make_effect, path
 

@@ -19,7 +19,7 @@ from needle_rig.cli.calibrate import command
 from needle_rig.config.loader import read_yaml
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.firmware.pages import read_page, torque_page, write_page
-from needle_rig.simulation.analogue import SensorErrors
+from needle_rig.simulation.nodes.analogue import SensorErrors
 from needle_rig.units import deg
 
 SEED = 3

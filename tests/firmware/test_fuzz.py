@@ -68,7 +68,7 @@ def test_the_targets_notice_a_decoder_without_a_check(
 def test_libfuzzer_finds_nothing_in_a_bounded_time(target: str, tmp_path: Path) -> None:
     root = firmware_folder().parent
     done = subprocess.run(
-        [sys.executable, root / "scripts" / "fuzz", target, "-max_total_time=2"],
+        [sys.executable, root / "scripts" / "fuzz.py", target, "-max_total_time=2"],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(root)},
         capture_output=True,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from needle_rig.firmware.host import HostNodes
 from needle_rig.records import Command, DriveFault, DriveState
-from needle_rig.simulation.drive_guard import DriveGuard
+from needle_rig.simulation.drive.drive_guard import DriveGuard
 from needle_rig.units import nm, rad
 
 COMMANDS = st.tuples(

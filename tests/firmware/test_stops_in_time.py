@@ -10,7 +10,7 @@ import pytest
 
 from needle_rig.config.files import find_config_file
 from needle_rig.records import Command, DriveFault, DriveState
-from needle_rig.simulation.firmware_nodes import DriveFirmware, FirmwareNodes
+from needle_rig.simulation.nodes.firmware_nodes import DriveFirmware, FirmwareNodes
 from needle_rig.units import deg, rad
 from needle_rig.wire.can_frames import DRIVE_COMMAND_ID, TORQUE_STATUS_ID, CanCodec
 from tests.values import now

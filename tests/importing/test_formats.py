@@ -16,8 +16,8 @@ import can
 import cantools
 import numpy as np
 import pytest
-from import_kinds import CASES, Source, Truth
 
+from campaigns.files.import_kinds import CASES, Source, Truth
 from needle_rig.cli.main import run as command
 from needle_rig.dataset import read_dataset
 from needle_rig.errors import BadInput

@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.machinery
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
-
-import fit_ways
 import numpy as np
 import pytest
 
 import needle_rig as nr
+from campaigns.workbench import fit_peers, fit_ways
 from needle_rig.dataset import Dataset
 from needle_rig.workbench.virtual.noise import Noise
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "face_peers"
 ALIKE = Noise(friction_scatter=0.0)
-
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    loader = importlib.machinery.SourceFileLoader("face_peers", str(SCRIPT))
-    spec = importlib.util.spec_from_loader("face_peers", loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["face_peers"] = module
-    loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -48,30 +30,28 @@ def test_the_plain_function_at_the_truth_leaves_the_stated_noise(data: Dataset) 
 
 
 @pytest.mark.parametrize("way", fit_ways.WAYS, ids=lambda way: way.name)
-def test_every_way_finds_the_truth_where_the_trials_are_alike(
-    way: fit_ways.Way, data: Dataset, script: ModuleType
-) -> None:
+def test_every_way_finds_the_truth_where_the_trials_are_alike(way: fit_ways.Way, data: Dataset) -> None:
     for package in ("lmfit", "sherpa"):
         if way.name.lower().startswith(package):
             pytest.importorskip(package)
     said = way.read(way.ask(data, False))
-    assert np.all(np.abs(said.values - script.TRUTH) < 5.0 * said.sigmas)
+    assert np.all(np.abs(said.values - fit_peers.TRUTH) < 5.0 * said.sigmas)
     assert np.all((said.intervals[:, 0] < said.values) & (said.values < said.intervals[:, 1]))
     assert 0.8 < said.redchi < 1.2
 
 
-def test_the_table_tells_a_small_plus_minus_and_a_missed_truth(script: ModuleType) -> None:
-    way, truth = fit_ways.WAYS[0], script.TRUTH
+def test_the_table_tells_a_small_plus_minus_and_a_missed_truth() -> None:
+    way, truth = fit_ways.WAYS[0], fit_peers.TRUTH
     ends = np.stack([0.9 * truth, 1.1 * truth], axis=1)
     ends[2] = 2.0 * truth[2]
     said = fit_ways.Said(1.01 * truth, 0.005 * truth, ends, 1.0, "")
     rows = [
-        script.Answer(case, each, said, 0.5)
-        for case in script.CASES
+        fit_peers.Answer(case, each, said, 0.5)
+        for case in fit_peers.CASES
         for each in fit_ways.WAYS
         for _ in range(2)
     ]
-    line = script.coverage(rows)[2]
+    line = fit_peers.coverage(rows)[2]
     assert line.startswith(
         f"| white noise | {way.name} | 2.0 | 2.0 | 2.0 | 67 % | 1.000 | 1.000 | 1.000 | 0.5"
     )

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import needle_rig as nr
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.questions.question import Question
-from needle_rig.simulation.protocol import load_protocol
 from tests.notebook.notebooks import ROOT
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few
 

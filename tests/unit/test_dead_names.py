@@ -1,4 +1,4 @@
-"""What nothing uses is deleted: vulture looks at the package; tests, scripts and shipped effects use it."""
+"""What nothing uses is deleted: vulture looks at the package; tests, campaigns and shipped effects use it."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ READ_BY_NAME = {
 
 @pytest.mark.whole
 def test_every_name_is_used_and_every_exception_is_needed() -> None:
-    scripts = [p for p in (REPOSITORY / "scripts").iterdir() if p.is_file() and "python" in first_line(p)]
     looked_at = pytest.importorskip("vulture").Vulture()
     effects = REPOSITORY / "config" / "recordings" / "effects"
-    looked_at.scavenge([str(p) for p in (REPOSITORY / "needle_rig", REPOSITORY / "tests", effects, *scripts)])
+    users = [REPOSITORY / name for name in ("needle_rig", "tests", "campaigns", "benchmarks", "scripts")]
+    looked_at.scavenge([str(path) for path in (*users, effects)])
     unused = {}
     for item in looked_at.get_unused_code(min_confidence=60):
         place = Path(item.filename).resolve().relative_to(REPOSITORY)
@@ -78,10 +78,3 @@ def keys_in(path: Path) -> frozenset[int]:
             typed.add(part.name)
             lines |= {key.lineno for key in part.body if isinstance(key, ast.AnnAssign)}
     return frozenset(lines)
-
-
-def first_line(path: Path) -> str:
-    if path.suffix == ".py":
-        return "python"
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return file.readline() if path.suffix == "" else ""

@@ -31,6 +31,8 @@ PAGES = [
 SOURCES = [
     *sorted((ROOT / "needle_rig").rglob("*.py")),
     *(p for p in (ROOT / "scripts").iterdir() if p.is_file()),
+    *sorted((ROOT / "campaigns").rglob("*.py")),
+    *sorted((ROOT / "benchmarks").rglob("*.py")),
 ]
 _COMMAND = re.compile(
     r"""pip install ((?:-\S+ (?:requirements\S* )?)*(?:'\.\[\w+\]'|\.\[\w+\]|\.))(?=[\s`|"]|$)""", re.M

@@ -18,6 +18,7 @@ from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.config.places import read_yaml, write_yaml
 from needle_rig.dataset import read_dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.dataset.settled import read_settled
 from needle_rig.errors import BadInput
 from needle_rig.importing.mapping import read_mapping
@@ -27,13 +28,12 @@ from needle_rig.recording import RunFile
 from needle_rig.recording.tables import run_attributes, run_tables
 from needle_rig.recording.writer import RunWriter
 from needle_rig.records import JsonObject
-from needle_rig.service.archive import packed
-from needle_rig.service.backup import back_up
-from needle_rig.service.installation import Installation
-from needle_rig.simulation.protocol import load_protocol
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup.archive import packed
+from needle_rig.service.setup.backup import back_up
 from needle_rig.version import VERSION
 from needle_rig.workbench.learning.diagnosis_file import _checksum, load_diagnosis
-from needle_rig.workbench.learning.watch import WatchedRun, _kept_run
+from needle_rig.workbench.learning.watched_runs import WatchedRun, _kept_run
 
 OLD_KEY = "called_before"
 """What the fake format 0 of every kind calls the key that `KEYS` names."""

@@ -1,4 +1,4 @@
-"""A sample of `scripts/fuzz_files`: damaged files and requests of every kind end commands in order."""
+"""A sample of `fuzz_files`: damaged files and requests of every kind end commands in order."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).resolve().parent.parent.parent / "scripts/fuzz_files"
+from campaigns import ROOT
+
 SHARE = 0.008
 
 
@@ -17,7 +18,9 @@ SHARE = 0.008
 def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> None:
     line = [
         sys.executable,
-        str(SCRIPT),
+        "-m",
+        "campaigns",
+        "fuzz_files",
         "--share",
         str(SHARE),
         "--seed",
@@ -25,7 +28,7 @@ def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> Non
         "--keep",
         str(tmp_path / "bad"),
     ]
-    done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=280)
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False, timeout=280)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [re.split(r"\s{2,}", row) for row in done.stdout.splitlines()[1:]]
     assert len(rows) == 14
@@ -37,15 +40,14 @@ def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> Non
 
 def test_the_campaign_notices_what_it_looks_for(tmp_path: Path) -> None:
     source = (
-        f"import sys, time; sys.path.insert(0, {str(SCRIPT.parent)!r}); sys.argv[0] = 'fuzz_files'\n"
-        "import os, runpy; made = runpy.run_path(sys.argv[1])\n"
-        "isolated, out = made['isolated'], __import__('pathlib').Path(sys.argv[2])\n"
-        "isolated.__globals__['LONGEST_S'] = 0.5\n"
+        "import os, pathlib, sys, time; from campaigns.files import fuzz_files\n"
+        "isolated, out = fuzz_files.isolated, pathlib.Path(sys.argv[1])\n"
+        "fuzz_files.LONGEST_S = 0.5\n"
         "actions = [lambda: 2, lambda: 70, lambda: 1 / 0, lambda: time.sleep(60),"
         " lambda: os.kill(os.getpid(), 11), lambda: len(bytearray(5 << 30)) and 0]\n"
         "print([(isolated(a, out).code, isolated(a, out).bad) for a in actions])\n"
     )
-    line = [sys.executable, "-c", source, str(SCRIPT), str(tmp_path / "out")]
-    done = subprocess.run(line, capture_output=True, text=True, check=True, timeout=60)
+    line = [sys.executable, "-c", source, str(tmp_path / "out")]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=True, timeout=60)
     ends = "(2, False), (70, True), (99, True), (-9, True), (-11, True), (99, True)"
     assert done.stdout.strip() == f"[{ends}]", done.stderr

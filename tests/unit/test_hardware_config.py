@@ -1,7 +1,7 @@
 from needle_rig.config.loader import find_config_file, load_rig_config
 from needle_rig.config.schema import SerialSection
 from needle_rig.devices.hardware_rig import HardwareRig
-from needle_rig.simulation.bench import needs_bench
+from needle_rig.simulation.bench.process import needs_bench
 
 
 def test_the_shipped_hardware_file_makes_a_rig_without_a_bench() -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from needle_rig.config.files import find_config_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.records import STOP, Command, DriveFault, DriveState, Measurement
-from needle_rig.simulation.front_end import HALL_AMPLITUDE_COUNTS, TORQUE_FULL_SCALE, inputs
-from needle_rig.simulation.nodes import DriveNode, HallNode, TorqueNode
+from needle_rig.simulation.nodes.front_end import HALL_AMPLITUDE_COUNTS, TORQUE_FULL_SCALE, inputs
+from needle_rig.simulation.nodes.python_nodes import DriveNode, HallNode, TorqueNode
 from needle_rig.units import deg, nm, nmm, rad
 from needle_rig.wire.can_frames import (
     DRIVE_COMMAND_ID,

@@ -51,8 +51,9 @@ def may_import(room: str) -> str:
         for module in contract["protected_modules"]
     }
     parts = [", ".join(f"`{each}`" for each in ROOMS[room] if f"needle_rig.{each}" not in forbidden)]
-    if room.startswith("needle_rig.workbench."):
-        parts.append(f"{'and ' if parts[0] else ''}what `workbench` may")
+    _, house, *rest = room.split(".")
+    if rest:
+        parts.append(f"{'and ' if parts[0] else ''}what `{house}` may")
     outside = sorted(module for module in forbidden if "needle_rig" not in module)
     if outside:
         parts.append(f"not {', '.join(f'`{module}`' for module in outside)}")

@@ -11,7 +11,7 @@ import can
 import pytest
 from can.interfaces.slcan import slcanBus
 
-from needle_rig.simulation.slcan_hub import Frame, SlcanHub, SlcanPort
+from needle_rig.simulation.nodes.slcan_hub import Frame, SlcanHub, SlcanPort
 
 
 @pytest.fixture

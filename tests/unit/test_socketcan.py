@@ -9,7 +9,7 @@ import pytest
 
 from needle_rig.devices.ports import claim_interface, interface_reason
 from needle_rig.errors import BadInput
-from needle_rig.simulation.socketcan_port import SocketCanPort
+from needle_rig.simulation.bench.socketcan_port import SocketCanPort
 
 
 def test_a_bench_without_its_interface_says_how_to_make_one() -> None:

@@ -6,8 +6,8 @@ import pytest
 from needle_rig.config.loader import load_rig_config
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Trial
-from needle_rig.service.documents import Rig
-from needle_rig.service.report import rig_document
+from needle_rig.service.api.documents import Rig
+from needle_rig.service.tick.report import rig_document
 from needle_rig.units import deg, rad
 from needle_rig.web.estimate import shaft_estimate
 

@@ -8,15 +8,14 @@ from functools import lru_cache
 from typing import Any
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.workbench.estimation import map_fit
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.selection import candidates
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.virtual.dataset import simulate_dataset

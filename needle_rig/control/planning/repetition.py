@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needle_rig.control.planning.effort import Effort
-from needle_rig.control.planning.search import Aim
+from needle_rig.control.planning.plans import Aim
 from needle_rig.control.strategy import History, Waypoint
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial

@@ -19,8 +19,7 @@ from needle_rig.control.planning.belief import (
 )
 from needle_rig.control.planning.effort import Effort, Spent
 from needle_rig.control.planning.fallback import doubted_at, reed_remaining
-from needle_rig.control.planning.repetition import begun, next_repetition
-from needle_rig.control.planning.search import (
+from needle_rig.control.planning.plans import (
     ROBUST_EVALUATIONS,
     Aim,
     Plan,
@@ -29,6 +28,7 @@ from needle_rig.control.planning.search import (
     rate,
     refine,
 )
+from needle_rig.control.planning.repetition import begun, next_repetition
 from needle_rig.control.strategy import History, Reason, Strategy, Task, Waypoint
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.physics.effect import Trial

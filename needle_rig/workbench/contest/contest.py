@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.model import SavedModel
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.records import JsonObject
-from needle_rig.simulation.protocol import load_protocol
 from needle_rig.workbench.contest.strategies_table import (
     Bout,
     Predicted,

@@ -11,10 +11,10 @@ import numpy as np
 
 from needle_rig.control.strategy import make_strategy
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import load_protocol
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.simulation.protocol import load_protocol
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.contest import untold_law
 from needle_rig.workbench.contest.strategies_table import Bout, Spread, predicted

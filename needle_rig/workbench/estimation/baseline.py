@@ -22,11 +22,11 @@ from needle_rig.workbench.estimation.discretisation_error import (
     with_discretisation_error,
 )
 from needle_rig.workbench.estimation.file_units import values_by_name
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.multistart import over_strength
 from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.posterior import start_vector
-from needle_rig.workbench.estimation.problem import EXACT, Problem
+from needle_rig.workbench.estimation.problem import EXACT, Fit, Problem
 from needle_rig.workbench.estimation.run_in import after_run_in
 from needle_rig.workbench.estimation.unseen import unseen_names, unseen_sentences
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial

@@ -12,9 +12,9 @@ from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, Fit
+from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE
 from needle_rig.workbench.estimation.posterior import MOST_SOLVES, excess
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 
 NEAR = 1.0
 """Steps of less than one standard deviation are taken as the derivatives say, without looking."""

@@ -12,9 +12,9 @@ from needle_rig.dataset import DatasetTrial, denoised_base, encoder_noise
 from needle_rig.errors import SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import predict_batch
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.estimation.profile import over_profiles
 from needle_rig.workbench.observations.binning import BinnedTrial, driven_by_samples, sample_weights
 from needle_rig.workbench.policy import POLICY

@@ -15,8 +15,7 @@ from scipy.special import chdtrc
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 
 SEEN = 1e-3
 """Information over that of the prior below which data say nothing of a direction: 0.05 % narrower."""

@@ -18,7 +18,6 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +26,8 @@ from scipy.linalg import null_space
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.parameters import FreeParameter, constrained_means
 from needle_rig.workbench.estimation.posterior import level
-from needle_rig.workbench.estimation.problem import EXACT, Problem
+from needle_rig.workbench.estimation.problem import EXACT, Fit, Problem
 from needle_rig.workbench.policy import POLICY
-
-if TYPE_CHECKING:
-    from needle_rig.workbench.estimation.map_fit import Fit
 
 Places = npt.NDArray[np.int64]
 

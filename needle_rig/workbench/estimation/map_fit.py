@@ -6,15 +6,13 @@ Dry friction makes the objective jagged: a step that raises it is never accepted
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import Objective, excess, sum_of_squares
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 
 OBJECTIVE_TOLERANCE = 0.05
 """A fit ends when the next step would lower the objective by less than this."""
@@ -36,39 +34,6 @@ NO_STEP = 1e-16
 """Square of a step that is none but for rounding: it tells nothing of derivatives."""
 MOST_BOUNDS = 4
 """Changes of the active set in one step."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A minimum. T trials, p shared parameters (friction, rigidity, then k scaled values), q nuisances."""
-
-    effects: tuple[str, ...]
-    parameters: tuple[FreeParameter, ...]
-    vector: ParameterVector
-    nuisance: Array
-    objective: float
-    """−2 log posterior with its log-determinants, up to a constant shared by all fits of a problem."""
-    chi2: float
-    """Sum of squared whitened residuals."""
-    pull_rigidity: float
-    """Rigidity's distance from its stated value in prior standard deviations."""
-    scatter: float
-    """Relative scatter of friction from trial to trial, estimated by this fit."""
-    scatter_dof: float
-    """Degrees of freedom of `scatter`, those of its prior included."""
-    covariance: Array
-    """Covariance of the shared parameters (p, p), all others marginalised."""
-    residuals: tuple[Array, ...]
-    jacobians: tuple[Array, ...]
-    """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's random effect."""
-    rank: int
-    """Directions of the effects' parameters that the data see with all other parameters projected out."""
-    converged: bool
-
-    @property
-    def scaled_errors(self) -> Array:
-        """Standard deviation of each scaled value (k,)."""
-        return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))
 
 
 def fit(

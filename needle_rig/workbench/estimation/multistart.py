@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, fit
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 
 MOST_WALKS = 4
 """Restarts of a fit at most."""

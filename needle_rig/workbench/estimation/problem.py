@@ -1,4 +1,4 @@
-"""A dataset made ready for fits: bins, noise, and the model's whitened residuals for any parameters."""
+"""A dataset made ready for fits: bins, noise, whitened residuals for any parameters; and what a fit found."""
 
 from __future__ import annotations
 
@@ -245,3 +245,36 @@ class Problem:
             means[:, : known.shape[1]] = known
             found.append(means)
         return found
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A minimum. T trials, p shared parameters (friction, rigidity, then k scaled values), q nuisances."""
+
+    effects: tuple[str, ...]
+    parameters: tuple[FreeParameter, ...]
+    vector: ParameterVector
+    nuisance: Array
+    objective: float
+    """−2 log posterior with its log-determinants, up to a constant shared by all fits of a problem."""
+    chi2: float
+    """Sum of squared whitened residuals."""
+    pull_rigidity: float
+    """Rigidity's distance from its stated value in prior standard deviations."""
+    scatter: float
+    """Relative scatter of friction from trial to trial, estimated by this fit."""
+    scatter_dof: float
+    """Degrees of freedom of `scatter`, those of its prior included."""
+    covariance: Array
+    """Covariance of the shared parameters (p, p), all others marginalised."""
+    residuals: tuple[Array, ...]
+    jacobians: tuple[Array, ...]
+    """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's random effect."""
+    rank: int
+    """Directions of the effects' parameters that the data see with all other parameters projected out."""
+    converged: bool
+
+    @property
+    def scaled_errors(self) -> Array:
+        """Standard deviation of each scaled value (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance)[2:], 0.0))

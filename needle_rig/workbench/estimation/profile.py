@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, Fit, fit
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, fit
 from needle_rig.workbench.estimation.parameters import shared_names
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 
 FIRST_STEPS = (1e-3, 0.05)
 """Shortest and longest first step of a form parameter from the fit, in scaled values: 0.2 and 12 % where the

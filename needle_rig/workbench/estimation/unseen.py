@@ -8,8 +8,7 @@ import numpy as np
 
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.workbench.estimation.linear import UNSEEN, LinearisedFit
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 
 
 def unseen_names(problem: Problem, found: Fit) -> list[str]:

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import UNIT
+from needle_rig.workbench.laws.law_search import FoundLaw, misses_more
 from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.screening import dispersion, seen
-from needle_rig.workbench.laws.search import FoundLaw, misses_more
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 
 BAND_SIGMAS = 1.96

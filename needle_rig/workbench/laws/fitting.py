@@ -17,9 +17,9 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, ROUGH, Fit, fit
+from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, ROUGH, fit
 from needle_rig.workbench.estimation.posterior import Objective, excess, start_vector, sum_of_squares
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.laws.law import UNIT, Law
 from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
 from needle_rig.workbench.laws.screening import (

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline_effect import SplineLaw

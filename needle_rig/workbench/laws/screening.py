@@ -16,9 +16,8 @@ from needle_rig.physics.torque_scale import torque_power
 from needle_rig.units import rad
 from needle_rig.workbench.estimation.derivatives import directional_derivatives
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.posterior import STEP, Objective
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.law import UNIT, Law, every_law
 from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.spline import Quadratic, Spline, smoothed

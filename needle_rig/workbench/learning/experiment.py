@@ -9,12 +9,12 @@ from pathlib import Path
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, save_protocol
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.machine import check_fits
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.records import JsonObject
-from needle_rig.simulation.protocol import Protocol, save_protocol
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.candidates import try_effect

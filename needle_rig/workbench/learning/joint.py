@@ -312,6 +312,6 @@ def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_
     if best is None or not best.is_better(plain) or best.at[-1] >= FADED * highest:
         return None
     rival = np.column_stack((design, rate * size))
-    begin = np.asarray(np.linalg.lstsq(rival, torque, rcond=None)[0], dtype=np.float64)
-    squared = _fit(lambda _, *p: rival @ np.array(p), rate, torque, begin, left_nm)
+    at = np.asarray(np.linalg.lstsq(rival, torque, rcond=None)[0], dtype=np.float64)
+    squared = _fit(lambda _, *p: rival @ np.array(p), rate, torque, at, left_nm)
     return None if squared.chi2 < best.chi2 else best

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from scipy.special import chdtrc
 
 from needle_rig.model import SavedModel
+from needle_rig.workbench.learning.watched_runs import WatchedRun
 from needle_rig.workbench.selection.values import CONTRADICTS, with_uncertainty
-
-if TYPE_CHECKING:
-    from needle_rig.workbench.learning.watch import WatchedRun
 
 
 def contradiction(runs: Sequence[WatchedRun], saved: SavedModel, named: str) -> str:

@@ -12,7 +12,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.learn import learn_laws
+from needle_rig.workbench.laws.learn_laws import learn_laws
 from needle_rig.workbench.laws.learnt import Learnt
 from needle_rig.workbench.learning.adopt import Refused, adopt
 from needle_rig.workbench.learning.learn import Lesson, fitted

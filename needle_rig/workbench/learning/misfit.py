@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from needle_rig.numerics import Array
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.learning.places import Place, all_places, scale_of, worst_places
 from needle_rig.workbench.observations.noise import covariance
 from needle_rig.workbench.selection.documents import ChannelError, MisfitDocument

@@ -26,11 +26,11 @@ from needle_rig.workbench.learning.compare import Held, TraceComparison, compare
 from needle_rig.workbench.observations.sources import read_observed
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.published.compare import compare_settled
-from needle_rig.workbench.published.diagnose import diagnose_settled
+from needle_rig.workbench.published.diagnose_settled import diagnose_settled
 from needle_rig.workbench.published.explanation import by_quantity
 from needle_rig.workbench.published.explanation import explanation as settled_explanation
-from needle_rig.workbench.published.search import settled_problem, values_to_meet
-from needle_rig.workbench.published.search import try_effect as try_settled
+from needle_rig.workbench.published.single_effects import settled_problem, values_to_meet
+from needle_rig.workbench.published.single_effects import try_effect as try_settled
 from needle_rig.workbench.selection.answer import Answer, Say
 from needle_rig.workbench.selection.candidates import try_effect
 from needle_rig.workbench.selection.diagnose import diagnose

@@ -20,19 +20,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from needle_rig.config.check import validate
-from needle_rig.config.places import Places
-from needle_rig.config.schema import Section, WatchSection
+from needle_rig.config.schema import WatchSection
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.samples import AT_REST_DEG
 from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.model import load_parameters, load_saved
-from needle_rig.model.schema import Number
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import BASE_PARAMETERS, NeedleModel
@@ -44,6 +40,7 @@ from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.control_chart import shift
 from needle_rig.workbench.learning.identify import Identification, identify
 from needle_rig.workbench.learning.last_run import contradiction
+from needle_rig.workbench.learning.watched_runs import Watched, WatchedRun, kept_runs
 from needle_rig.workbench.observations.earlier_path import after_earlier_runs
 from needle_rig.workbench.observations.runs import BEGIN_S, runs_as_dataset
 
@@ -61,33 +58,6 @@ LEAST_MISFIT = 0.1
 TELL_EVERY_S = 5.0
 """While it looks at many runs."""
 UNFINISHED = "its identification did not end: it took too long or too much memory"
-
-
-class Watched(Section):
-    """One parameter in one run."""
-
-    at: Number
-    """On the fit's scale: a logarithm, or a scaled value, which may lie beyond a bound."""
-    value: Number
-    uncertainty: Number
-    unit: str
-    least: Number
-    """Change of `at` that does not matter."""
-
-
-class WatchedRun(Section):
-    """What one run said."""
-
-    format: Literal["needle-rig-watch/1"] = "needle-rig-watch/1"
-    run: str
-    started_utc: str
-    rig: str = ""
-    """SHA-256 of layout, needle and model: only runs of one rig are compared."""
-    parameters: dict[str, Watched] = Field(default_factory=dict)
-    misfit: Annotated[float, Field(ge=0)] = 0.0
-    """Root mean square of what the model leaves, in units of the noise."""
-    not_judged: str = ""
-    """Why it says nothing."""
 
 
 @dataclass(frozen=True)
@@ -168,24 +138,6 @@ def said_of(directory: Path, section: WatchSection | None = None) -> Watch:
             said = contradiction(runs, load_saved(section.model), section.model)
     told = (*found.sentences, said) if said else found.sentences
     return dataclasses.replace(found, sentences=told, contradiction=said)
-
-
-def kept_runs(directory: Path) -> list[WatchedRun]:
-    """What runs said, in the order in which they were made; files that are damaged are left out."""
-    found = []
-    for path in (directory / WATCH_FOLDER).glob("*.json"):
-        if path.name != SUMMARY:
-            with suppress(OSError, ValueError, BadInput):
-                found.append(_kept_run(path))
-    return sorted(found, key=lambda run: (run.started_utc, run.run))
-
-
-def _kept_run(path: Path) -> WatchedRun:
-    """What a run said. Raises OSError, ValueError or BadInput where it is damaged or of a newer format."""
-    content = json.loads(path.read_bytes())
-    if not isinstance(content, dict):
-        raise ValueError(path.name)
-    return validate(WatchedRun, content, Places(path.name))
 
 
 def restart(directory: Path) -> None:

@@ -22,7 +22,7 @@ from needle_rig.physics.needle_model import FRICTION, NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.records import JsonObject
 from needle_rig.units import deg, mm, nmm, rad
-from needle_rig.workbench.paper.identify import held_tip_torque_nm, settling_time_s, with_effect
+from needle_rig.workbench.paper.experiments import held_tip_torque_nm, settling_time_s, with_effect
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 

@@ -21,7 +21,7 @@ from needle_rig.workbench.estimation.file_units import known_of, vector_of
 from needle_rig.workbench.estimation.gaussian import Gaussian
 from needle_rig.workbench.estimation.problem import EXACT
 from needle_rig.workbench.published.fit import SettledProblem, held_out_error
-from needle_rig.workbench.published.search import settled_problem
+from needle_rig.workbench.published.single_effects import settled_problem
 from needle_rig.workbench.selection.answer import left_out_error
 from needle_rig.workbench.selection.documents import (
     ChannelError,

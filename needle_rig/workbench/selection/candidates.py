@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
-from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, ROUGH, Fit, fit
+from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE, ROUGH, fit
 from needle_rig.workbench.estimation.multistart import lowest_fit, over_forms
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import log_places
 from needle_rig.workbench.selection.places import look_through

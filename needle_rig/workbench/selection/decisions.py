@@ -8,10 +8,9 @@ import itertools
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, make_effects
 from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Decision
 from needle_rig.workbench.selection.candidates import Candidate

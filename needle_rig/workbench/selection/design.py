@@ -11,15 +11,15 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from needle_rig.dataset import DatasetTrial, TrialCommand
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array, lower_root
 from needle_rig.physics.effect import Trial
-from needle_rig.simulation.base_drive import base_path, phases
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
+from needle_rig.simulation.drive.base_drive import base_path, phases
 from needle_rig.workbench.estimation.linear import LinearisedFit, prediction_covariance
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.posterior import Objective
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.virtual.dataset import planned_motions

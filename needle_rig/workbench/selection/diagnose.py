@@ -20,9 +20,9 @@ from needle_rig.workbench.estimation.baseline import (
     with_starts_of,
 )
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.snaps import snaps
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY

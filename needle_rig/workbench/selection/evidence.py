@@ -9,9 +9,8 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.policy import POLICY
 
 TINY = 1e-12

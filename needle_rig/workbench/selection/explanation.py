@@ -16,9 +16,8 @@ from needle_rig.physics.needle_model import FRICTION, NMM2_PER_NM2, TORSIONAL_RI
 from needle_rig.units import deg, nmm, per_100mm
 from needle_rig.workbench.estimation.baseline import Baseline, element_length, judged
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial
 from needle_rig.workbench.observations.noise import covariance

@@ -23,8 +23,7 @@ from scipy.special import ncfdtr
 from needle_rig.numerics import Array, lower_root
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit, Projection
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial
 from needle_rig.workbench.observations.measured_noise import floors
 from needle_rig.workbench.observations.noise import Whitener

@@ -8,7 +8,7 @@ import numpy as np
 
 from needle_rig.units import per_100mm
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.decisions import may_snap
 from needle_rig.workbench.selection.ranking import values_of

@@ -17,8 +17,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from needle_rig.dataset import Dataset
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.policy import POLICY
 
 FEWEST = 4

@@ -20,8 +20,9 @@ from needle_rig.workbench.estimation.baseline import (
     starts_beside,
     under_starts,
 )
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import at_strength
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.screening import beside

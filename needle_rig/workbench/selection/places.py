@@ -15,9 +15,8 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import log_places
 from needle_rig.workbench.selection.screening import (

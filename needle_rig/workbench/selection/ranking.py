@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
-from needle_rig.workbench.estimation.map_fit import Fit
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import SIGMAS_95, Ranked, Value
 from needle_rig.workbench.selection.candidates import Candidate

@@ -19,8 +19,7 @@ from needle_rig.dataset.records import UNKNOWN_SIGMA
 from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, direction_of
 from needle_rig.workbench.policy import POLICY
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needle_rig.workbench.estimation.map_fit import Fit, fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.candidates import score

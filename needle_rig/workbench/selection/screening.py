@@ -17,9 +17,8 @@ import numpy as np
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.linear import LinearisedFit
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import FreeParameter, against_mean
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.estimation.slip_limits import log_slip_limits
 from needle_rig.workbench.policy import POLICY
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.candidates import (

@@ -20,9 +20,8 @@ from needle_rig.workbench.estimation.baseline import (
     with_samples_at,
     with_starts_of,
 )
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.posterior import excess
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.noise import Noise
 from needle_rig.workbench.observations.noise_terms.interference import Interference
 from needle_rig.workbench.observations.noise_terms.term import ShownTerm

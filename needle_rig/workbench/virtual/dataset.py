@@ -9,13 +9,13 @@ import numpy as np
 
 from needle_rig.control.strategy import Task, Waypoint, make_strategy
 from needle_rig.dataset import Dataset, DatasetTrial, Needle, TrialCommand, denoised_base
+from needle_rig.dataset.protocol import Protocol
 from needle_rig.errors import BadInput
 from needle_rig.physics.effect import Trial
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.physics.trial_friction import FrictionOfTrial
-from needle_rig.simulation.base_drive import Motion, base_path, phases
-from needle_rig.simulation.protocol import Protocol
+from needle_rig.simulation.drive.base_drive import Motion, base_path, phases
 from needle_rig.units import nm, rad
 from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import WINDOW_S, Turn, carried_out

@@ -16,8 +16,8 @@ import numpy as np
 
 from needle_rig.control.compensation import DITHER_FADE_S
 from needle_rig.control.ranges import MOST_MOTIONS
-from needle_rig.control.reports import SettledMotion, settled_motion
-from needle_rig.control.strategy import History, Strategy, Task, Waypoint
+from needle_rig.control.reports import settled_motion
+from needle_rig.control.strategy import History, SettledMotion, Strategy, Task, Waypoint
 from needle_rig.errors import RigFault
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Trial

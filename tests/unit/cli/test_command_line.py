@@ -8,7 +8,7 @@ import pytest
 
 from needle_rig.cli import _output
 from needle_rig.errors import BadInput
-from needle_rig.service.orders import read_order
+from needle_rig.service.api.orders import read_order
 
 ROOT = Path(__file__).parents[3]
 INTERRUPTED = """

@@ -16,7 +16,7 @@ from needle_rig.cli._groups import GROUPS, LOOKED_FOR
 from needle_rig.cli._renamed import RENAMED, in_new_words
 from needle_rig.cli.main import Commands, group, run
 from needle_rig.errors import BadInput
-from needle_rig.service.orders import read_order
+from needle_rig.service.api.orders import read_order
 
 assert isinstance(group, Commands)
 CONTEXT = click.Context(group)

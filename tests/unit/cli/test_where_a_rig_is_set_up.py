@@ -11,9 +11,10 @@ import pytest
 
 from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
-from needle_rig.service import client, installation
-from needle_rig.service.installation import Installation
-from needle_rig.service.systemd import UnitStanding
+from needle_rig.service import client
+from needle_rig.service.installed import installation
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.installed.systemd import UnitStanding
 from needle_rig.version import VERSION
 
 FAILED = UnitStanding("failed", "failed", "exit-code", "")

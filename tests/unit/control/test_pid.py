@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needle_rig.control.pid import PositionLoop
-from needle_rig.simulation.motor import Motor, MotorSettings
+from needle_rig.simulation.drive.motor import Motor, MotorSettings
 from needle_rig.units import deg, nm, rad
 
 ENCODER_DEG = 0.01

@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from needle_rig.control.checked import NAME_LETTERS, NOTE_LETTERS, Checked
 from needle_rig.control.compensation import ACTIVE
 from needle_rig.control.ranges import MOST_MOTIONS, SETTLE_S, SLOWEST_RAD_S
-from needle_rig.control.reports import Outcome, Request, SettledMotion
+from needle_rig.control.reports import Outcome, Request
 from needle_rig.control.strategy import (
     Dither,
     History,
     Reason,
+    SettledMotion,
     Strategy,
     Task,
     Waypoint,

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needle_rig.control.reports import Outcome, SettledMotion
+from needle_rig.control.reports import Outcome
 from needle_rig.control.strategies.reed2008 import Reed2008
-from needle_rig.control.strategy import Task
+from needle_rig.control.strategy import SettledMotion, Task
 from needle_rig.control.verdict import judge, outcome
 from needle_rig.model import EXPERIMENT_LAYOUT
 from needle_rig.units import deg, rad

@@ -21,7 +21,7 @@ from needle_rig.devices.memory_host import MemoryHost
 from needle_rig.devices.torque_netft import TorqueNetFt
 from needle_rig.errors import BadInput
 from needle_rig.records import Command
-from needle_rig.simulation.twins import TWINS
+from needle_rig.simulation.nodes.twins import TWINS
 
 DRIVE: dict[str, Any] = {"node_id": 5, "position_units_per_turn": 409_600, "velocity_units_per_rpm": 100}
 

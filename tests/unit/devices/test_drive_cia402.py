@@ -12,8 +12,8 @@ from needle_rig.config.schema import Cia402Drive
 from needle_rig.devices.contract import Bench, Broken
 from needle_rig.devices.drive_cia402 import DriveCia402, SyncAnswers
 from needle_rig.records import STOP, Command, DriveFault, DriveState
-from needle_rig.simulation.cia402_node import _Entry
-from needle_rig.simulation.twins import DriveTwin
+from needle_rig.simulation.nodes.cia402_node import _Entry
+from needle_rig.simulation.nodes.twins import DriveTwin
 
 OPTIONS = Cia402Drive(device="cia402", node_id=5, position_units_per_turn=36_000, velocity_units_per_rpm=60)
 

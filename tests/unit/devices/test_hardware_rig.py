@@ -17,8 +17,8 @@ from needle_rig.config.schema import NetFtTorque, RigConfig
 from needle_rig.devices.hardware_rig import HardwareRig, RealHost
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.records import DriveState
-from needle_rig.simulation.netft_sensor import NetFtPorts, NetFtSensor
-from needle_rig.simulation.slcan_hub import Pty
+from needle_rig.simulation.nodes.netft_sensor import NetFtPorts, NetFtSensor
+from needle_rig.simulation.nodes.slcan_hub import Pty
 from tests.closed_loop.other_devices import DRIVE, HALL, TORQUE, VirtualRig, config_of
 
 

@@ -18,7 +18,7 @@ from needle_rig.devices.hall_serial import HallSerial
 from needle_rig.devices.memory_host import MemoryHost
 from needle_rig.devices.torque_can import TorqueCan
 from needle_rig.records import Command, DriveFault, DriveState
-from needle_rig.simulation.slcan_hub import Pty
+from needle_rig.simulation.nodes.slcan_hub import Pty
 from needle_rig.wire.can_frames import (
     DRIVE_HEALTH_ID,
     DRIVE_STATUS_ID,

@@ -17,7 +17,7 @@ import pytest
 
 from needle_rig.devices.serial_line import SerialLine
 from needle_rig.devices.terminal_reader import TerminalReader
-from needle_rig.simulation.slcan_hub import Pty
+from needle_rig.simulation.nodes.slcan_hub import Pty
 
 
 @pytest.fixture

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 from websockets.frames import Frame, Opcode
 
-from needle_rig.service import api, connections
-from needle_rig.service.api import Answer, application
-from needle_rig.service.connections import Connections
-from needle_rig.service.serving import server
-from needle_rig.service.stream import Stream
+from needle_rig.service.api import api, connections
+from needle_rig.service.api.api import Answer, application
+from needle_rig.service.api.connections import Connections
+from needle_rig.service.api.serving import server
+from needle_rig.service.api.stream import Stream
 
 Reply = tuple[int, dict[str, Any]]
 
@@ -370,7 +370,7 @@ async def test_the_openapi_document_has_every_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("given_mb", "kept_mb"), [(768, 768), (4096, 1024)])
 def test_a_memory_limit_that_was_given_is_kept_and_never_raised(given_mb: int, kept_mb: int) -> None:
     code = (
-        "import resource; from needle_rig.service.api_process import limit_memory;"
+        "import resource; from needle_rig.service.api.api_process import limit_memory;"
         f" resource.setrlimit(resource.RLIMIT_AS, ({given_mb} << 20,) * 2); limit_memory();"
         " print(resource.getrlimit(resource.RLIMIT_AS)[0] >> 20)"
     )

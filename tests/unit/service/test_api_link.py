@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from needle_rig.service import api_link
-from needle_rig.service.api_link import SILENT, STARTING, STATES_HZ, ApiLink
+from needle_rig.service.api import api_link
+from needle_rig.service.api.api_link import SILENT, STARTING, STATES_HZ, ApiLink
 
 
 async def refuse(*_: Any) -> Any:

@@ -16,9 +16,9 @@ import pytest
 from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput, NeedleRigError
-from needle_rig.service import archive, backup
-from needle_rig.service.backup import back_up, restore
-from needle_rig.service.installation import Installation
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup import archive, backup
+from needle_rig.service.setup.backup import back_up, restore
 from needle_rig.version import VERSION
 
 

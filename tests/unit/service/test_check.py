@@ -15,9 +15,9 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import RigConfig
 from needle_rig.devices.bus_watch import frame_bits
 from needle_rig.recording import mark_read, retain
-from needle_rig.service import check
-from needle_rig.service.interface import Interface, parse
-from needle_rig.service.rates import Rates
+from needle_rig.service.setup import check
+from needle_rig.service.setup.interface import Interface, parse
+from needle_rig.service.tick.rates import Rates
 from needle_rig.version import VERSION
 
 RIG = load_rig_config(shipped_file("rig.hardware.yaml"))

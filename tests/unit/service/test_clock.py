@@ -3,7 +3,7 @@ import time
 
 import pytest
 
-from needle_rig.service.clock import TimerClock, VirtualClock
+from needle_rig.service.tick.clock import TimerClock, VirtualClock
 
 PERIOD_S = 0.004
 

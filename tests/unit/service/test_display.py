@@ -14,10 +14,11 @@ from rich.console import Console
 from needle_rig.cli._live import PhaseLines, moving_bar, phase_line, picture, screen
 from needle_rig.cli._output import number, settled_table, tell_result
 from needle_rig.config.loader import load_rig_config
-from needle_rig.control.reports import BrainState, SettledMotion
+from needle_rig.control.reports import BrainState
+from needle_rig.control.strategy import SettledMotion
 from needle_rig.records import DriveFault, DriveState, Measurement, Phase
-from needle_rig.service import report
-from needle_rig.service.documents import State, Told
+from needle_rig.service.api.documents import State, Told
+from needle_rig.service.tick import report
 from needle_rig.units import rad
 
 CONFIG = load_rig_config()

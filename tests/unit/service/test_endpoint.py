@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from needle_rig.errors import BadInput, RigFault
-from needle_rig.service.endpoint import Made, listening, socket_for_daemon, sockets_for_client
+from needle_rig.service.api.endpoint import Made, listening, socket_for_daemon, sockets_for_client
 
 
 def test_only_owner_and_group_may_use_it(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from needle_rig.cli.main import run
 from needle_rig.config.files import shipped_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import BadInput
-from needle_rig.service.install import installed_program, refuse_unable, unit_text
-from needle_rig.service.installation import Installation
-from needle_rig.service.rig_file import Answers, rig_file_text
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup.install import installed_program, refuse_unable, unit_text
+from needle_rig.service.setup.rig_file import Answers, rig_file_text
 
 pytestmark = pytest.mark.skipif(
     not all(map(shutil.which, ("systemd-sysusers", "systemctl", "userdel"))), reason="no systemd here"

@@ -13,7 +13,7 @@ from needle_rig.control.brain import Brain
 from needle_rig.control.reports import Request
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.records import STOP, Command, DriveState, Firmware, Measurement, Phase
-from needle_rig.service.late_rig import LateRig
+from needle_rig.service.tick.late_rig import LateRig
 
 MISSING = "CAN bus (socketcan can0): there is no interface can0"
 

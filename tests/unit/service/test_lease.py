@@ -1,7 +1,7 @@
 import pytest
 
 from needle_rig.errors import Aborted, BadInput
-from needle_rig.service.lease import LEASE_S, Claim, Lease, Taken
+from needle_rig.service.api.lease import LEASE_S, Claim, Lease, Taken
 from tests.values import now
 
 

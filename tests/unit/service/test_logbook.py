@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from needle_rig.service.logbook import Logbook
-from needle_rig.service.repeats import QUIET_S, Repeats
+from needle_rig.service.installed.logbook import Logbook
+from needle_rig.service.tick.repeats import QUIET_S, Repeats
 
 
 def begun(folder: Path, boot_id: str = "boot 1") -> Logbook:

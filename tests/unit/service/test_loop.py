@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from needle_rig.records import STOP, Command, DriveState, Firmware, Measurement, Phase, Sample
-from needle_rig.service.clock import VirtualClock
-from needle_rig.service.loop import ControlLoop
+from needle_rig.service.tick.clock import VirtualClock
+from needle_rig.service.tick.loop import ControlLoop
 
 READING = Measurement(0.0, 0.1, 0.0, (0.0,))
 

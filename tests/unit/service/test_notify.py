@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from needle_rig.service.notify import Notify
+from needle_rig.service.tick.notify import Notify
 
 UNIT = Path(__file__).parents[3] / "config" / "service" / "needle-rig.service"
 

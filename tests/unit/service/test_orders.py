@@ -6,7 +6,7 @@ import pytest
 from needle_rig.control.ranges import FASTEST_DEG_S, MOST_DEG, SLOWEST_DEG_S
 from needle_rig.control.ranges import MOST_MOTIONS as STEPS
 from needle_rig.errors import BadInput
-from needle_rig.service.orders import (
+from needle_rig.service.api.orders import (
     MODELS,
     OPTIONS,
     read_order,

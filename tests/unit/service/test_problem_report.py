@@ -10,9 +10,9 @@ import h5py
 import pytest
 
 from needle_rig.config.files import shipped_file
-from needle_rig.service import problem_report
-from needle_rig.service.installation import Installation
-from needle_rig.service.problem_report import LEFT_OUT, without_secrets, write_report
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup import problem_report
+from needle_rig.service.setup.problem_report import LEFT_OUT, without_secrets, write_report
 from needle_rig.version import VERSION
 
 

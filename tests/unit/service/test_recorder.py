@@ -19,8 +19,8 @@ from needle_rig.config.schema import RigConfig
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.recording import RunFile, journal_path, list_runs, unfinished_runs
 from needle_rig.records import DriveFault, DriveState, Phase, Sample
-from needle_rig.service import recorder as recorder_module
-from needle_rig.service.recorder import Recorder
+from needle_rig.service.recorder import recorder as recorder_module
+from needle_rig.service.recorder.recorder import Recorder
 
 REQUEST = {"strategy": "reed2008", "target_deg": 45.0, "parameters": "rig_elastic"}
 HALLS = (0.1, 0.2, 0.3, 0.4)
@@ -383,7 +383,7 @@ def killed_daemon(folder: Path) -> Path:
 DYING = """
 import asyncio, pathlib
 from needle_rig.config.loader import load_rig_config
-from needle_rig.service.recorder import Recorder
+from needle_rig.service.recorder.recorder import Recorder
 from tests.unit.service.test_recorder import REQUEST, SAMPLE
 
 async def main():

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from needle_rig.errors import NeedleRigError
-from needle_rig.service.steps import AwaitProcesses, LeaveToAll
+from needle_rig.service.setup.steps import AwaitProcesses, LeaveToAll
 
 ENDING, OBEYING, STUBBORN = "games", "news", "uucp"
 """Accounts of Debian's base system, and nobody's in tests: one a test, as all processes of an account are

@@ -1,6 +1,6 @@
 import asyncio
 
-from needle_rig.service.stream import Stream
+from needle_rig.service.api.stream import Stream
 
 
 async def test_a_slow_listener_gets_every_event_but_only_the_newest_state() -> None:

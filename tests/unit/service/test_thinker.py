@@ -14,15 +14,14 @@ import pytest
 
 from needle_rig.config.python_file import load_module
 from needle_rig.control.manual import Turn
-from needle_rig.control.reports import SettledMotion
 from needle_rig.control.strategies.estimator import Estimator
 from needle_rig.control.strategies.none import NoCompensation
 from needle_rig.control.strategies.planned import Planned
-from needle_rig.control.strategy import History, Strategy, Task, Waypoint, find_strategies
+from needle_rig.control.strategy import History, SettledMotion, Strategy, Task, Waypoint, find_strategies
 from needle_rig.errors import BadInput, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT, load_parameters
 from needle_rig.physics.library import find_effects, load_effect
-from needle_rig.service.thinker import QUICK, Thinker
+from needle_rig.service.tick.thinker import QUICK, Thinker
 from needle_rig.units import rad
 from needle_rig.workbench.laws.draft import Origin, Table, written
 from needle_rig.workbench.laws.law import Law

@@ -10,10 +10,10 @@ import pytest
 
 from needle_rig.config.files import shipped_file
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
-from needle_rig.service import upgrade as upgrade_module
-from needle_rig.service.install import unit_text
-from needle_rig.service.installation import Installation
-from needle_rig.service.upgrade import Versions, roll_back, upgrade, versions_of
+from needle_rig.service.installed.installation import Installation
+from needle_rig.service.setup import upgrade as upgrade_module
+from needle_rig.service.setup.install import unit_text
+from needle_rig.service.setup.upgrade import Versions, roll_back, upgrade, versions_of
 
 
 class Computer:

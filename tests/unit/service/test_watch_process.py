@@ -17,9 +17,9 @@ from needle_rig.config.loader import load_rig_config
 from needle_rig.config.schema import WatchSection
 from needle_rig.model import load_saved, save_model
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_summary
-from needle_rig.service import recorder_process, watch_process
-from needle_rig.service.recorder_process import Keeper
-from needle_rig.service.watch_process import WatchProcess
+from needle_rig.service.recorder import recorder_process, watch_process
+from needle_rig.service.recorder.recorder_process import Keeper
+from needle_rig.service.recorder.watch_process import WatchProcess
 from needle_rig.version import VERSION
 from tests.recorded_run import write_run
 

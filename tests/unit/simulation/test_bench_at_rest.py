@@ -14,8 +14,8 @@ import pytest
 
 from needle_rig.config.loader import load_rig_config
 from needle_rig.records import STOP, DriveState
-from needle_rig.simulation.bench_lines import Said
-from needle_rig.simulation.bench_loop import BenchLoop
+from needle_rig.simulation.bench.bench_lines import Said
+from needle_rig.simulation.bench.bench_loop import BenchLoop
 from needle_rig.simulation.build import build_plant
 from needle_rig.wire.can_frames import DRIVE_COMMAND_ID, DriveStatus, TorqueStatus
 from needle_rig.wire.slcan import SlcanStream, slcan_line

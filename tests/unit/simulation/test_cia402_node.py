@@ -7,8 +7,8 @@ import struct
 import pytest
 
 from needle_rig.config.schema import Cia402Drive
-from needle_rig.simulation.cia402_node import Cia402Node
-from needle_rig.simulation.slcan_hub import Frame
+from needle_rig.simulation.nodes.cia402_node import Cia402Node
+from needle_rig.simulation.nodes.slcan_hub import Frame
 
 OPTIONS = Cia402Drive(device="cia402", node_id=3, position_units_per_turn=3600, velocity_units_per_rpm=60)
 

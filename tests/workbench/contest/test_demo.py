@@ -11,7 +11,7 @@ import pytest
 
 from needle_rig.cli.main import run as command
 from needle_rig.figures.demo import demo_figure
-from needle_rig.figures.page import png
+from needle_rig.figures.figure import png
 from needle_rig.model import effect_directories, load_parameters
 from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.physics.library import find_effects

@@ -6,8 +6,7 @@ import pytest
 from needle_rig.units import rad
 from needle_rig.workbench.estimation.baseline import Baseline, with_noise_at
 from needle_rig.workbench.estimation.discretisation_error import refitted
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.noise_terms.drift import Drift
 from tests.workbench.hidden import null_fit
 

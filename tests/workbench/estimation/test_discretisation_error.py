@@ -3,9 +3,9 @@ import functools
 
 import numpy as np
 import pytest
-from diagnosis_sets import SETUPS
-from messy_shapes import SHAPES, recorded
 
+from campaigns.workbench.diagnosis_sets import SETUPS
+from campaigns.workbench.messy_shapes import SHAPES, recorded
 from needle_rig.dataset import Dataset
 from needle_rig.model import load_parameters
 from needle_rig.workbench.estimation import discretisation_error
@@ -17,9 +17,8 @@ from needle_rig.workbench.estimation.discretisation_error import (
     whitened_error,
     with_discretisation_error,
 )
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.selection import shown_noise
 from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.evidence import within_discretisation_error

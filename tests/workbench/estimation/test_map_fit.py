@@ -14,10 +14,9 @@ from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.workbench.estimation import multistart
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.cross_validation import cross_validate
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.multistart import over_forms
 from needle_rig.workbench.estimation.parameters import free_parameters, make_effects, scaled_values_of
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
 from needle_rig.workbench.virtual.noise import Noise

@@ -11,9 +11,8 @@ import pytest
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation import profile
 from needle_rig.workbench.estimation.baseline import as_baseline
-from needle_rig.workbench.estimation.map_fit import Fit
 from needle_rig.workbench.estimation.parameters import scaled_values_of
-from needle_rig.workbench.estimation.problem import ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.estimation.profile import over_profiles
 from tests.workbench.hidden import effect, fit, null_fit
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset, DatasetTrial
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.dataset.records import Start
 from needle_rig.model import load_parameters
 from needle_rig.numerics import Array
 from needle_rig.physics import effects as built_in
 from needle_rig.physics.effect import Reading
 from needle_rig.physics.library import load_effect
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.units import deg, nm, rad
 from needle_rig.workbench.estimation.baseline import fit_baseline, judged, null_model
 from needle_rig.workbench.estimation.run_in import Wound, wound

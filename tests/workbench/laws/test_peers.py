@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.machinery
-import importlib.util
 import json
-import sys
-from pathlib import Path
-from types import ModuleType
+from argparse import Namespace
 from typing import Any
 
 import numpy as np
 import pytest
-from peers import TERMS, Data, Discrepancy, Sindy, Symbolic, left_out_error, library_features, of_command
 
+from campaigns.workbench import law_peers, strategies_learnt
+from campaigns.workbench.peers import (
+    TERMS,
+    Data,
+    Discrepancy,
+    Sindy,
+    Symbolic,
+    left_out_error,
+    library_features,
+    of_command,
+)
 from tests.workbench.hidden import null_fit
-
-SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
-
-
-def script(name: str) -> ModuleType:
-    loader = importlib.machinery.SourceFileLoader(name, str(SCRIPTS / name))
-    spec = importlib.util.spec_from_loader(name, loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -136,14 +130,13 @@ def test_sindy_and_a_discrepancy_predict_every_bin(data: Data) -> None:
 
 
 def test_the_table_has_a_row_for_each_case_and_says_what_failed() -> None:
-    made = script("law_peers")
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "case": "slit",
-            "peer": made.LEARN,
+            "peer": law_peers.LEARN,
             "says": "law: a|b",
             "error": 1.01,
-            "processor_s": 9,
+            "cpu_s": 9,
             "settings": "",
         },
         {
@@ -151,25 +144,24 @@ def test_the_table_has_a_row_for_each_case_and_says_what_failed() -> None:
             "peer": "PySINDy",
             "says": "x" * 999,
             "error": None,
-            "processor_s": 3,
+            "cpu_s": 3,
             "settings": "s",
         },
-        {"case": "nothing", "peer": "PySINDy", "says": "y", "error": 4.0, "processor_s": 5, "settings": "s"},
+        {"case": "nothing", "peer": "PySINDy", "says": "y", "error": 4.0, "cpu_s": 5, "settings": "s"},
     ]
-    text = made.table(json.loads(json.dumps(rows)))
+    text = law_peers.table(json.loads(json.dumps(rows)), Namespace())
     assert "| slit: torque · section_3 · angle | 1.01 | fails |" in text
     assert "| nothing | — | 4.00 |" in text
     assert "law: a¦b" in text
     assert "(999 characters)" in text
     assert "- **PySINDy**: s" in text
     assert "stands in its stead" not in text
-    assert "PyOperon stands in its stead" in made.table(
-        [*rows, {**rows[2], "peer": "PyOperon, from the command"}]
+    assert "PyOperon stands in its stead" in law_peers.table(
+        [*rows, {**rows[2], "peer": "PyOperon, from the command"}], Namespace()
     )
 
 
 def test_the_strategies_table_counts_rigs_and_says_what_was_refused() -> None:
-    made = script("strategies_learnt")
     none = {"worst_deg": [], "tip_deg": [], "gave_way": 0, "refused": "needs a model"}
     good = {"worst_deg": [1.0, 2.0], "tip_deg": [0.5, 1.0], "gave_way": 1, "refused": ""}
     worse = {"worst_deg": [4.0, 4.0], "tip_deg": [3.0, 3.0], "gave_way": 0, "refused": ""}
@@ -183,14 +175,14 @@ def test_the_strategies_table_counts_rigs_and_says_what_was_refused() -> None:
         "adopted": ["found"],
         "before": 20.0,
         "after": None,
-        "runs": dict(zip(made.WAYS, (worse, none, worse, good), strict=True)),
+        "runs": dict(zip(strategies_learnt.WAYS, (worse, none, worse, good), strict=True)),
     }
-    text = made.table([row])
+    text = strategies_learnt.table([row], Namespace())
     assert "| slit × 2 | law: torque_section_3_angle (sine) | 20.00 → — | reed2008 | 3.0 (3.0) |" in text
     assert "smaller than reed2008's in 1 of 1 rigs (2.7 times in the median)" in text
     assert "than with the null model in 1 (2.7 times)" in text
     assert "| planned, null model | refused | refused | — |" in text
     assert "- refused: needs a model" in text
-    row["runs"] = dict.fromkeys(made.WAYS, none)
+    row["runs"] = dict.fromkeys(strategies_learnt.WAYS, none)
     row["adopted"] = []
-    assert "| refused | refused | — |" in made.table([row])
+    assert "| refused | refused | — |" in strategies_learnt.table([row], Namespace())

@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from needle_rig.workbench.laws import search
+from needle_rig.workbench.laws import law_search
 from needle_rig.workbench.laws.fitting import Parent
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.learn import _Learning, goes_on, reaches, verdict_of
-from needle_rig.workbench.laws.search import FoundLaw, asked_of, borne, changes_matter, kept, tied
+from needle_rig.workbench.laws.law_search import FoundLaw, asked_of, borne, changes_matter, kept, tied
+from needle_rig.workbench.laws.learn_laws import _Learning, goes_on, reaches, verdict_of
 from needle_rig.workbench.policy import POLICY
 
 NO_PROBLEM: Any = SimpleNamespace(size=1000)
@@ -31,8 +31,8 @@ def parent(score: Any, loss: Any = 100.0, error: Any = 3.0) -> Any:
 
 @pytest.fixture(autouse=True)
 def large_and_not_ours(monkeypatch: Any) -> Any:
-    monkeypatch.setattr(search, "within_discretisation_error", lambda *_: False)
-    monkeypatch.setattr(search, "matters", lambda *_: True)
+    monkeypatch.setattr(law_search, "within_discretisation_error", lambda *_: False)
+    monkeypatch.setattr(law_search, "matters", lambda *_: True)
 
 
 @pytest.mark.parametrize(("formula", "said"), [(99.9, True), (100.0, True), (100.1, False)])
@@ -110,7 +110,7 @@ def test_what_may_be_our_own_error_or_is_too_small_is_no_law(which: Any, monkeyp
     before = parent(1000.0)
     found = FoundLaw(fitted(900.0), None, before)
     assert kept(NO_PROBLEM, before, before, found, 70)
-    monkeypatch.setattr(search, which, lambda *_: which == "within_discretisation_error")
+    monkeypatch.setattr(law_search, which, lambda *_: which == "within_discretisation_error")
     assert not kept(NO_PROBLEM, before, before, found, 70)
 
 

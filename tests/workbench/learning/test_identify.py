@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset, read_dataset, write_dataset
+from needle_rig.dataset.protocol import Protocol, compensation, staircase
 from needle_rig.model import load_model, load_parameters, save_model
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.physics.rod import Layout
-from needle_rig.simulation.protocol import Protocol, compensation, staircase
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.learning.adopt import undo
 from needle_rig.workbench.learning.compare import compare

@@ -11,7 +11,8 @@ from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import FRICTION, TORSIONAL_RIGIDITY
 from needle_rig.recording.watch_summary import read_contradiction, read_summary
 from needle_rig.workbench.learning.last_run import against, contradiction
-from needle_rig.workbench.learning.watch import Watched, WatchedRun, kept_runs, look, said_of
+from needle_rig.workbench.learning.watch import look, said_of
+from needle_rig.workbench.learning.watched_runs import Watched, WatchedRun, kept_runs
 
 SAVED = SavedModel(load_parameters("rig_rigid").replaced({FRICTION: 0.1}), "null", {FRICTION: 0.003})
 

@@ -9,13 +9,14 @@ import pytest
 
 from needle_rig.cli.main import run as needle_rig
 from needle_rig.config.schema import WatchSection
+from needle_rig.dataset.protocol import Protocol, compensation
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.recording.watch_summary import SUMMARY, WATCH_FOLDER, read_contradiction, read_summary
-from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.learning import watch
-from needle_rig.workbench.learning.watch import Watch, WatchedRun, as_it_began, judge, look_at
+from needle_rig.workbench.learning.watch import Watch, as_it_began, judge, look_at
+from needle_rig.workbench.learning.watched_runs import WatchedRun, kept_runs
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from tests.recorded_run import write_run
 from tests.workbench.hidden import effect
@@ -174,7 +175,7 @@ def test_every_run_is_looked_at_once_and_kept_beside_it(tmp_path: Path) -> None:
     write_run(tmp_path / "one.h5", pictures=False)
     (tmp_path / "broken.h5").write_bytes(b"no run")
     assert watch.look(tmp_path, find_effects())
-    runs = {run.run: run for run in watch.kept_runs(tmp_path)}
+    runs = {run.run: run for run in kept_runs(tmp_path)}
     assert set(runs) == {"one", "broken"}
     assert FRICTION in runs["one"].parameters
     assert "no HDF5" in runs["broken"].not_judged or "broken.h5" in runs["broken"].not_judged
@@ -198,7 +199,7 @@ def test_a_run_on_which_the_process_dies_is_not_tried_again(
         watch.look(tmp_path, find_effects())
     monkeypatch.undo()
     assert watch.look(tmp_path, find_effects())
-    assert watch.kept_runs(tmp_path)[0].not_judged == watch.UNFINISHED
+    assert kept_runs(tmp_path)[0].not_judged == watch.UNFINISHED
 
 
 def test_two_processes_do_not_look_at_once(tmp_path: Path) -> None:
@@ -217,7 +218,7 @@ def test_a_damaged_summary_and_a_damaged_file_say_nothing(tmp_path: Path) -> Non
         assert read_contradiction(tmp_path) == ""
     (tmp_path / WATCH_FOLDER / "one.json").write_text("[1, 2]")
     assert read_summary(tmp_path) == []
-    assert watch.kept_runs(tmp_path) == []
+    assert kept_runs(tmp_path) == []
 
 
 def test_the_command_shows_what_every_run_said_and_begins_anew(

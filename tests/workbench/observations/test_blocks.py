@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, compensation
 from needle_rig.model import load_parameters
 from needle_rig.physics.effect import Effect
-from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.observations.blocks import BLOCKS, NOTE, in_blocks
 from needle_rig.workbench.policy import POLICY

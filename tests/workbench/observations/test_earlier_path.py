@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from messy_shapes import SHAPES, recorded
 
+from campaigns.workbench.messy_shapes import SHAPES, recorded
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.dominant_turns import arrival, dominant_turns
+from needle_rig.dataset.protocol import Protocol, staircase
 from needle_rig.model import load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.recording import RunFile, RunWriter, run_tables
-from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, rad
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.parameters import scaled_values_of

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from needle_rig.dataset.protocol import Protocol, staircase
 from needle_rig.model import load_parameters
-from needle_rig.simulation.protocol import Protocol, staircase
 from needle_rig.units import deg, nmm, rad
 from needle_rig.workbench.estimation.baseline import null_model
 from needle_rig.workbench.estimation.run_in import (

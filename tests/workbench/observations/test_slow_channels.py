@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, compensation
 from needle_rig.model import load_parameters
 from needle_rig.numerics import Array
-from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.units import nm, rad
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial, driven_by_samples

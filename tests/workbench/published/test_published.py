@@ -22,7 +22,7 @@ from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.units import deg
-from needle_rig.workbench.published.diagnose import diagnose_settled
+from needle_rig.workbench.published.diagnose_settled import diagnose_settled
 from needle_rig.workbench.published.fit import SettledProblem
 from tests.values import known
 from tests.workbench.hidden import effect, few

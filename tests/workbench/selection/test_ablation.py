@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.machinery
-import importlib.util
 import sys
-from pathlib import Path
-from types import ModuleType
+from argparse import Namespace
 from typing import Any
 
 import pytest
-from ablation_rules import RULES, Memory, remembering, switched_off
 
+from campaigns.workbench import ablation
+from campaigns.workbench.ablation_rules import RULES, Memory, remembering, switched_off
 from needle_rig.workbench.policy import POLICY
 
-SCRIPT = Path(__file__).parents[3] / "scripts" / "ablation"
 
-
-@pytest.fixture(scope="module")
-def ablation() -> ModuleType:
-    loader = importlib.machinery.SourceFileLoader("ablation", str(SCRIPT))
-    spec = importlib.util.spec_from_loader("ablation", loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    loader.exec_module(module)
-    return module
+def given(size: int) -> Namespace:
+    return Namespace(size=size, first_seed=900, before=None)
 
 
 def state() -> dict[tuple[str, str], Any]:
@@ -109,10 +99,12 @@ def test_a_memory_asks_once_for_equal_arguments_and_again_inside_a_rule() -> Non
         ({"kind": "removed", "effects": ["hall_gain"], "strength": 10.0}, "none", [], {}, 1),
         ({"kind": "impostor", "impostor": "2 % outliers"}, "effect", ["tip_friction"], {}, 0),
         ({"kind": "impostor", "impostor": "2 % outliers"}, "effect", ["hall_gain"], {}, 2),
+        ({"kind": "snapping", "ratio": 0.5}, "effect", ["stribeck"], {}, 2),
+        ({"kind": "snapping", "ratio": 0.5}, "effect", ["viscous_slip"], {}, 0),
+        ({"kind": "snapping", "ratio": 0.5}, "none", [], {}, 1),
     ],
 )
 def test_answers_are_graded_by_what_is_hidden(
-    ablation: ModuleType,
     task: dict[str, Any],
     verdict: str,
     named: list[str],
@@ -123,26 +115,26 @@ def test_answers_are_graded_by_what_is_hidden(
     assert ablation.points(task, {"crash": "…"}) == 0
 
 
-def test_the_plan_is_a_mixture_of_all_kinds(ablation: ModuleType) -> None:
-    tasks = ablation.plan(60, 900)
+def test_the_plan_is_a_mixture_of_all_kinds() -> None:
+    tasks = ablation.plan(given(60))
     assert [task["number"] for task in tasks] == list(range(60))
     assert {task["kind"] for task in tasks} == {"one", "none", "pair", "removed", "impostor", "messy"}
     assert sum(task["kind"] == "messy" for task in tasks) == 12
-    assert ablation.plan(20, 900) == tasks[:20]
+    assert ablation.plan(given(20)) == tasks[:20]
 
 
-def test_the_table_counts_better_and_worse(ablation: ModuleType) -> None:
+def test_the_table_counts_better_and_worse() -> None:
     whole = {"verdict": "none", "named": [], "ties": {}, "points": 2}
     worse = {"verdict": "effect", "named": ["hall_gain"], "ties": {}, "points": 0}
-    row = {"number": 0, "kind": "none", "setup": 0, "seed": 1, "commit": "c", "answer": whole}
-    row |= {"asked": [RULES[0].name], "changed": {RULES[0].name: worse}, "whole_s": 1.0, "cpu_s": 2.0}
-    text = ablation.table([row, {"number": 1, "kind": "none", "skipped": "…", "commit": "c"}])
+    row = {"number": 0, "kind": "none", "setup": 0, "seed": 1, "answer": whole}
+    row |= {"asked": [RULES[0].name], "changed": {RULES[0].name: worse}, "whole_s": 1.0}
+    text = ablation.table([row, {"number": 1, "kind": "none", "skipped": "…"}], given(2))
     assert f"| {RULES[0].name} | 1 | 1 |  | 1 | 1000" in text
     assert "1 of 1 right" in text
     assert f"none: nothing, setup 0 | {RULES[0].name} | none | hall_gain |" in text
 
 
-def test_two_commits_are_compared_on_the_datasets_of_both(ablation: ModuleType) -> None:
+def test_two_commits_are_compared_on_the_datasets_of_both() -> None:
     right = {"verdict": "none", "named": [], "ties": {}, "points": 2}
     wrong = {"verdict": "effect", "named": ["hall_gain"], "ties": {}, "points": 0}
     task = {"kind": "none", "setup": 0, "whole_s": 3.0}

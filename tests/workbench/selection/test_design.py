@@ -6,9 +6,8 @@ from click.testing import CliRunner
 
 from needle_rig.cli.experiment import command
 from needle_rig.dataset import write_dataset
-from needle_rig.simulation.protocol import load_protocol
-from needle_rig.workbench.estimation.map_fit import Fit
-from needle_rig.workbench.estimation.problem import Problem
+from needle_rig.dataset.protocol import load_protocol
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.selection.design import commands, expected_power, proposals
 from tests.values import known
 from tests.workbench.hidden import dataset, effect, null_fit, try_effect

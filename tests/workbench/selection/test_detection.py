@@ -3,8 +3,8 @@
 import math
 
 import pytest
-from detection import detection_limit, smallest_strength
 
+from campaigns.workbench.detection import detection_limit, smallest_strength
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.estimation.parameters import at_strength
 from needle_rig.workbench.virtual.noise import Noise

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from noise_kinds import noisy
 
+from campaigns.workbench.noise_kinds import noisy
 from needle_rig.dataset import in_series, read_dataset, write_dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.units import nm

@@ -1,36 +1,24 @@
 """The bench of messy sets: its plan, its shapes, its judgement."""
 
-import importlib.machinery
-import importlib.util
+from argparse import Namespace
 from collections import Counter
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
-from messy_shapes import SHAPES, recorded
-from noise_kinds import KINDS
 
+from campaigns.run import key
+from campaigns.workbench import messy_sets
+from campaigns.workbench.messy_shapes import SHAPES, most_plausible, recorded
+from campaigns.workbench.noise_kinds import KINDS
+from campaigns.workbench.rates import right
 from needle_rig.physics.library import find_effects
 from needle_rig.workbench.virtual.noise import Noise
 
-SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "messy_sets"
 
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    loader = importlib.machinery.SourceFileLoader("messy_sets", str(SCRIPT))
-    spec = importlib.util.spec_from_loader(loader.name, loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    loader.exec_module(module)
-    return module
-
-
-def test_an_effect_meets_every_noise_shape_and_pair_of_them_once(script: ModuleType) -> None:
+def test_an_effect_meets_every_noise_shape_and_pair_of_them_once() -> None:
     pairs = len(KINDS) * len(SHAPES)
-    tasks = script.plan(pairs)
-    assert len({script.key(task) for task in tasks}) == len(tasks)
+    tasks = messy_sets.plan(Namespace(size=pairs, first_seed=0))
+    assert len({key(task) for task in tasks}) == len(tasks)
     for name in [*sorted(find_effects())[:3], None]:
         mine = [t for t in tasks if t["effects"] == ([name] if name else [])]
         met = Counter((t["noise"], t["shape"]) for t in mine)
@@ -40,8 +28,8 @@ def test_an_effect_meets_every_noise_shape_and_pair_of_them_once(script: ModuleT
         assert set(first) == set(SHAPES)
 
 
-def test_a_beginning_has_noises_and_shapes_in_proportion(script: ModuleType) -> None:
-    begun = script.plan(5)
+def test_a_beginning_has_noises_and_shapes_in_proportion() -> None:
+    begun = messy_sets.plan(Namespace(size=5, first_seed=0))
     for field, kinds in (("noise", KINDS), ("shape", SHAPES)):
         count = Counter(task[field] for task in begun)
         assert set(count) == set(kinds)
@@ -67,15 +55,15 @@ def test_starts_are_wound_where_a_shape_says_so() -> None:
     assert (sum(starts[0]), all(starts[1])) == (2, True)
 
 
-def test_a_plausible_strength_is_within_every_range(script: ModuleType) -> None:
+def test_a_plausible_strength_is_within_every_range() -> None:
     from needle_rig.model import load_parameters
     from needle_rig.workbench.estimation.parameters import free_parameters
 
     parameters = free_parameters(find_effects(), ["hall_gain"], load_parameters("rig_rigid").layout)
-    assert script.most_plausible(parameters) == pytest.approx(0.1 / 0.05)
+    assert most_plausible(parameters) == pytest.approx(0.1 / 0.05)
 
 
-def test_a_second_name_is_no_right_answer_and_what_was_not_asked_is_told(script: ModuleType) -> None:
+def test_a_second_name_is_no_right_answer_and_what_was_not_asked_is_told() -> None:
     row: dict[str, Any] = {
         "effects": ["a"],
         "noise": "white",
@@ -86,12 +74,11 @@ def test_a_second_name_is_no_right_answer_and_what_was_not_asked_is_told(script:
         "ties": {},
         "rules": [],
         "covered": [True],
-        "cpu_s": 1.0,
     }
-    assert script.right(row)
+    assert right(row)
     more = row | {"named": ["a", "b"], "ties": {"a": [], "b": []}}
-    assert not script.right(more)
+    assert not right(more)
     asked = {k: row[k] for k in ("effects", "noise", "shape", "block")}
-    told = script.table([row, more, asked | {"skipped": "does not show"}])
+    told = messy_sets.table([row, more, asked | {"skipped": "does not show"}], Namespace())
     assert "a and b" in told
     assert "Not asked, since it does not show: a (tip alone)." in told

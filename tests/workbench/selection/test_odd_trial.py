@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from needle_rig.dataset import Dataset
+from needle_rig.dataset.protocol import Protocol, compensation
 from needle_rig.model import load_parameters
-from needle_rig.simulation.protocol import Protocol, compensation
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.diagnose import diagnose

@@ -19,7 +19,7 @@ from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import excess
 from needle_rig.workbench.observations.snaps import Snap
 from needle_rig.workbench.policy import POLICY, Policy, thresholds
-from needle_rig.workbench.published.search import Candidate as SettledCandidate
+from needle_rig.workbench.published.single_effects import Candidate as SettledCandidate
 from needle_rig.workbench.selection import candidates, residual_patterns, screening, search
 from needle_rig.workbench.selection.candidates import penalty, refinable
 from needle_rig.workbench.selection.decisions import _decision

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from needle_rig.physics.library import find_effects
-from needle_rig.workbench.estimation.map_fit import Fit, fit
+from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.search import (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnosis_sets import SETUPS
-from messy_shapes import SHAPES, recorded
-from noise_kinds import WANDER_SHARE
 
+from campaigns.workbench.diagnosis_sets import SETUPS
+from campaigns.workbench.messy_shapes import SHAPES, recorded
+from campaigns.workbench.noise_kinds import WANDER_SHARE
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.workbench.estimation.baseline import fit_baseline

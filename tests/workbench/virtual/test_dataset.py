@@ -7,12 +7,12 @@ import pytest
 from needle_rig.cli._layouts import layout_named
 from needle_rig.control.lag import effective_length_m
 from needle_rig.dataset import read_dataset
+from needle_rig.dataset.protocol import Protocol, compensation, load_protocol, save_protocol, staircase
 from needle_rig.errors import BadInput
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT, load_parameters
 from needle_rig.physics.library import find_effects
 from needle_rig.physics.needle_model import FRICTION
-from needle_rig.simulation.base_drive import Motion, base_path
-from needle_rig.simulation.protocol import Protocol, compensation, load_protocol, save_protocol, staircase
+from needle_rig.simulation.drive.base_drive import Motion, base_path
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import NO_NOISE, Noise
 from tests.workbench.hidden import effect

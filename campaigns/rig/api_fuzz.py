@@ -1,0 +1,117 @@
+"""Asks a daemon in virtual time everything that its OpenAPI document allows, and what it forbids.
+
+pip install schemathesis; api_fuzz --examples 200
+
+Schemathesis makes the requests from /openapi.json: valid ones, and ones that break the document in one
+place. No answer may be 5xx, be no JSON, or have a status that the document does not name; the daemon must
+answer its state at the end, with no run begun by a request that was refused. Exit 1 when any does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import logging
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypedDict
+
+import httpx
+import hypothesis
+import schemathesis
+from hypothesis import HealthCheck
+from schemathesis.core.result import Ok
+
+from needle_rig.service.client import private_daemon
+
+logging.disable(logging.WARNING)
+
+
+class Operation(TypedDict):
+    """What is read of an operation in the daemon's OpenAPI document."""
+
+    responses: Mapping[str, object]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--examples", type=int, default=100, help="of each operation and mode")
+    options = parser.parse_args()
+    statuses: collections.Counter[tuple[str, str, int]] = collections.Counter()
+    bad: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+        with private_daemon(["--fast", f"--out={folder}"]) as daemon:
+            transport = httpx.HTTPTransport(uds=str(daemon.path))
+            with httpx.Client(transport=transport, base_url="http://daemon", timeout=30) as client:
+                document = client.get("/openapi.json").json()
+                schema = schemathesis.openapi.from_dict(document)
+                for mode in schemathesis.GenerationMode:
+                    for result in schema.get_all_operations():
+                        assert isinstance(result, Ok), result
+                        ask_all(client, document["paths"], result.ok(), mode, options.examples, statuses, bad)
+                client.post("/stop")
+                state = client.get("/state").json()
+        files = len(list(Path(folder).glob("*.h5")))
+    begun = sum(
+        count for (_, path, status), count in statuses.items() if (path, status) == ("/compensate", 202)
+    )
+    for (method, path, status), count in sorted(statuses.items()):
+        print(f"{count:6d}  {method} {path}: {status}")
+    print(f"{sum(statuses.values())} requests, phase {state['phase']}; {begun} runs begun, {files} files")
+    print(f"bad answers: {len(bad)}")
+    for each in bad[:20]:
+        print(f"        {each}")
+    return 1 if bad or files > begun else 0
+
+
+def ask_all(
+    client: httpx.Client,
+    documented_paths: Mapping[str, Mapping[str, Operation]],
+    operation: Any,
+    mode: Any,
+    examples: int,
+    statuses: collections.Counter[tuple[str, str, int]],
+    bad: list[str],
+) -> None:
+    method, path = operation.method.upper(), operation.path
+    documented = {int(status) for status in documented_paths[path][method.lower()]["responses"]}
+
+    @hypothesis.settings(
+        max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck)
+    )
+    @hypothesis.given(case=operation.as_strategy(generation_mode=mode))
+    def ask(case: Any) -> None:
+        told = case.as_transport_kwargs(base_url="http://daemon")
+        content = {"json": told["json"]} if "json" in told else {"content": told.get("data")}
+        try:
+            headers = {name: value.encode("latin-1") for name, value in dict(told["headers"]).items()}
+            if sum(statuses.values()) % 4:  # a lease that nobody gave is refused before anything else
+                headers = {name: value for name, value in headers.items() if name.lower() != "lease"}
+            answer = client.request(
+                told["method"], told["url"], headers=headers, params=told.get("params"), **content
+            )
+        except (UnicodeEncodeError, httpx.LocalProtocolError):
+            return  # what HTTP cannot carry
+        statuses[method, path, answer.status_code] += 1
+        known = answer.status_code in documented or answer.status_code in (404, 405, 307)
+        if answer.status_code >= 500 or not known:
+            bad.append(f"{method} {path} {told}: {answer.status_code} {answer.text[:200]}")
+        elif answer.headers.get("content-type") != "application/json" and answer.status_code not in (
+            400,
+            307,
+        ):
+            bad.append(f"{method} {path}: {answer.status_code} is no JSON: {answer.text[:200]}")
+
+    client.post("/stop")  # ends a lease that an operation before took
+    try:
+        ask()
+    except hypothesis.errors.Unsatisfiable:
+        print(f"        {method} {path}: nothing to ask ({mode.value})")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,270 @@
+"""A real cable drive (config/recordings/davinci.yaml) held against the model, one part after the other.
+
+scripts/evidence real_recordings real_recordings --png docs/pictures/real-recordings.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from campaigns import ROOT
+from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, read_dataset, write_dataset
+from needle_rig.importing import dataset_of, read_mapping
+from needle_rig.numerics import Array
+from needle_rig.physics.library import find_effects
+from needle_rig.units import deg, nmm, per_100mm
+from needle_rig.workbench.estimation.baseline import judged, null_model
+from needle_rig.workbench.estimation.cross_validation import cross_validate
+from needle_rig.workbench.estimation.map_fit import fit
+from needle_rig.workbench.estimation.posterior import start_vector
+from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
+from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
+from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise_terms.white import White
+
+RECORDED = ROOT / "config/recordings/davinci.yaml"
+EFFECTS = ROOT / "config/recordings/effects"
+ELEMENT_M = 0.02
+FRICTION_N, RIGIDITY_NM2 = 0.003, 0.34
+READ_OFF: dict[str, float] = {
+    "hall_gain.gain_error": -0.06,
+    "hall_offset.offset_deg": -2.0,
+    "torque_bias.bias_nmm": 5.0,
+    "bearing_drag.torque_nmm": 28.0,
+    "bearing_drag.viscous_nmms_per_rad": 0.5,
+    "bearing_drag.presliding_deg": 0.02,
+    "return_spring.stiffness_nmm_per_rad_per_100mm": 4.0,
+    "winding_hysteresis.torque_nmm": 12.0,
+    "soft_cable.twist_deg": 3.0,
+    "soft_cable.stiffness_ratio": 0.2,
+    "pulley_friction.torque_nmm": 6.0,
+    "pulley_friction.per_torque": 0.2,
+    "gear_ripple.per_turn": 10.0,
+    "gear_ripple.second_per_turn": 25.0,
+}
+"""Sizes as the loops show them, at which each fit starts beside those of the fit before."""
+ENCODER_STEP_RAD = 2.0 * np.pi / 8192
+ANGLES_DEG, BINS = (12.0, 52.0), 20
+"""Angles of the base away from reversals, cut into so many bins."""
+LINE = 2
+"""Parameters of a straight line."""
+LARGE_NMM = 20.0
+"""Between the two loads."""
+PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("zeros and scales of the sensors", ("hall_gain", "hall_offset", "torque_bias")),
+    ("drag of the spindle's bearing", ("bearing_drag",)),
+    ("restoring spring of the wrist", ("return_spring",)),
+    ("hysteresis of what the spindle winds", ("winding_hysteresis",)),
+    ("cable softer at small pull", ("soft_cable",)),
+    ("friction of a pulley", ("pulley_friction",)),
+    ("ripple of the jaw's teeth or windings", ("gear_ripple",)),
+    ("friction along the cable, with its pull", ("capstan_friction",)),
+)
+TRIED = ("hall_eccentricity", "loose_load", "tissue_elasticity", "chuck_compliance")
+"""Parts that a cable drive may have, each added to all of the above."""
+
+
+def recorded() -> Dataset:
+    """The shipped excerpt after its run-in; a recording is a command, also where a trial of it is shorter."""
+    mapping, places = read_mapping(RECORDED)
+    with tempfile.TemporaryDirectory() as folder:
+        written = write_dataset(dataset_of(mapping, RECORDED.parent, places), Path(folder) / "davinci")
+        dataset = judged(read_dataset(written))
+    found: dict[tuple[float | None, bool], TrialCommand] = {}
+    commands = (
+        found.setdefault((c.speed_deg_s, is_large(c)), c) for c in (t.command for t in dataset.trials)
+    )
+    trials = (dataclasses.replace(t, command=c) for t, c in zip(dataset.trials, commands, strict=True))
+    return dataclasses.replace(dataset, trials=tuple(trials))
+
+
+def is_large(command: TrialCommand) -> bool:
+    """Whether a command is one with the larger load."""
+    return float(dict(command.other)["tip_torque_nmm"]) > LARGE_NMM
+
+
+def binned(given: DatasetTrial) -> BinnedTrial:
+    """Bins of a trial, without the torque where the spindle stays within a step of its encoder.
+
+    There the torque jumps by that of the bearing, and the angle that drives the model does not show when.
+    """
+    trial, of_sample = bin_trial(given), bins_of_samples(given)
+    base_rad, mean = given.trial.base_angle_rad, trial.mean.copy()
+    for k in range(mean.shape[1]):
+        if np.ptp(base_rad[of_sample == k]) <= ENCODER_STEP_RAD:
+            mean[0, k] = np.nan
+    return dataclasses.replace(trial, mean=mean)
+
+
+def once_each(trial: BinnedTrial) -> BinnedTrial:
+    """Bins that count once: what differs between recordings does not average out over their samples."""
+    return dataclasses.replace(trial, count=np.minimum(trial.count, 1))
+
+
+def left(problem: Problem, found: Fit) -> list[Array]:
+    """Data minus model in bin means (C, K) a trial."""
+    readings = problem.predict(found.parameters, found.vector)
+    return [b.mean - r for b, r in zip(problem.trials, readings, strict=True)]
+
+
+def rms(values: list[Array], channel: int) -> float:
+    """Root mean square over all bins that have a mean."""
+    return float(np.sqrt(np.nanmean(np.concatenate([v[channel] for v in values]) ** 2)))
+
+
+def starts(problem: Problem, names: tuple[str, ...], before: Fit | None) -> list[ParameterVector]:
+    """Sizes as read off the loops; and the fit before, with what is new as read off."""
+    parameters = problem.parameters(names)
+    sizes = [READ_OFF.get(f"{p.effect}.{p.field}", p.info.at_strength(0.5)) for p in parameters]
+    read_off = np.array([p.scaled_value(size) for p, size in zip(parameters, sizes, strict=True)])
+    begin = start_vector(problem, float(np.log(FRICTION_N)), parameters)
+    found = [dataclasses.replace(begin, log_rigidity=float(np.log(RIGIDITY_NM2)), scaled_values=read_off)]
+    if before is not None:
+        known = {
+            (p.effect, p.field): float(v)
+            for p, v in zip(before.parameters, before.vector.scaled_values, strict=True)
+        }
+        scaled = [known.get((p.effect, p.field), v) for p, v in zip(parameters, read_off, strict=True)]
+        found.append(dataclasses.replace(before.vector, scaled_values=np.array(scaled)))
+    return found
+
+
+def with_more(problem: Problem, names: tuple[str, ...], before: Fit | None) -> Fit:
+    """The best fit with more effects than the fit before has."""
+    fits = [fit(problem, names, start) for start in starts(problem, names, before)]
+    return min((f for f in fits if f is not None), key=lambda f: f.objective)
+
+
+def ladder(problem: Problem) -> list[tuple[str, Fit]]:
+    """The best fit with each part added."""
+    names: tuple[str, ...] = ()
+    found: list[tuple[str, Fit]] = []
+    for title, added in PARTS:
+        names += added
+        best = with_more(problem, names, found[-1][1] if found else None)
+        found.append((title, best))
+        print(f"{title}: {np.sqrt(best.chi2 / problem.size):.2f}", file=sys.stderr, flush=True)
+    return found
+
+
+def row(problem: Problem, title: str, found: Fit, scatter: Array, repeat: Array) -> str:
+    """A row of the table: errors over all bins in the noise, those away from reversals in the scatter, and
+    over all bins in what a period differs by from the next."""
+    out = cross_validate(problem, found)
+    middle = [r[:, away_from_reversals(b)] for r, b in zip(out.residuals, problem.trials, strict=True)]
+    torque_nm, jaw_rad = rms(middle, 0), rms(middle, 1)
+    whole = np.concatenate([r / repeat[:, None] for r in out.residuals], axis=1)
+    return (
+        f"| {title} | {np.sqrt(found.chi2 / problem.size):.2f} | {out.error:.2f} | {nmm(torque_nm):.2f} |"
+        f" {deg(jaw_rad):.3f} | {torque_nm / scatter[0]:.2f} | {jaw_rad / scatter[1]:.2f} |"
+        f" {np.sqrt(np.nanmean(whole**2)):.2f} |"
+    )
+
+
+def between_periods(problem: Problem) -> Array:
+    """By how much a bin's torque (N·m) and lag (rad) differ from period to period of a recording: medians."""
+    counts = np.concatenate([b.count[0] for b in problem.trials])
+    return np.asarray(problem.noise.white / np.sqrt(np.median(counts[counts > 0])))
+
+
+def away_from_reversals(trial: BinnedTrial) -> npt.NDArray[np.bool_]:
+    """Which bins (K,) of a trial lie between `ANGLES_DEG`."""
+    base_deg = deg(trial.base_rad)
+    return np.asarray((base_deg >= ANGLES_DEG[0]) & (base_deg < ANGLES_DEG[1]))
+
+
+def between_recordings(dataset: Dataset) -> Array:
+    """By how much torque (N·m) and lag (rad) at one angle, direction and load differ between recordings.
+
+    Root mean square, away from reversals, about the straight line over the speed of each angle, direction and
+    load: what has an order in the speed is rate dependence, which a model could have.
+    """
+    edges = np.radians(np.linspace(*ANGLES_DEG, BINS + 1))
+    cells: dict[tuple[bool, int, int], list[Array]] = {}
+    for command, places in dataset.replicates.items():
+        trials = [dataset.trials[p] for p in places]
+        drives = [t.trial for t in trials]
+        base, rate, torque, lag = (
+            np.concatenate(each)
+            for each in (
+                [d.base_angle_rad for d in drives],
+                [np.gradient(d.base_angle_rad, d.time_s) for d in drives],
+                [t.torque_nm for t in trials],
+                [d.base_angle_rad - t.hall_rad[:, -1] for d, t in zip(drives, trials, strict=True)],
+            )
+        )
+        for way in (-1, 1):
+            for k in range(BINS):
+                here = (np.sign(rate) == way) & (base >= edges[k]) & (base < edges[k + 1])
+                here &= np.isfinite(torque + lag)
+                if here.any():
+                    seen = np.array([np.abs(rate[here]).mean(), torque[here].mean(), lag[here].mean()])
+                    cells.setdefault((is_large(command), way, k), []).append(seen)
+    squares, dof = np.zeros(2), 0
+    for seen_by_all in cells.values():
+        table = np.array(seen_by_all)
+        if len(table) > LINE:
+            line = np.column_stack([np.ones(len(table)), table[:, 0]])
+            about = table[:, 1:] - line @ np.linalg.lstsq(line, table[:, 1:], rcond=None)[0]
+            squares += (about**2).sum(axis=0)
+            dof += len(table) - LINE
+    return np.asarray(np.sqrt(squares / dof))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--png", type=Path)
+    options = parser.parse_args()
+    dataset = recorded()
+    trials = tuple(binned(t) for t in dataset.trials)
+    noise = measure_noise(dataset.trials, trials, dataset.torque_scale)
+    base = dataclasses.replace(null_model(dataset), element_length_m=ELEMENT_M)
+    problem = Problem(
+        dataset.name, base, find_effects([EFFECTS]), trials, noise, dataset.needle.rigidity_sigma
+    )
+    repeat, scatter = between_periods(problem), between_recordings(dataset)
+    problem = problem.over([once_each(b) for b in trials]).with_noise(noise.having(White(scatter)))
+    spans = [np.ptp(t.torque_nm[t.torque_ok]) for t in dataset.trials]
+    print(
+        f"{len(dataset.trials)} periods of {len(problem.groups)} recordings; the torque spans"
+        f" {nmm(float(np.median(spans))):.0f} N·mm. From period to period of a recording a bin differs by"
+        f" {nmm(repeat[0]):.2f} N·mm and {deg(repeat[1]):.3f}° (medians). From recording to recording, away"
+        f" from reversals, one angle, direction and load have {nmm(scatter[0]):.2f} N·mm and"
+        f" {deg(scatter[1]):.3f}° about a straight line over the speed (root mean squares): the scatter, and"
+        " the noise of every fit. What is left out is a recording, which nothing predicts better than to"
+        " once that noise.\n"
+    )
+    print(
+        "| parts, each added to those above | fitted × noise | left out × noise | torque left out N·mm |"
+        " jaw left out ° | torque × scatter | jaw × scatter | left out × difference of periods |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    found = ladder(problem)
+    for title, each in found:
+        print(row(problem, title, each, scatter, repeat), flush=True)
+    last = found[-1][1]
+    print("\n| tried beside all of these | | | | | | | |\n|---|---|---|---|---|---|---|---|")
+    for name in TRIED:
+        more = with_more(problem, (*last.effects, name), last)
+        print(row(problem, name, more, scatter, repeat), flush=True)
+    print("\n| parameter | value | unit |\n|---|---|---|")
+    print(f"| torsional rigidity of the cable line | {np.exp(last.vector.log_rigidity) * 1e6:.0f} | N·mm² |")
+    print(f"| friction | {per_100mm(float(np.exp(last.vector.log_friction))):.3g} | N·mm per 100 mm |")
+    for parameter, value in zip(last.parameters, last.vector.scaled_values, strict=True):
+        told = parameter.value(float(value))
+        print(f"| {parameter.effect}.{parameter.field} | {told:.3g} | {parameter.info.unit} |")
+    if options.png is not None:
+        from needle_rig.figures.recordings import draw
+
+        draw(problem, left(problem, last), options.png)
+
+
+if __name__ == "__main__":
+    main()

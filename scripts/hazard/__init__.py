@@ -1,1 +1,0 @@
-"""What `scripts/hazards` is made of: rigs in virtual time, faults, trials of them, and tables."""
