@@ -13,6 +13,8 @@ import contextlib
 import io
 import json
 import math
+import subprocess
+import sys
 import tempfile
 from argparse import Namespace
 from pathlib import Path
@@ -161,7 +163,10 @@ def friction(folder: Path, case: Public) -> tuple[bool, str]:
 
 
 def diagnosed(folder: Path, case: Public) -> tuple[bool, str]:
-    code, out, said = run("diagnose", "--quick", folder, "--json")
+    # in a process of its own: a campaign's may have no children
+    line = [sys.executable, "-m", "needle_rig", "diagnose", "--quick", str(folder), "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    code, out, said = done.returncode, done.stdout, done.stdout + done.stderr
     if code not in (0, 1, 3):
         return False, said.strip().splitlines()[-1][:160]
     answer = json.loads(out.splitlines()[-1])
