@@ -11,11 +11,15 @@ from campaigns import ROOT
 
 
 def runnable(package: str) -> dict[str, Path]:
-    """Files of `package` that define `main` or CAMPAIGN, by name."""
+    """Files of `package` that define `main` or CAMPAIGN, by name, but for parts of benchmarks (*_kinds)."""
     found = {}
     for path in sorted((ROOT / package).rglob("*.py")):
         text = path.read_text(encoding="utf-8")
-        if not path.name.startswith("__") and ("\ndef main(" in text or "\nCAMPAIGN = " in text):
+        if (
+            not path.name.startswith("__")
+            and not path.stem.endswith("_kinds")
+            and ("\ndef main(" in text or "\nCAMPAIGN = " in text)
+        ):
             found[path.stem] = path
     return found
 

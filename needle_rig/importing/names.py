@@ -28,9 +28,11 @@ COMMAND = re.compile(
     r".*(cmd|command|target|set.?p|setpoint|desired|\bref\b|reference|goal|soll|demand|trajectory|wish).*"
 )
 OTHER = re.compile(
-    r".*(vel|speed|omega|\brate|current|curr\b|strom|volt|temp|force|\bf[xyz]\b|depth|index|counter|count$|sample|"
-    r"accel|pwm|status|flag|comment|error|seq|row|\bm[xy]\b|\bt[xy]\b).*"
+    r".*(vel|speed|omega|\brate|volt|v_?supply|v_?bus|temp|depth|index|counter|count$|sample|"
+    r"accel|pwm|status|flag|comment|error|seq|row|\bm[xy]\b|\bt[xy]\b|\bf[xy]\b|\bu_?[qd]\b).*"
 )
+FORCE = re.compile(r"(.*(force|kraft).*|f_?z)")
+CURRENT = re.compile(r".*(current|curr\b|strom|\bi_?q\d?\b|\bamps?\b).*")
 RATE = re.compile(r".*(vel|speed|omega|\brate|drehzahl|\bd?q?dot\b|rpm).*")
 """Of what turns or slides."""
 TRIAL = re.compile(

@@ -154,6 +154,11 @@ def split_name(name: str) -> tuple[str, str]:
     rate = _RATE.fullmatch(shown)
     if rate is not None:
         return rate["stem"], f"{rate['of']}/{rate['per']}"
+    newtons = re.fullmatch(
+        r"(?P<stem>.*(?:force|kraft|load|thrust|\bf[xyz]?))[_\s](?P<unit>k?N)", shown, re.I
+    )
+    if newtons is not None:
+        return newtons["stem"], newtons["unit"]
     for pattern in (
         r"(?P<stem>.*?)\s*[\[({<](?P<unit>[^\])}>]*)[\])}>]\s*",
         r"(?P<stem>.+?)\s*[,;/:|]\s*(?P<unit>[^,;/:|]+)",

@@ -45,7 +45,6 @@ READ_BY_NAME = {
     "made_ns": "a socket's identity, compared whole",
     "packaged_files": "Python within scripts/package-deb",
     "recover": "a request to the recorder",
-    "tip_lag_deg": "a quantity of published values",
     "written_by": "a file's head, which is read before its schema",
 }
 

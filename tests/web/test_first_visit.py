@@ -16,7 +16,7 @@ from tests.web.served import Served
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
 expect = playwright.expect
 pytestmark = IN_BROWSER
-VIEWS = ("live", "data", "runs", "models", "effects", "strategies")
+VIEWS = ("live", "data", "runs", "trends", "models", "effects", "strategies")
 
 
 @pytest.fixture(scope="module")

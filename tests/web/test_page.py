@@ -20,7 +20,7 @@ from tests.web.served import Served
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
 pytestmark = IN_BROWSER
 
-PAGES = ("live", "data", "runs", "models", "effects", "strategies")
+PAGES = ("live", "data", "runs", "trends", "models", "effects", "strategies")
 
 
 def fallen(page: Any) -> tuple[float, float]:
@@ -48,6 +48,11 @@ def test_the_whole_circle_by_clicks_finds_the_hidden_effect_and_lowers_the_error
     page.get_by_text("predicts, fitted").wait_for()
     pictured(page, "what-is-missing")
     look_at(page, "workbench-what-is-missing")
+    with page.expect_download() as sent:
+        page.get_by_role("button", name="Report as one file").click()
+    report = Path(sent.value.path()).read_text()
+    assert "tissue_elasticity" in report
+    assert report.count("data:image/png;base64,") == 3
     page.get_by_role("button", name="Add tissue elasticity").click()
     before, after = fallen(page)
     assert before > 10.0

@@ -16,6 +16,7 @@ from needle_rig.importing.axes import OF_ANGLE
 from needle_rig.importing.guess.generic_shaft import Driver
 from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import Series, is_copy
+from needle_rig.importing.unit_text import is_counted
 
 ASKED_BELOW = 0.9
 """Probability below which a person is asked."""
@@ -74,14 +75,25 @@ class Assigned:
     followers: list[Series]
 
 
-def assign(angles: Sequence[Series], torques: Sequence[Series], unnamed: Sequence[Series]) -> Assigned:
-    """The likeliest assignment of columns that can be an angle, a torque, or either."""
-    return _Columns([*angles, *unnamed], torques, unnamed).assigned()
+def assign(
+    angles: Sequence[Series], torques: Sequence[Series], unnamed: Sequence[Series], needs_torque: bool = False
+) -> Assigned:
+    """The likeliest assignment of columns that can be an angle, a torque, or either.
+
+    Without a torque one is as unlikely as against a name where the machine `needs_torque`.
+    """
+    return _Columns([*angles, *unnamed], torques, unnamed, needs_torque).assigned()
 
 
 class _Columns:
-    def __init__(self, moving: list[Series], torques: Sequence[Series], unnamed: Sequence[Series]) -> None:
-        self.moving, self.unnamed = moving, unnamed
+    def __init__(
+        self,
+        moving: list[Series],
+        torques: Sequence[Series],
+        unnamed: Sequence[Series],
+        needs_torque: bool,
+    ) -> None:
+        self.moving, self.unnamed, self.needs_torque = moving, unnamed, needs_torque
         self.torques = sorted(torques or unnamed, key=_torque_rank)[:MOST_TRIED]
         self.gains: dict[tuple[int, int], float] = {}
         self._followers = cache(self._grown)
@@ -125,7 +137,7 @@ class _Columns:
         first_torque = min(map(_torque_rank, self.torques), default=0)
         nameless = any(t is s for t in self.torques for s in self.unnamed)
         # where angles have names, a torque would have one
-        unlikely = nameless and any(map(_is_angle, self.moving))
+        unlikely = nameless and any(map(_is_angle, self.moving)) and not self.needs_torque
         found = []
         for base in self.tried:
             named = -self.base_odds * (_base_rank(base) > first_base)
@@ -135,7 +147,8 @@ class _Columns:
                 against = unlikely or apart or _torque_rank(torque) > first_torque
                 found.append(self._assignment(base, torque, named - self.torque_odds * against))
             if nameless or not choices:
-                found.append(self._assignment(base, None, named))
+                without = self.torque_odds * (self.needs_torque and bool(choices))
+                found.append(self._assignment(base, None, named - without))
         return found
 
     def _assignment(self, base: Series, torque: Series | None, named: float) -> Assignment:
@@ -238,10 +251,11 @@ def _base_rank(s: Series) -> int:
 
 
 def _torque_rank(s: Series) -> int:
-    """The same of the base's torque: 0 where it says so, 1 silent, 2 the tip's."""
+    """The same of the base's torque: 0 where it says so, 1 silent, 2 the tip's; a raw reading comes after."""
+    raw = 3 * is_counted(s.column.unit)
     if names.says(s.column.name, names.BASE):
-        return 0
-    return 2 if names.says(s.column.name, names.TIP) else 1
+        return raw
+    return raw + (2 if names.says(s.column.name, names.TIP) else 1)
 
 
 def _same_group(base: Series, torque: Series, moving: Sequence[Series]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,6 +22,7 @@ from needle_rig.importing.guess.series import (
     Series,
     from_start,
     is_copy,
+    repeats,
     torque_from_start,
     values_at,
     written_dimension,
@@ -68,15 +70,21 @@ def channels_of(
             f"{', '.join(show_path(r.path) for r in recordings)}: no column can be the base's angle "
             f"({told[:600]}); record the angle of what turns the base beside them"
         )
-    found = assign(angles, torques, unnamed)
+    if not torques and known.needs_torque:
+        torques = of_kind["current"]
+    found = assign(angles, torques, unnamed, known.needs_torque)
     base, torque = found.base.series, found.torque
     sensors = []
+    once_more = _repeated(base, found.followers)
     expected = {names.plain(sensor.name) for sensor in (rig.hall_sensors if rig else ())}
     for s in [*angles, *unnamed]:
         if s is base or (torque is not None and s is torque.series):
             continue
-        if is_copy(base, s):
-            why[key_of(s)] = f"{base.column.name} once more"
+        first = base if is_copy(base, s) else once_more.get(key_of(s))
+        if first is not None:
+            why[key_of(s)] = f"{first.column.name} once more"
+        elif known.needs_torque and not kind_of(s.column)[0] and names.plain(s.column.name) not in expected:
+            why[key_of(s)] += ", and no angle beyond the base is needed"
         elif any(s is f for f in found.followers) or names.plain(s.column.name) in expected:
             # one that the layout names is asked, not dropped
             sensors.append(s)
@@ -113,6 +121,25 @@ def channels_of(
         if len(at_tip) == 1:
             channels.append(_tip_torque_channel(at_tip[0]))
     return channels, why
+
+
+def _repeated(base: Series, followers: Sequence[Series]) -> dict[tuple[str, str], Series]:
+    """By follower what it holds once more; of two the one that turns as far as the base is kept."""
+    kept: list[Series] = [base]
+    repeated = {}
+    for s in sorted(followers, key=lambda s: abs(math.log(max(_turns(s), 1e-300) / _turns(base)))):
+        first = next((k for k in kept if repeats(k, s)), None)
+        if first is None:
+            kept.append(s)
+        else:
+            repeated[key_of(s)] = first
+    return repeated
+
+
+def _turns(s: Series) -> float:
+    """Its span in SI, or as it is where the unit is not known."""
+    unit = unit_of(s.column.unit)
+    return s.span * (unit.si if unit is not None and unit.dimension in OF_ANGLE else 1.0)
 
 
 def _axes(of_kind: Mapping[str, list[Series]], known: Known) -> tuple[list[Series], list[Series]]:
@@ -195,7 +222,8 @@ def _torque_channel(
     known: Known,
 ) -> ChannelPart:
     s = choice.series
-    work = signals.work_share(from_start(base), torque_from_start(base, s))
+    counted = values_at(base, s) if known.torque_zero == 0.0 else torque_from_start(base, s)
+    work = signals.work_share(from_start(base), counted)
     doubts = []
     shared = int((np.isfinite(base.values) & np.isfinite(values_at(base, s))).sum())
     if shared < FEWEST:
@@ -204,8 +232,12 @@ def _torque_channel(
         doubts.append(
             f"torque and angle agree in sign for {50 + 50 * work:.0f} % of the work; check the sign"
         )
-    named = names.says(s.column.name, names.TORQUE) or written_dimension(s.column) in OF_TORQUE
-    if not named:
+    named = names.says(s.column.name, names.TORQUE) or kind_of(s.column)[0] in OF_TORQUE
+    if kind_of(s.column)[0] == "current":
+        doubts.append(
+            "a current stands for the torque; write unit: N·m, and scale: the motor's constant in N·m/A"
+        )
+    elif not named:
         doubts.append("neither name nor unit says that it is a torque")
     if choice.doubt:
         doubts.append(choice.doubt)

@@ -38,7 +38,9 @@ def clock_of(
     column = named[0] if named else None
     if column is None and stated_hz is None:
         even = [c for c in found if is_even(c.values) and not names.says(c.name, names.OTHER)]
-        column = even[0] if even else None
+        # a stream writes its time first, at whatever steps
+        first = [c for c in found[:1] if c is columns[0] and not names.says(c.name, names.OTHER)]
+        column = next(iter((*even, *first)), None)
     if column is None:
         if stated_hz is not None:
             time_s = np.arange(len(columns[0].values)) / stated_hz

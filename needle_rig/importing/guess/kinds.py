@@ -10,6 +10,13 @@ from needle_rig.importing.recording import Column
 from needle_rig.importing.signals import CLEAR_LAG
 from needle_rig.importing.unit_text import is_counted
 
+AMPERES = frozenset({"a", "ma", "amp", "amps"})
+
+
+def is_frequency(text: str) -> bool:
+    """Whether a unit is hertz: of a speed by name these are turns a second."""
+    return text.strip().lower() == "hz"
+
 
 def kind_of(column: Column) -> tuple[str, str]:
     """Kind of a column: what it measures, other, or empty where neither name nor unit says it; with reason.
@@ -26,12 +33,16 @@ def kind_of(column: Column) -> tuple[str, str]:
         return dimension, f"its unit {unit} is that of a {dimension}, and other columns tell angle and torque"
     torque = names.says(name, names.TORQUE)
     angle = any(names.says(name, p) for p in (names.ANGLE, names.BASE, names.SENSOR))
+    if names.says(name, names.RATE) and (not unit or is_frequency(unit)):
+        return "rate", "called a speed, and other columns tell the angle"
+    if names.says(name, names.CURRENT) or unit.lower() in AMPERES:
+        return "current", "a current, and other columns tell the torque"
     if dimension and not is_counted(unit):
         return "other", f"its unit {unit} is neither one of an angle nor of a torque"
     if torque:
         return "torque", "name"
-    if names.says(name, names.RATE) and not unit:
-        return "rate", "called a speed, and other columns tell the angle"
+    if names.says(name, names.FORCE):
+        return "force", "called a force, and other columns tell angle and torque"
     if names.says(name, names.OTHER):
         return "other", "called what is neither an angle nor a torque"
     if angle:

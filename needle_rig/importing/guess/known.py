@@ -33,6 +33,11 @@ class Known:
         return self.machine is MACHINES["linear"]
 
     @property
+    def needs_torque(self) -> bool:
+        """Whether nothing but a torque beside the angle gives an answer: it has no angle beyond its base."""
+        return self.machine in (MACHINES["joint"], MACHINES["linear"])
+
+    @property
     def torque_zero(self) -> float | Literal["start"]:
         """What the torque counts from: a needle begins relaxed, friction may hold any other line wound."""
         return "start" if self.rig is not None and self.machine is MACHINES[NEEDLE] else 0.0

@@ -19,6 +19,8 @@ FEWEST = 10
 LEAST_FILLED = 0.9
 """Share of the rows below which a column keeps its own times; single samples that are lost leave more."""
 TURN_RAD = 2.0 * math.pi
+ROUNDING = 1e-5
+"""Of the span: what the digits of a file leave between two columns of one reading; noise is more."""
 COMMON = 0.01
 """Difference of two records of one quantity, over its span; a practice needle's loop leaves 0.09."""
 
@@ -128,6 +130,13 @@ def written_dimension(column: Column) -> str:
     """Dimension of the unit that is written in the file; empty where none is known."""
     unit = unit_of(column.unit)
     return "" if unit is None else unit.dimension
+
+
+def repeats(one: Series, other: Series) -> bool:
+    """Whether two columns on one clock hold one reading, as an encoder at the motor and over a gear."""
+    if one.clock != other.clock:
+        return False
+    return signals.difference_share(one.time_s, one.values, other.time_s, other.values) < ROUNDING
 
 
 def is_copy(base: Series, s: Series) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,13 +11,16 @@ import numpy as np
 from needle_rig.dataset.description import RigPart
 from needle_rig.dataset.samples import AT_REST_DEG_S, rest_rate_deg_s
 from needle_rig.dataset.table import MAX_SAMPLES
-from needle_rig.importing import names
+from needle_rig.importing import names, signals
 from needle_rig.importing.axes import SUMMED, USUAL_LEVER_MM, size_si, summed
+from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.series import Series
 from needle_rig.importing.mapping import ChannelPart, TrialsPart
 from needle_rig.importing.unit_text import unit_of
 from needle_rig.physics.machine import NEEDLE
 
+AT_REST = 0.005
+"""Share of the largest rate up to which a base stands whose unit is not known."""
 AT_RESTS = "cut where the base rests as it stood at the start, without torque or twist"
 
 
@@ -60,13 +64,20 @@ def known_start(
     One that turns already is one trial whole: it may come by its first angle at any speed.
     """
     unit = unit_of(base.unit or "")
-    if rig is None or rig.machine == NEEDLE or unit is None or trials.at == "column":
+    if rig is None or rig.machine == NEEDLE or trials.at == "column":
         return trials
     s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
-    if unit.dimension in SUMMED:
+    if kind_of(s.column)[0] in SUMMED:
         s = replace(s, values=summed(s.time_s, s.values))
-    angle_rad = s.values * base.scale * size_si(unit, lever_mm or USUAL_LEVER_MM)
-    known = np.isfinite(angle_rad) & np.isfinite(s.time_s)
-    if known.sum() < 2 or abs(rest_rate_deg_s(s.time_s[known], angle_rad[known])) <= AT_REST_DEG_S:
+    # a scale that is asked may be any: of the largest rate there is then a share
+    size = base.scale * size_si(unit, lever_mm or USUAL_LEVER_MM) if unit is not None else 1.0
+    known = np.isfinite(s.values) & np.isfinite(s.time_s)
+    if known.sum() < 2:
+        return trials
+    rate_deg_s = abs(rest_rate_deg_s(s.time_s[known], size * s.values[known]))
+    limit_deg_s = AT_REST_DEG_S
+    if unit is None:
+        limit_deg_s = AT_REST * math.degrees(signals.peak_rate(s.time_s, s.values))
+    if rate_deg_s <= limit_deg_s:
         return trials
     return TrialsPart(at="whole", start="wound", why="the base turns already when the recording begins")

@@ -10,7 +10,7 @@ import numpy as np
 from needle_rig.dataset.description import RigPart, needle_of
 from needle_rig.importing import signals
 from needle_rig.importing.axes import SLIDING, SUMMED
-from needle_rig.importing.guess.kinds import kind_of
+from needle_rig.importing.guess.kinds import is_frequency, kind_of
 from needle_rig.importing.guess.series import (
     Series,
     UnitGuess,
@@ -129,6 +129,8 @@ def base_unit(base: Series, sensors: Sequence[Series], machine: Machine) -> Unit
 def _of_another_axis(s: Series) -> UnitGuess | None:
     """What is said of a speed, and of what slides; None for an angle."""
     written = unit_of(s.column.unit)
+    if kind_of(s.column)[0] in SUMMED and is_frequency(s.column.unit):
+        return UnitGuess(known_unit("turn/s"), "", "its unit is Hz: are these turns a second of the base?")
     if kind_of(s.column)[0] in SUMMED and written is None:
         return UnitGuess(None, "", "the unit of this speed is not written; write rad/s, deg/s or rpm")
     if written is None or written.dimension not in (*SUMMED, *SLIDING):

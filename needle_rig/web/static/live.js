@@ -6,7 +6,7 @@ import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
-import { batch, html, number, signal, useEffect, useSignal, words, written } from "./ui.js";
+import { batch, html, number, signal, useEffect, useSignal, words, written, prose } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
@@ -254,7 +254,7 @@ function Orders({ state }) {
   const by = useSignal("10");
   const busy = Boolean(state.run) || state.moving;
   const known = about.value?.strategies ?? [];
-  const text = known.find((s) => s.name === strategy.value)?.text ?? "";
+  const text = prose(known.find((s) => s.name === strategy.value)?.text ?? "");
   // a button that was pressed keeps the focus: it is not disabled while the needle moves
   /** @param {string} name @param {object} [content] */
   const give = (name, content) => busy || order(name, content);

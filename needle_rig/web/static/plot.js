@@ -112,7 +112,7 @@ export function Plot({ label, series, unit, data, height, marks, range, bands, l
         width: Math.max(holder.clientWidth, 200),
         height,
         series: [{ label: time }, ...series],
-        axes: [axis(time, 26), axis(unit, 48)],
+        axes: [axis(time, 26), axis(unit, 56)],
         scales: { x: { time: false, range: (/** @type {uPlot} */ _u, /** @type {number} */ low, /** @type {number} */ high) => latest.current.chosen ?? latest.current.range ?? [low, high] },
           y: {
             range: (/** @type {uPlot} */ _u, /** @type {number | null} */ low, /** @type {number | null} */ high) => {
@@ -219,7 +219,7 @@ export function Curve({ label, series, x, y, data, height, name }) {
         width: Math.max(holder.clientWidth, 200),
         height,
         series: [{}, ...series.map((s) => ({ ...s, paths: drawn, facets: [{ scale: "x", auto: false }, { scale: "y", auto: false }] }))],
-        axes: [axis(x, 26), axis(y, 48)],
+        axes: [axis(x, 26), axis(y, 56)],
         scales: { x: { time: false, range: () => xs }, y: { range: () => ys } },
         legend: { show: false },
         cursor: { drag: { x: false, y: false }, points: { show: false }, dataIdx: () => null },

@@ -3,7 +3,7 @@ import { Working, alive, begin, jobs, result } from "./jobs.js";
 import { ask } from "./net.js";
 import { ShaftPicture } from "./shaft.js";
 import { about, modelCalled, place, refuse, route } from "./store.js";
-import { computed, effect, html, number, signal, untracked, useEffect, words, written } from "./ui.js";
+import { computed, effect, html, number, signal, untracked, useEffect, words, written, prose } from "./ui.js";
 
 const targets = signal("45");
 const seeds = signal("2");
@@ -72,12 +72,12 @@ export function Strategies() {
 }
 
 /** What a strategy does, in a sentence. @param {string} strategy */
-const told = (strategy) => about.value?.strategies.find((s) => s.name === strategy)?.text ?? "";
+const told = (strategy) => prose(about.value?.strategies.find((s) => s.name === strategy)?.text ?? "");
 
 /** What there is to try, before it was tried. */
 function Known() {
   return html`<section class="card"><h2>What is tried</h2><p class="quiet">Each strategy turns the base in its own sequence. The table will have the error, the lag of the tip, torque and time of each, and its sequence as a moving shaft.</p>
-    <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${each.text}</dd></div>`)}</dl></section>`;
+    <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${prose(each.text)}</dd></div>`)}</dl></section>`;
 }
 
 /** @param {{found: Found}} props */

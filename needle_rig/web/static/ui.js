@@ -30,6 +30,9 @@ export const measured = (value, uncertainty) => {
   return `${number(value, decimals)} ± ${number(uncertainty, decimals)}`;
 };
 
+/** A docstring as people read it: without marks of code. @param {string} text */
+export const prose = (text) => text.replaceAll("`", "");
+
 /** What stands in the field of this event. @param {Event} event */
 export const written = (event) => /** @type {HTMLInputElement} */ (event.target).value;
 /** Whether its box is ticked. @param {Event} event */

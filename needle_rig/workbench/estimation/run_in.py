@@ -22,9 +22,9 @@ from scipy.optimize import minimize_scalar
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.dataset.records import Start
 from needle_rig.numerics import Array
-from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.physics.needle_model import BASE_PARAMETERS, FRICTION, NeedleModel
 from needle_rig.physics.rod import build_rod
-from needle_rig.units import deg, rad
+from needle_rig.units import deg, per_length_n, rad
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
@@ -186,7 +186,10 @@ def _shaft_of(
     beyond_nm = np.cumsum(rod.slip_plus_nm[::-1])[::-1][1:]
     lag_of_newton = max(float((beyond_nm / rod.stiffness_nm_per_rad).sum()), 1e-12)
 
+    most_n = per_length_n(BASE_PARAMETERS[FRICTION].scaled(given.torque_scale).upper) / BEYOND
+
     def of(lag_rad: float) -> _Shaft:
+        lag_rad = min(lag_rad, most_n * lag_of_newton)
         model = dataclasses.replace(given, friction_n=lag_rad / lag_of_newton)
         return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names))
 

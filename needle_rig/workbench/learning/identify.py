@@ -20,7 +20,7 @@ from scipy.special import chdtri, ndtr, ndtri, stdtrit
 from needle_rig.dataset import Dataset
 from needle_rig.dataset.records import UNKNOWN_SIGMA
 from needle_rig.dataset.units_check import LEAST_TWIST_DEG
-from needle_rig.errors import NeedleRigError
+from needle_rig.errors import BadInput, NeedleRigError
 from needle_rig.model import HistoryEntry, SavedModel
 from needle_rig.numerics import Array
 from needle_rig.physics.effect import Effect
@@ -167,7 +167,16 @@ class Identification:
         }
 
     def saved(self, before: SavedModel | None, name: str, today: str | None = None) -> SavedModel:
-        """The model file with these values. Those not identified stay as they were known before."""
+        """The model file with these values. Those not identified stay as they were known before.
+
+        Raises BadInput for friction of a plain joint: no model file holds torque against speed, and the
+        line's own values would be those of another machine.
+        """
+        if self.joint is not None and self.baseline.dataset.machine != NEEDLE:
+            raise BadInput(
+                f"{self.baseline.problem.name}: friction of a plain joint is no model of a line, and no model"
+                " file is written; leave --out and --update out, or adopt what `diagnose` finds"
+            )
         problem, fitted = self.baseline.problem, self.baseline.current
         at = within_bounds(self.parameters, self.posterior.mean)
         vector = dataclasses.replace(

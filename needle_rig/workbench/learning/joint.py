@@ -46,9 +46,14 @@ MOST_ALIKE = 0.99
 """Correlation of neighbours at most: one block of 200 counts."""
 CHANCE = 1e-3
 """Probability of an excess as large where there is none, below which it is given."""
+OTHER_WAY = "turn the base both ways"
+DRAG = "drag"
+"""Coulomb friction and offset together, of a base that turned one way."""
 TWO_RATES = 1.2
 """Ratio of a high to a low rate below which friction at one rate alone was seen."""
 LOWEST = 1.0 - HIGH
+FADED = 0.5
+"""Of the highest rate, above which the rate of an excess would leave a fiftieth of it there, e^(−4)."""
 WIDTHS = (0.0, *(2.0**-k for k in range(11, 2, -1)))
 """Half widths of the presliding that are tried, over the span of the base."""
 BEYOND = 1.25
@@ -98,7 +103,10 @@ class Number:
 
 @dataclass(frozen=True)
 class JointFriction:
-    """The law's numbers in N·m, rad and s: coulomb, viscous, offset, stribeck and its rate, inertia."""
+    """The law's numbers in N·m, rad and s: coulomb, viscous, offset, stribeck and its rate, inertia.
+
+    Of a base that turned one way the first is `drag`, Coulomb friction and offset in one.
+    """
 
     numbers: tuple[Number, ...]
     reach: float
@@ -195,13 +203,9 @@ def joint_friction(found: Seen) -> JointFriction | None:
     both_ways = min((rate > 0).mean(), (rate < 0).mean()) > 1.0 / FEWEST
     low, high = np.quantile(np.abs(rate), (LOWEST, HIGH))
     two_rates = high > TWO_RATES * low
-    if not both_ways:
-        other_way = "turn the base both ways"
-        numbers = tuple(
-            Number(n, None, None, other_way) for n in ("coulomb", "viscous", "offset", "stribeck")
-        )
-        return JointFriction(numbers, 0.0, float(np.std(torque)))
-    columns = {"coulomb": np.sign(rate), "offset": np.ones_like(rate)} | (
+    together = {"coulomb": np.sign(rate), "offset": np.ones_like(rate)}
+    # one way alone Coulomb friction and offset are one constant
+    columns = (together if both_ways else {DRAG: np.ones_like(rate)}) | (
         {"viscous": rate} if two_rates else {}
     )
     turned = {**columns, "inertia": found.acceleration_rad_s2}
@@ -211,18 +215,18 @@ def joint_friction(found: Seen) -> JointFriction | None:
         heavy = _linear(turned, rate, torque, left_nm)
         if heavy.is_better(fit):
             columns, fit, names = turned, heavy, list(turned)
-    if two_rates:
+    if two_rates and both_ways:
         bent = _with_stribeck(np.column_stack(list(columns.values())), rate, torque, fit, left_nm)
         if bent is not None:
             fit, names = bent, [*names, "stribeck", "stribeck_rate"]
     values = {n: Number(n, float(v), float(s)) for n, v, s in zip(names, fit.at, fit.deviations, strict=True)}
     faster = "turn at rates that lie a factor of five apart"
     slower = f"turn more slowly than {math.degrees(float(np.abs(rate).min())):.2g}°/s, evenly, both ways"
+    missing = dict.fromkeys(("coulomb", "offset", "stribeck"), OTHER_WAY) if not both_ways else {}
+    missing = {"viscous": faster, "stribeck": f"no excess is seen at low rates: {slower}"} | missing
+    asked_for = (*(() if both_ways else (DRAG,)), "coulomb", "viscous", "offset", "stribeck")
     told = (
-        values["coulomb"],
-        values.get("viscous", Number("viscous", None, None, faster)),
-        values["offset"],
-        values.get("stribeck", Number("stribeck", None, None, f"no excess is seen at low rates: {slower}")),
+        *(values.get(name) or Number(name, None, None, missing[name]) for name in asked_for),
         *(values[name] for name in ("stribeck_rate", "inertia") if name in values),
     )
     reach = float(t_distribution.ppf(0.975, max(fit.count - len(fit.at), 1.0)))
@@ -284,7 +288,11 @@ def _fit(
 
 
 def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_nm: float) -> _Fit | None:
-    """The fit with an excess at low rates; None where it is no better than chance makes it."""
+    """The fit with an excess at low rates; None where it is no better than chance makes it.
+
+    None as well where the excess has not faded at the highest rate, or where drag that grows with the square
+    of the rate, as of a propeller, leaves less.
+    """
     sign, size = np.sign(rate), np.abs(rate)
 
     def law(_: Array, *numbers: float) -> Array:
@@ -293,7 +301,7 @@ def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_
 
     lowest, highest, free = float(size.min()), float(size.max()), len(plain.at)
     tried = []
-    for fading in np.geomspace(max(2.0 * lowest, 1e-3 * highest), 0.5 * highest, 4):
+    for fading in np.geomspace(max(2.0 * lowest, 1e-3 * highest), FADED * highest, 4):
         begin = [*plain.at, 0.1 * abs(float(plain.at[0])), float(fading)]
         limits = ([-np.inf] * free + [0.0, lowest], [np.inf] * (free + 1) + [highest])
         try:
@@ -301,4 +309,9 @@ def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_
         except RuntimeError:  # no convergence from there
             continue
     best = min(tried, key=lambda f: f.chi2, default=None)
-    return best if best is not None and best.is_better(plain) else None
+    if best is None or not best.is_better(plain) or best.at[-1] >= FADED * highest:
+        return None
+    rival = np.column_stack((design, rate * size))
+    at = np.asarray(np.linalg.lstsq(rival, torque, rcond=None)[0], dtype=np.float64)
+    squared = _fit(lambda _, *p: rival @ np.array(p), rate, torque, at, left_nm)
+    return None if squared.chi2 < best.chi2 else best

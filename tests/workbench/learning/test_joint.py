@@ -121,6 +121,25 @@ def test_one_way_alone_tells_nothing_apart() -> None:
     friction = found(trial(time_s, 0.5 * time_s, 0.2 + 0.01 * rng.standard_normal(len(time_s))))
     assert missing(friction) == {"coulomb", "viscous", "offset", "stribeck"}
     assert friction["coulomb"].missing == "turn the base both ways"
+    assert friction["drag"].value == pytest.approx(0.2, abs=0.002)
+
+
+def test_one_way_at_several_rates_tells_viscous_friction() -> None:
+    time_s = np.arange(0.0, 20.0, 0.01)
+    rate = 1.5 + np.sin(time_s)
+    angle = np.concatenate(([0.0], np.cumsum(rate)[:-1])) * 0.01
+    noise = 0.001 * np.random.default_rng(0).standard_normal(len(time_s))
+    friction = found(trial(time_s, angle, 0.2 + 0.05 * rate + noise))
+    assert friction["viscous"].value == pytest.approx(0.05, abs=0.001)
+    assert friction["drag"].value == pytest.approx(0.2, abs=0.002)
+
+
+def test_drag_by_the_square_of_the_rate_is_no_stribeck_friction() -> None:
+    time_s, angle, rate = swings()
+    noise = 0.002 * np.random.default_rng(0).standard_normal(len(time_s))
+    torque = Joint(0.1, 0.0, 0.0, noise_nm=0.0).torque_nm(angle, rate, np.random.default_rng(0))
+    friction = found(trial(time_s, angle, torque + 0.05 * rate * np.abs(rate) + noise))
+    assert "stribeck" in missing(friction)
 
 
 def strokes(rates: Sequence[float]) -> tuple[Array, Array]:
