@@ -11,7 +11,7 @@ from needle_rig.errors import BadInput
 from needle_rig.notebook import simulate
 from needle_rig.recording import changed_in
 from needle_rig.web import run_index
-from needle_rig.web.run_index import RunIndex
+from needle_rig.web.run_index import READ_AS, RunIndex
 from needle_rig.web.sources import NOTES_SUFFIX, RUNS_SHOWN, Listed, Sources
 from needle_rig.web.store import Store
 from needle_rig.web.uploads import Uploads
@@ -104,6 +104,7 @@ def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None
         "parameters": "rig_elastic",
         "status": "aligned",
         "duration_s": 20.0,
+        "tip_lag_deg": 1.0,
     }
     names = [f"run_{k:05d}" for k in range(MANY)]
     for name in names:
@@ -112,7 +113,11 @@ def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None
     stamps = changed_in(tmp_path / "runs")
     # as a server left them that ended; the files themselves are read once, in the background
     store.keep_runs(
-        {name: (f"{ns:020d}:{size}", {"name": name, **known}) for name, (ns, size) in stamps.items()}, []
+        {
+            name: (f"{READ_AS}:{ns:020d}:{size}", {"name": name, **known})
+            for name, (ns, size) in stamps.items()
+        },
+        [],
     )
     many = Sources([], tmp_path / "runs", Uploads(tmp_path / "uploads"), RunIndex(store))
     begun_s = time.process_time()

@@ -124,10 +124,14 @@ def channels_of(
 
 
 def _repeated(base: Series, followers: Sequence[Series]) -> dict[tuple[str, str], Series]:
-    """By follower what it holds once more; of two the one that turns as far as the base is kept."""
+    """By follower what it holds once more; of two the one that turns as far as the base is kept.
+
+    What is named as a sensor on the needle is one, however exactly it follows.
+    """
     kept: list[Series] = [base]
     repeated = {}
-    for s in sorted(followers, key=lambda s: abs(math.log(max(_turns(s), 1e-300) / _turns(base)))):
+    unnamed = [s for s in followers if not names.says(s.column.name, names.SENSOR)]
+    for s in sorted(unnamed, key=lambda s: abs(math.log(max(_turns(s), 1e-300) / _turns(base)))):
         first = next((k for k in kept if repeats(k, s)), None)
         if first is None:
             kept.append(s)
