@@ -72,7 +72,7 @@ def test_a_rig_is_backed_up_and_comes_back_but_not_over_a_run(rig: Rig) -> None:
     packed = shell(f"{PROGRAM} backup /root/rig.zip --runs").stdout
     assert f"{len(runs)} of them runs" in packed
     process = started_run()
-    begun(process)
+    begun(process, "rotate")
     refused = shell(f"{PROGRAM} restore /root/rig.zip", check=False)
     assert refused.returncode == 2
     assert "this run goes on" in refused.stderr
