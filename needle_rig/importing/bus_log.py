@@ -67,7 +67,9 @@ def by_can(reader: str) -> Callable[[Path], Iterator[Frame]]:
 
         with getattr(can, reader)(path) as messages:
             for m in messages:
-                if not m.is_error_frame and not m.is_remote_frame:
+                # a log that ends within a frame has fewer bytes than the frame says
+                whole = len(m.data) == m.dlc
+                if whole and not m.is_error_frame and not m.is_remote_frame:
                     yield Frame(m.timestamp, str(m.channel), m.arbitration_id, bytes(m.data))
 
     return read

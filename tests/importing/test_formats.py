@@ -22,7 +22,7 @@ from needle_rig.cli.main import run as command
 from needle_rig.dataset import read_dataset
 from needle_rig.errors import BadInput
 from needle_rig.importing import read_recording
-from needle_rig.importing.bus_log import unpacked
+from needle_rig.importing.bus_log import by_can, unpacked
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "tests/data/practice/elastic"
@@ -290,3 +290,16 @@ def test_a_bus_in_an_mf4_is_read_by_a_process_that_did_not_write_it(source: Sour
     )
     done = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("decoded by needle_rig.dbc"), done.stderr
+
+
+def test_a_log_that_ends_within_a_frame_ends_before_it(tmp_path: Path) -> None:
+    frame = " {}.000000 1  111             Rx   d 8 {}\n"
+    rows = [frame.format(1, "E6 33 FF 00 00 00 00 00"), frame.format(2, "E6 33 F")]
+    (tmp_path / "run.asc").write_text(
+        "date Fri Mar 01 13:03:11.000 2024\nbase hex  timestamps absolute\ninternal events logged\n"
+        "Begin Triggerblock Fri Mar 01 13:03:11.0 2024\n 0.000000 Start of measurement\n"
+        + "".join(rows).rstrip("\n"),
+        encoding="utf-8",
+    )
+    (read,) = by_can("ASCReader")(tmp_path / "run.asc")
+    assert read.data.hex() == "e633ff0000000000"
