@@ -123,7 +123,7 @@ def late(dataset: Dataset) -> Dataset:
 
 
 def foreign(law: HiddenLaw, protocol: Protocol, seed: int) -> Dataset:
-    """A series of the needle that is not ours, with a law at size 1; a torque of it is told by its curve."""
+    """A series of the needle that is not ours, with a law at size 1. Its curve gives its torque."""
     plain = dataclasses.replace(rig(1.0, DAMPING, 1.0), cell_m=CELL_M)
     if law.hook == "torque":
         section = plain.layout.tissue_sections_m[int(law.place.removeprefix("section_")) - 1]

@@ -303,3 +303,12 @@ def test_a_log_that_ends_within_a_frame_ends_before_it(tmp_path: Path) -> None:
     )
     (read,) = by_can("ASCReader")(tmp_path / "run.asc")
     assert read.data.hex() == "e633ff0000000000"
+
+
+def test_a_classic_frame_that_says_more_than_eight_bytes_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    import can
+
+    sent = can.Message(arbitration_id=0x111, data=bytes(8), is_extended_id=False)
+    sent.dlc = 15
+    monkeypatch.setattr(can, "BLFReader", lambda _: contextlib.nullcontext([sent]))
+    assert [found.data for found in by_can("BLFReader")(Path("run.blf"))] == [bytes(8)]
