@@ -67,8 +67,8 @@ def by_can(reader: str) -> Callable[[Path], Iterator[Frame]]:
 
         with getattr(can, reader)(path) as messages:
             for m in messages:
-                # A log that ends within a frame has fewer bytes than the frame says; a classic frame that says
-                # more than eight has eight (ISO 11898-1).
+                # A log that ends within a frame has fewer bytes than the frame says. A classic frame that
+                # says more than eight has eight (ISO 11898-1).
                 whole = len(m.data) >= (m.dlc if m.is_fd else min(m.dlc, 8))
                 if whole and not m.is_error_frame and not m.is_remote_frame:
                     yield Frame(m.timestamp, str(m.channel), m.arbitration_id, bytes(m.data))
