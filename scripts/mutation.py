@@ -47,7 +47,7 @@ PYTEST = (
     *("-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "--hypothesis-seed=1"),
     "--hypothesis-profile=ci",
     # pytest-timeout takes the alarm for itself
-    *("-p", "no:timeout", "-o", "addopts=--import-mode=importlib", "-m", "not slow"),
+    *("-p", "no:timeout", "-o", "addopts=--import-mode=importlib", "-m", "not slow and not long"),
 )
 
 C_SWAPS = {

@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from _pytest.runner import runtestprotocol
 from hypothesis import settings
 
 from needle_rig.workbench.parallel import one_thread_each
-from tests.stillness import Stillness
 
+pytest_plugins = ["tests.trials"]
 one_thread_each()  # before any test imports NumPy: threads on small matrices take a third more time
 
 # A shell's job in the background ignores Ctrl-C, and so would every process that a test interrupts.
@@ -36,13 +35,7 @@ settings.register_profile("ci", settings.get_profile("default"), max_examples=10
 settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile("default")
 
-TRIALS = 5
-SPOILED_S = 0.01
-"""A pause of the machine that spoils a trial in real time: the least margin of what such tests assert."""
-WITNESS = pytest.StashKey[Stillness]()
-REPEATED = "trials repeated"
-"""Property of the first report of a test that was repeated; it says why, in words."""
-APART = ("whole", "real_time", "slow", "hardware", "linux", "browser")
+APART = ("whole", "real_time", "slow", "long", "hardware", "linux", "browser")
 """Marks of what plain `pytest` leaves out."""
 BEGAN_S = pytest.StashKey[float]()
 NOTICED_S = 3.0
@@ -83,34 +76,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     cache.set(PASSED, sorted({r.nodeid for r in reporter.stats.get("passed", ()) if r.when == "call"}))
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Repeat a `real_time` test that failed while the machine stood still: that says nothing of the code.
-
-    A failure on a machine that kept time counts at once, and so does that of the last trial.
-    """
-    if item.get_closest_marker("real_time") is None:
-        return None
-    stash = item.config.stash
-    if WITNESS not in stash:
-        stash[WITNESS] = Stillness()
-        item.config.add_cleanup(stash[WITNESS].close)
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    repeated: list[tuple[str, object]] = []
-    for trial in range(1, TRIALS + 1):
-        stash[WITNESS].longest_s()
-        reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        pause_s = stash[WITNESS].longest_s()
-        if trial == TRIALS or pause_s < SPOILED_S or not any(report.failed for report in reports):
-            break
-        repeated.append((REPEATED, f"{item.nodeid}: the machine paused for {pause_s * 1e3:.0f} ms"))
-    reports[0].user_properties.extend(repeated)
-    for report in reports:
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    return True
-
-
 def processor_s() -> float:
     """What this process and its children that ended took."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
@@ -136,14 +101,10 @@ def pytest_runtest_makereport(
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Name the trials that were repeated and the tests that took long, in whichever process they ran."""
-    reports = (report for each in terminalreporter.stats.values() for report in each)
-    properties = [pair for report in reports for pair in getattr(report, "user_properties", ())]
-    for title in (REPEATED, LONG):
-        if lines := [line for name, line in properties if name == title]:
-            terminalreporter.section(title)
-            for line in lines:
-                terminalreporter.line(line)
+    """Name the tests that took long."""
+    from tests.trials import tell
+
+    tell(terminalreporter, LONG)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -1,7 +1,7 @@
 """A witness of the machine's own pauses: a process on each core that notes how late it woke up.
 
-Run as a program with the number of a core it is such a process: it answers each line on standard input with
-the longest pause since the line before.
+Run as a program with the number of a core and the seconds between two looks it is such a process.
+It answers each line on standard input with the longest pause since the line before.
 """
 
 from __future__ import annotations
@@ -13,17 +13,20 @@ import subprocess
 import sys
 import time
 
-WAKE_S = 0.005
 CORES_AT_MOST = 4
+AHEAD_OF_THE_DAEMON = 60
+"""Real-time priority: what delays the witness is the machine, never a process of the rig."""
 
 
 class Stillness:
     """Watches the cores of this machine until closed."""
 
-    def __init__(self) -> None:
+    def __init__(self, wake_s: float = 0.005) -> None:
         self._watchers = [
             subprocess.Popen(
-                [sys.executable, "-S", __file__, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+                [sys.executable, "-S", __file__, str(core), str(wake_s)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
             )
             for core in sorted(os.sched_getaffinity(0))[:CORES_AT_MOST]
         ]
@@ -42,16 +45,16 @@ class Stillness:
             watcher.communicate()
 
 
-def watch(core: int) -> None:
-    """Watch `core` until standard input ends."""
+def watch(core: int, wake_s: float) -> None:
+    """Watch `core` every `wake_s` until standard input ends."""
     os.sched_setaffinity(0, {core})
-    with contextlib.suppress(PermissionError):  # ahead of ordinary programs, as the rig's own processes are
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(AHEAD_OF_THE_DAEMON))
     before_s, longest_s = time.monotonic(), 0.0
     while True:
-        asked, _, _ = select.select([0], [], [], WAKE_S)
+        asked, _, _ = select.select([0], [], [], wake_s)
         now_s = time.monotonic()
-        longest_s = max(longest_s, now_s - before_s - WAKE_S)
+        longest_s = max(longest_s, now_s - before_s - wake_s)
         before_s = now_s
         if asked:
             if not os.read(0, 1):
@@ -61,4 +64,4 @@ def watch(core: int) -> None:
 
 
 if __name__ == "__main__":
-    watch(int(sys.argv[1]))
+    watch(int(sys.argv[1]), float(sys.argv[2]))

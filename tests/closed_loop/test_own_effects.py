@@ -89,6 +89,10 @@ def make_model(folder: Path, kind: str) -> str:
 
 
 KINDS = pytest.mark.parametrize("kind", ["own", "learnt", "shipped"])
+OWN_FIRST = pytest.mark.parametrize(
+    "kind", ["own", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("learnt", "shipped"))]
+)
+"""A minute of a core each: the others before a release."""
 
 
 @KINDS
@@ -101,7 +105,7 @@ def test_planned_works_in_real_time_with_a_model_that_holds_an_effect(shell: She
 
 
 @pytest.mark.whole
-@KINDS
+@OWN_FIRST
 def test_planned_gives_the_same_in_every_virtual_run(shell: Shell, kind: str) -> None:
     order = ("--strategy", "planned", "--model", make_model(shell.folder, kind), "--fast", "--settle", "0.2")
     first, second = (shell.compensate(*order) for _ in range(2))
@@ -110,7 +114,7 @@ def test_planned_gives_the_same_in_every_virtual_run(shell: Shell, kind: str) ->
 
 
 @pytest.mark.whole
-@KINDS
+@OWN_FIRST
 def test_the_strategies_are_compared_in_other_processes(shell: Shell, kind: str) -> None:
     model = make_model(shell.folder, kind)
     options = ("--strategy", "planned", "--targets", "10", "--seeds", "1", "--jobs", "2", "--json")
@@ -121,7 +125,7 @@ def test_the_strategies_are_compared_in_other_processes(shell: Shell, kind: str)
 
 
 @pytest.mark.whole
-@KINDS
+@OWN_FIRST
 def test_so_are_they_for_the_page(shell: Shell, kind: str) -> None:
     model = str(shell.folder / make_model(shell.folder, kind))
     request = {

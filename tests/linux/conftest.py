@@ -65,7 +65,9 @@ def until(true: Callable[[], bool], what: str, within_s: float = 60.0) -> None:
 
 
 def journal() -> str:
-    return shell("journalctl -u needle-rig --no-pager -n 30 -o cat").stdout
+    """What the service said last, and how well its ticks keep their time."""
+    said = shell("journalctl -u needle-rig --no-pager -n 30 -o cat").stdout
+    return f"{said}ticks: {status().get('ticks')}"
 
 
 def active() -> bool:

@@ -16,11 +16,14 @@ from tests.stillness import Stillness
 
 ROOT = Path(__file__).parents[2]
 CONFTEST = """
-import tests.conftest as rules
-from tests.conftest import pytest_runtest_protocol, pytest_terminal_summary
+import tests.trials as rules
+
+pytest_plugins = ["tests.trials"]
 
 class Told:
     pauses_s = {pauses_s}
+    def __init__(self, wake_s):
+        pass
     def longest_s(self):
         return self.pauses_s.pop(0)
     def close(self):

@@ -316,7 +316,7 @@ def test_a_lost_daemon_greys_everything_and_says_what_to_do(
         assert "the rig of this page has ended; start needle-rig web again" in told
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_law_that_nobody_told_it_is_learnt_added_and_taken_back(
     visit: Open, shell: Shell, tmp_path: Path
 ) -> None:

@@ -120,7 +120,7 @@ def test_what_is_predicted_is_of_the_targets_and_starts_that_are_run() -> None:
     assert small.reed2008_deg < 2.0 < 6.0 < large.reed2008_deg
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_each_effect_has_a_rig_and_a_line_of_its_own() -> None:
     asked = [
         "--parameters",

@@ -93,7 +93,7 @@ def ageing() -> tuple[Dataset, Baseline, Fit]:
     return data, baseline, coarse
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample() -> None:
     """Blocks of the base's path shift the instants of slip: no straight nuisance follows that."""
     data, baseline, coarse = ageing()
@@ -108,7 +108,7 @@ def test_a_path_too_coarse_for_friction_that_ages_is_driven_by_every_sample() ->
     assert growth == pytest.approx(0.4, abs=0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_comparison_drives_an_adopted_model_as_finely() -> None:
     data, baseline, coarse = ageing()
     problem, found, validation = as_baseline(baseline, baseline.problem, coarse, None)

@@ -341,7 +341,7 @@ def test_minima_that_fit_alike_widen_the_spread_and_one_met_twice_counts_once(
     assert spread[1:] == pytest.approx(found.scaled_errors[1:], rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_other_forms_lead_out_of_a_minimum_that_is_not_the_lowest() -> None:
     baseline = null_fit(effect("stribeck", static_excess=0.3), library=("stribeck",))
     start = dataclasses.replace(baseline.current.vector, scaled_values=np.array([0.9, -0.6, -1.5, 0.0]))

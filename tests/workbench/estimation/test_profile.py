@@ -105,7 +105,7 @@ def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
     assert free.vector.scaled_values[1] != start.scaled_values[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(61, 67))
 def test_the_interval_of_ageing_holds_the_truth(seed: int) -> None:
     """Curvature alone, or a path of blocks, held it in one of two."""

@@ -202,7 +202,7 @@ def test_a_shaft_that_is_weak_in_one_place_is_found_and_its_band_holds_the_true_
     assert (np.log1p(curve.high) - np.log1p(curve.low) > 2.0 * 1.96 * 0.015).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [41])
 def test_a_law_is_found_beside_an_effect_that_the_library_holds(seed: Any) -> None:
@@ -213,7 +213,7 @@ def test_a_law_is_found_beside_an_effect_that_the_library_holds(seed: Any) -> No
     assert found.laws[-1].held_out_after == found.held_out_after < 1.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [43])
 def test_two_laws_that_act_apart_are_found_with_their_formulas(seed: Any) -> None:

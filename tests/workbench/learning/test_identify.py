@@ -79,7 +79,7 @@ def without(data: Dataset, torque: bool = False, angles: bool = False) -> Datase
     return dataclasses.replace(data, trials=tuple(blank))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_88_to_99_of_100_sets() -> None:
     held: dict[str, list[bool]] = {}
     for seed in range(700, 780):

@@ -116,7 +116,7 @@ def test_runs_of_another_rig_are_not_compared(in_control: list[WatchedRun]) -> N
     assert (found.judged, found.not_judged) == (3, 20)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_series_of_fresh_seeds_are_told_right() -> None:
     """12 series: in control 60 runs; a step, a drift of 0.5 % a run, and play after their 20 of reference."""
     false_alarms, step, drift, play = 0, [], [], []

@@ -85,8 +85,7 @@ def test_a_relative_that_does_not_reach_the_noise_is_not_the_answer() -> None:
     assert "time since a stop" in found.residual_patterns.patterns[0].sentence()
 
 
-@pytest.mark.whole
-@pytest.mark.slow
+@pytest.mark.long
 def test_friction_of_which_screening_promises_nothing_is_found_from_a_finite_strength() -> None:
     """Beside viscous slip a little static excess makes nothing better: the damping must rise with it."""
     hidden = (

@@ -1,0 +1,64 @@
+"""A test that needs the clock gets a fair trial: failed while the machine stood still, it is repeated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+from tests.stillness import Stillness
+
+TRIALS = 5
+SPOILED_S = {"real_time": 0.01, "linux": 0.03}
+"""By mark: a pause of the machine that spoils a trial, the least margin of what such tests assert.
+
+In the guest: the 50 ms after which a drive stops by itself, less a tick of 10 ms and 10 ms for the way.
+"""
+WITNESS = pytest.StashKey[Stillness]()
+REPEATED = "trials repeated"
+"""Property of the first report of a test that was repeated; it says why, in words."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Repeat a test that failed while the machine stood still: that says nothing of the code.
+
+    A failure on a machine that kept time counts at once, and so does that of the last trial.
+    """
+    spoiled_s = [limit_s for mark, limit_s in SPOILED_S.items() if item.get_closest_marker(mark)]
+    if not spoiled_s:
+        return None
+    stash = item.config.stash
+    if WITNESS not in stash:
+        stash[WITNESS] = Stillness(max(spoiled_s) / 2)
+        item.config.add_cleanup(stash[WITNESS].close)
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    repeated: list[tuple[str, object]] = []
+    for trial in range(1, TRIALS + 1):
+        stash[WITNESS].longest_s()
+        reports = runtestprotocol(item, log=False, nextitem=nextitem)
+        pause_s = stash[WITNESS].longest_s()
+        if trial == TRIALS or pause_s < min(spoiled_s) or not any(report.failed for report in reports):
+            break
+        repeated.append((REPEATED, f"{item.nodeid}: the machine paused for {pause_s * 1e3:.0f} ms"))
+    reports[0].user_properties.extend(repeated)
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name the trials that were repeated."""
+    tell(terminalreporter, REPEATED)
+
+
+def tell(terminalreporter: Any, title: str) -> None:
+    """The properties of this title of every test, in whichever process it ran."""
+    reports = (report for each in terminalreporter.stats.values() for report in each)
+    properties = [pair for report in reports for pair in getattr(report, "user_properties", ())]
+    if lines := [line for name, line in properties if name == title]:
+        terminalreporter.section(title)
+        for line in lines:
+            terminalreporter.line(line)
