@@ -67,7 +67,7 @@ def until(true: Callable[[], bool], what: str, within_s: float = 60.0) -> None:
 def journal() -> str:
     """What the service said last, and how well its ticks keep their time."""
     said = shell("journalctl -u needle-rig --no-pager -n 30 -o cat").stdout
-    return f"{said}ticks: {status().get('ticks')}"
+    return f"{said}ticks: {status().get('ticks')}" if active() else said
 
 
 def active() -> bool:
