@@ -1,7 +1,7 @@
 """A witness of the machine's own pauses: a process on each core that notes how late it woke up.
 
-Run as a program with the number of a core and the seconds between two looks it is such a process.
-It answers each line on standard input with the longest pause since the line before.
+Run as a program with the number of a core, the seconds between two looks and a real-time priority it is such
+a process. It answers each line on standard input with the longest pause since the line before.
 """
 
 from __future__ import annotations
@@ -14,17 +14,15 @@ import sys
 import time
 
 CORES_AT_MOST = 4
-AHEAD_OF_THE_DAEMON = 60
-"""Real-time priority: what delays the witness is the machine, never a process of the rig."""
 
 
 class Stillness:
     """Watches the cores of this machine until closed."""
 
-    def __init__(self, wake_s: float = 0.005) -> None:
+    def __init__(self, wake_s: float = 0.005, priority: int = 1) -> None:
         self._watchers = [
             subprocess.Popen(
-                [sys.executable, "-S", __file__, str(core), str(wake_s)],
+                [sys.executable, "-S", __file__, str(core), str(wake_s), str(priority)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
             )
@@ -45,11 +43,11 @@ class Stillness:
             watcher.communicate()
 
 
-def watch(core: int, wake_s: float) -> None:
+def watch(core: int, wake_s: float, priority: int) -> None:
     """Watch `core` every `wake_s` until standard input ends."""
     os.sched_setaffinity(0, {core})
     with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(AHEAD_OF_THE_DAEMON))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     before_s, longest_s = time.monotonic(), 0.0
     while True:
         asked, _, _ = select.select([0], [], [], wake_s)
@@ -64,4 +62,4 @@ def watch(core: int, wake_s: float) -> None:
 
 
 if __name__ == "__main__":
-    watch(int(sys.argv[1]), float(sys.argv[2]))
+    watch(int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]))

@@ -22,7 +22,7 @@ pytest_plugins = ["tests.trials"]
 
 class Told:
     pauses_s = {pauses_s}
-    def __init__(self, wake_s):
+    def __init__(self, wake_s, priority):
         pass
     def longest_s(self):
         return self.pauses_s.pop(0)
