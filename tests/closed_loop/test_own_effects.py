@@ -92,7 +92,7 @@ KINDS = pytest.mark.parametrize("kind", ["own", "learnt", "shipped"])
 OWN_FIRST = pytest.mark.parametrize(
     "kind", ["own", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("learnt", "shipped"))]
 )
-"""A minute of a core each: the others before a release."""
+"""Half a minute of a core each: the others before a release."""
 
 
 @KINDS
