@@ -148,22 +148,26 @@ class BenchLoop:
             ready, _, _ = select.select(
                 [*watched, *ports, *sockets], [], [], max(wake_s - time.monotonic(), 0.0)
             )
-            late_s = time.monotonic() - wake_s
-            if late_s > _GIVE_UP_S:
-                self._stand_still(late_s)
-                deadline_s += late_s
+            spoken = self._can_port in ready
             for _ in range(_STEPS_A_WAKE):
+                late_s = time.monotonic() - max(wake_s, deadline_s)
+                if late_s > _GIVE_UP_S:
+                    self._stand_still(late_s)
+                    deadline_s += late_s
+                    wake_s += late_s
                 if deadline_s > time.monotonic():
                     break
+                if spoken and deadline_s >= wake_s:
+                    # commands of the meantime are heard before a drive looks at its clock
+                    self._serve(deadline_s)
                 self._now_us = round((deadline_s - self._start_s) * 1e6)
                 self._step()
                 deadline_s += 1.0 / self._loop_hz - self._regained_s()
-            self._hand_over()
-            if self._can_port in ready and self._can_port is not None:
+                spoken = True
+            if spoken:
                 # where steps are still due, the nodes' clocks are behind
-                self._now_us = round((min(time.monotonic(), deadline_s) - self._start_s) * 1e6)
-                self._hub.serve(self._can_port)
-                self._hub.flush()
+                self._serve(min(time.monotonic(), deadline_s))
+            self._hand_over()
             for asked in sockets:
                 if asked in ready and self._netft is not None:
                     self._netft.serve(asked)
@@ -263,6 +267,12 @@ class BenchLoop:
         data = hall.through(sent, now_us * 1e-6) if sent else None
         if self._hall_port is not None:
             self._hall_port.write(data or b"")
+
+    def _serve(self, at_s: float) -> None:
+        """Let the nodes hear what came into the CAN port, at this instant."""
+        self._now_us = round((at_s - self._start_s) * 1e6)
+        if self._can_port is not None:
+            self._hub.serve(self._can_port)
 
     def _hand_over(self) -> None:
         """What the nodes sent since the last time; Hall and CAN together."""

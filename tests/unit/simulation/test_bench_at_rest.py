@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import os
@@ -85,3 +86,44 @@ def test_every_step_is_sent_and_commands_come_at_their_time(loop: BenchLoop) -> 
     times = [at for _, at in heard]
     assert len([1 for kind, _ in heard if kind == 0]) > 100
     assert all(a <= b for a, b in itertools.pairwise(times))
+
+
+@pytest.mark.parametrize(("asleep_s", "in_a_step_s"), [(0.029, 0.0), (0.2, 0.0), (0.0, 0.029), (0.0, 0.2)])
+def test_a_bench_that_is_late_hears_its_host_before_a_drive_blames_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asleep_s: float, in_a_step_s: float
+) -> None:
+    """Host and bench wake up every 10 ms; the machine pauses each tenth time."""
+    config = load_rig_config(None, {"simulation.sensor_rate_hz": 100})
+    loop = BenchLoop(config, build_plant(config), tmp_path, lambda said: None)
+    now_s, step = 100.0, loop._step
+    heard_us: list[int] = []
+    ages_s: list[float] = []
+
+    def hear(now_us: int, frame_id: int, data: bytes) -> None:
+        if frame_id == DRIVE_COMMAND_ID:
+            heard_us.append(now_us)
+
+    def stepped() -> None:
+        nonlocal now_s
+        ages_s.append((loop._now_us - (heard_us or [0])[-1]) * 1e-6)
+        if len(ages_s) % 10 == 0:
+            now_s += in_a_step_s
+        step()
+
+    def wake(watched: list[object], _: object, __: object, sleep_s: float) -> tuple[list[object], ...]:
+        nonlocal now_s
+        if len(ages_s) > 200:
+            raise InterruptedError
+        now_s += sleep_s + asleep_s * (len(ages_s) % 10 == 1)
+        return [loop._can_port], [], []
+
+    frame = (DRIVE_COMMAND_ID, loop._codec.encode_command(CLEAR, 1, 1))
+    monkeypatch.setattr(loop, "_step", stepped)
+    monkeypatch.setattr(loop._drive, "receive", hear)
+    monkeypatch.setattr(loop._can_port, "receive", lambda: [frame])
+    monkeypatch.setattr("needle_rig.simulation.bench.bench_loop.select.select", wake)
+    monkeypatch.setattr("needle_rig.simulation.bench.bench_loop.time.monotonic", lambda: now_s)
+    with contextlib.closing(loop), pytest.raises(InterruptedError):
+        loop.run(0)
+    assert min(ages_s) >= 0.0
+    assert max(ages_s) <= 0.0101  # no more than from tick to tick: 0.05 s stops a drive
