@@ -29,7 +29,7 @@ from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
 from needle_rig.workbench.observations.measured_noise import measure_noise
-from needle_rig.workbench.observations.noise import Noise, Whitener, covariance, whitener
+from needle_rig.workbench.observations.noise import Noise, Whitener, variance, whitener
 from needle_rig.workbench.policy import POLICY
 
 LAGS_DEG = (5.0, 12.0, 25.0, 50.0, 100.0, 200.0)
@@ -258,8 +258,7 @@ class _Shaft:
         away = np.concatenate([others[1:] - others[0], harder[1:] - harder[0]])
         free = np.zeros(half.shape, dtype=np.bool_)
         for c in range(len(half)):
-            use, matrix = covariance(self.noise, binned, c)
-            free[c, use] = np.abs(half[c, use]) < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
+            free[c] = np.abs(half[c]) < POLICY.noise.start_sigmas * np.sqrt(variance(self.noise, binned, c))
         known = np.isfinite(binned.mean)
         share = float(free[known].mean())
         of_sample = bins_of_samples(recorded.seen)
