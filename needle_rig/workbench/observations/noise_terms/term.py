@@ -74,10 +74,14 @@ class Bins:
         """Rate of change of the reading in each bin, N·m/s or rad/s; 0 while the base holds (k,)."""
         trial, found = self.trial, np.zeros(self.trial.mean.shape[1])
         moving = self._every[trial.moving[self._every]]
-        for m in np.unique(trial.motion[moving]):
-            inside = moving[trial.motion[moving] == m]
-            if inside.size > 1:
-                found[inside] = np.gradient(trial.mean[self.channel, inside], trial.time_s[inside])
+        if moving.size > 1:
+            step_s = np.diff(trial.time_s[moving])
+            slope = np.diff(trial.mean[self.channel, moving]) / step_s
+            # an end of a motion has the slope on its one side
+            weight = np.where(np.diff(trial.motion[moving]) == 0, 1.0 / step_s, 0.0)
+            sides = np.r_[0.0, weight] + np.r_[weight, 0.0]
+            sums = np.r_[0.0, weight * slope] + np.r_[weight * slope, 0.0]
+            found[moving] = sums / np.where(sides > 0, sides, 1.0)
         return found[self.use]
 
     @property
