@@ -11,7 +11,7 @@ from scipy.linalg import helmert, solve_triangular
 
 from needle_rig.numerics import Array, lower_root
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.noise import Noise, covariance
+from needle_rig.workbench.observations.noise import Noise, covariance, parts
 from needle_rig.workbench.observations.noise_terms.term import Bins, Places
 
 FEWEST_BINS = 8
@@ -92,15 +92,16 @@ def contrasts(
 def each_alone(
     noise: Noise, binned: Sequence[BinnedTrial], residuals: Sequence[Array], channel: int
 ) -> list[Contrasts]:
-    """The residuals of every trial that has bins enough, in the place of contrasts."""
+    """The residuals of trials that have bins enough, in the place of contrasts; of a long one in parts."""
     found = []
     for trial, left in zip(binned, residuals, strict=True):
-        bins = Bins.of(trial, channel)
-        if bins.use.size < FEWEST_BINS:
-            continue
-        lower = lower_root(covariance(noise, bins))
-        independent = solve_triangular(lower, left[channel, bins.use], lower=True)[None]
-        found.append(Contrasts(lower, independent, np.zeros((0, bins.use.size)), bins))
+        for part in parts(Bins.of(trial, channel).use):
+            if part.size < FEWEST_BINS:
+                continue
+            bins = Bins(trial, channel, part)
+            lower = lower_root(covariance(noise, bins))
+            independent = solve_triangular(lower, left[channel, part], lower=True)[None]
+            found.append(Contrasts(lower, independent, np.zeros((0, part.size)), bins))
     return found
 
 

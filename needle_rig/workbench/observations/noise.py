@@ -73,7 +73,7 @@ def covariance(noise: Noise, bins: Bins) -> Array:
 def variance(noise: Noise, binned: BinnedTrial, channel: int) -> Array:
     """Variance (K,) of each bin mean of one channel; NaN where it has none."""
     found = np.full(binned.mean.shape[1], np.nan)
-    for part in _parts(Bins.of(binned, channel).use):
+    for part in parts(Bins.of(binned, channel).use):
         found[part] = np.diag(covariance(noise, Bins(binned, channel, part)))
     return found
 
@@ -125,8 +125,8 @@ class ChannelWhitener:
 
     def __call__(self, means: Array) -> Array:
         """(n, …) means of the bins in use to whitened values."""
-        parts = [block.inverse @ means[block.first : block.rows.stop] for block in self.blocks]
-        return np.concatenate(parts) if parts else means
+        white = [block.inverse @ means[block.first : block.rows.stop] for block in self.blocks]
+        return np.concatenate(white) if white else means
 
     def raw(self, values: Array) -> Array:
         """(n, …) means that whiten to `values`."""
@@ -186,7 +186,7 @@ def whitener(noise: Noise, binned: BinnedTrial) -> Whitener:
     for c in range(binned.mean.shape[0]):
         use, blocks, before = Bins.of(binned, c).use, [], 0
         start = 0
-        for part in _parts(use):
+        for part in parts(use):
             window = use[start - before : start + part.size]
             lower = lower_root(covariance(noise, Bins(binned, c, window)))
             inverse = solve_triangular(lower, np.eye(window.size), lower=True)
@@ -197,8 +197,8 @@ def whitener(noise: Noise, binned: BinnedTrial) -> Whitener:
     return Whitener(tuple(channels), log_det)
 
 
-def _parts(use: Places) -> list[Places]:
-    """Bins in the blocks in which they are whitened."""
+def parts(use: Places) -> list[Places]:
+    """Bins of a channel in the blocks in which they are whitened."""
     if use.size <= 2 * BLOCK:
         return [use] if use.size else []
     return np.array_split(use, -(-use.size // BLOCK))
