@@ -94,7 +94,9 @@ def _words(hint: Any) -> str:
         return "nothing"
     if hint in _NUMBERS:
         return _NUMBERS[hint][1]
-    return "text" if hint is str else "a path"
+    if hint is str:
+        return "text"
+    return f"a {hint.__name__}" if isinstance(hint, type) else "a path"
 
 
 def _wrong(place: str, value: Any, words: str) -> BadInput:

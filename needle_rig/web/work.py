@@ -11,14 +11,14 @@ import math
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from needle_rig.dataset import write_dataset
-from needle_rig.dataset.protocol import load_protocol
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.extras import needed
-from needle_rig.model import load_parameters, load_saved
+from needle_rig.model import load_saved
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.diagnose import Diagnose
@@ -26,6 +26,7 @@ from needle_rig.questions.doing import Doing
 from needle_rig.questions.identify import Identify
 from needle_rig.questions.learn import Learn
 from needle_rig.questions.question import Question
+from needle_rig.questions.simulate import Simulate
 from needle_rig.questions.strategies import Strategies
 from needle_rig.recording import RunFile, mark_read
 from needle_rig.recording.export_csv import export_csv
@@ -40,11 +41,9 @@ from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.selection.diagnose import Diagnosis
-from needle_rig.workbench.virtual.dataset import simulate_dataset
 
 Document = dict[str, Any]
 Say = Callable[[str], None]
-EXAMPLE = "rig_elastic"
 EVENTS = 1000
 """Of a run, shown."""
 CANDIDATES = 8
@@ -233,12 +232,9 @@ def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
     return {"file": written.name}
 
 
-def example(say: Say, *, out: str) -> Document:
-    """A simulated series for those without data: the simulated rig's needle, whose tissue yields."""
-    say("simulating a series")
-    dataset = simulate_dataset(load_parameters(EXAMPLE), load_protocol("standard"), name="example")
-    write_dataset(dataset, Path(out) / DATASET)
-    return {"name": dataset.name}
+def example(question: Simulate, doing: Doing, out: str) -> Document:
+    """A simulated series for those without data."""
+    return {"name": replace(question, out=Path(out) / DATASET).answer(doing).name}
 
 
 def chart(say: Say, *, chart: Document, out: str) -> Document:
@@ -273,6 +269,7 @@ QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
     "undo": (Undo, undo),
     "learn": (Learn, learn),
     "strategies": (Strategies, strategies),
+    "example": (Simulate, example),
 }
 FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
@@ -283,6 +280,5 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "open": opened,
     "show": show,
     "export": export,
-    "example": example,
     "watch": look,
 }
