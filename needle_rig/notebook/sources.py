@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 from needle_rig.dataset.protocol import Protocol
 from needle_rig.errors import BadInput
@@ -15,6 +14,7 @@ from needle_rig.notebook.catalogue import hidden_effects
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.run import Run
+from needle_rig.questions.export import Form
 from needle_rig.questions.recordings import Understand
 from needle_rig.questions.simulate import Simulate
 from needle_rig.recording import RunFile
@@ -103,8 +103,8 @@ def import_recording(
         return Data(imported.dataset)
 
 
-def export(run: Run | PathLike, out: PathLike, form: Literal["csv", "mcap", "dataset"] = "csv") -> Path:
-    """Write a run to `out`, which must be new: a folder of CSV, an MCAP file, or a dataset folder.
+def export(run: Run | PathLike, out: PathLike, form: Form = "csv") -> Path:
+    """Write a run to `out`, which must be new: a folder of CSV or of a dataset, an MCAP or PNG file.
 
     Raises BadInput.
     """

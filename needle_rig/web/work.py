@@ -15,22 +15,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from needle_rig.dataset import write_dataset
-from needle_rig.errors import BadInput, SolverError
+from needle_rig.errors import SolverError
 from needle_rig.extras import needed
 from needle_rig.model import load_saved
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.diagnose import Diagnose
 from needle_rig.questions.doing import Doing
+from needle_rig.questions.export import Export, Form
 from needle_rig.questions.identify import Identify
 from needle_rig.questions.learn import Learn
 from needle_rig.questions.question import Question
 from needle_rig.questions.simulate import Simulate
 from needle_rig.questions.strategies import Strategies
-from needle_rig.recording import RunFile, mark_read
-from needle_rig.recording.export_csv import export_csv
-from needle_rig.recording.export_mcap import export_mcap
+from needle_rig.recording import RunFile
 from needle_rig.web import pictures, recordings, traces
 from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
@@ -211,24 +209,11 @@ def _mapping(text: object) -> Document:
     return {}
 
 
-def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
+def export(say: Say, *, data: list[str], form: Form, out: str) -> Document:
     """A run as a file of another format; folders come packed."""
-    say("writing the file")
-    run, folder = RunFile(data[0]), Path(out)
-    if form == "csv":
-        export_csv(run, folder / f"{run.name}_csv")
-        written = packed(folder / f"{run.name}_csv")
-    elif form == "dataset":
-        written = packed(write_dataset(runs_as_dataset([run]), folder / f"{run.name}_dataset"))
-    elif form == "mcap":
-        written = export_mcap(run, folder / f"{run.name}.mcap")
-    elif form == "png":
-        from needle_rig.figures.run import draw_run
-
-        written = draw_run(run, folder / f"{run.name}.png")
-    else:
-        raise BadInput(f"{form[:20]}: no such format; there are csv, dataset, mcap, png")
-    mark_read(run.path)
+    written = Export(run=data[0], form=form, folder=out).answer(Doing(say=say))
+    if written.is_dir():
+        written = Path(shutil.make_archive(str(written), "zip", written.parent, written.name))
     return {"file": written.name}
 
 
@@ -253,11 +238,6 @@ def chart(say: Say, *, chart: Document, out: str) -> Document:
     axes = (chart["x"], chart["y"])
     path = write_chart(Path(out) / "chart.svg", chart["title"], axes, lines, bands, chart["level"])
     return {"file": path.name}
-
-
-def packed(folder: Path) -> Path:
-    """The folder as a ZIP beside it."""
-    return Path(shutil.make_archive(str(folder), "zip", folder.parent, folder.name))
 
 
 QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {

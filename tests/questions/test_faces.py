@@ -14,12 +14,13 @@ import pytest
 import needle_rig as nr
 from needle_rig import questions
 from needle_rig.notebook import questions as functions
-from needle_rig.notebook.sources import import_recording, simulate
+from needle_rig.notebook.sources import export, import_recording, simulate
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.demo import Demo
 from needle_rig.questions.diagnose import Diagnose
 from needle_rig.questions.experiment import Experiment
+from needle_rig.questions.export import Export
 from needle_rig.questions.fields import defaults, hints
 from needle_rig.questions.fit import Fit
 from needle_rig.questions.identify import Identify
@@ -41,6 +42,7 @@ COMMANDS: dict[type[Request], str] = {
     Learn: "learn",
     Experiment: "experiment",
     Simulate: "simulate",
+    Export: "export",
     Strategies: "strategies",
     Demo: "demo",
     Understand: "import",
@@ -56,6 +58,8 @@ NO_COMMAND = {
     (Strategies, "friction_scatter"): "--scatter-percent has its unit in its name",
     (Simulate, "noise"): "each of its numbers is an option with its unit",
     (Simulate, "name"): "the name of --out, where --name says no other",
+    (Export, "form"): "each format is a flag, and one must be named",
+    (Export, "folder"): "places are named from where the command is typed",
     (Demo, "draft"): "stands beside --out",
     (Understand, "name"): "the name of --out",
     (Understand, "folder"): "files are named from where the command is typed",
@@ -70,6 +74,7 @@ FUNCTIONS: dict[type[Request], Callable[..., Any]] = {
     Learn: functions.learn,
     Experiment: functions.experiment,
     Simulate: simulate,
+    Export: export,
     Strategies: functions.strategies,
     Understand: import_recording,
 }
@@ -89,6 +94,7 @@ NO_ARGUMENT = {
     (Adopt, "name"): "save names the model",
     (AddEffect, "name"): "save names the model",
     (Learn, "draft"): "save writes it",
+    (Export, "folder"): "places are named from where Python runs",
     (Understand, "name"): "the name of out",
     (Understand, "folder"): "files are named from where Python runs",
 }
