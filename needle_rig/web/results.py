@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Literal, NotRequired, TypedDict
 
-from needle_rig.workbench.contest.strategies_table import Spread
-from needle_rig.workbench.selection.documents import NextExperiment, PlaceError, ValuesDocument, WayOnDocument
+from needle_rig.workbench.contest.strategies_table import StrategyOverall
+from needle_rig.workbench.selection.documents import ComparedNumber, DiagnosisDocument, PlaceError
 
-Number = float | str | None
-"""Infinity is written as text."""
 Values = list[float | None]
 
 
@@ -52,18 +50,10 @@ class DrawnTraces(TypedDict):
     of: int
 
 
-class ComparedValue(TypedDict):
+class ComparedValue(ComparedNumber):
     """A value of the model beside that of a refit."""
 
-    name: str
-    unit: str
-    model: Number
-    model_uncertainty: Number
-    refit: Number
-    refit_uncertainty: Number
-    sigmas: Number
-    fixed: bool
-    pull_sigma: Number
+    pull_sigma: float | None
 
 
 class CompareResult(TypedDict):
@@ -84,51 +74,12 @@ class CompareResult(TypedDict):
     notes: NotRequired[list[str]]
 
 
-class RankedValue(TypedDict):
-    """A value of a candidate with its 95 % range."""
+class DiagnoseResult(DiagnosisDocument):
+    """What is missing; `candidates` are predictions by effect and file."""
 
-    value: float
-    low: float
-    high: float
-    unit: str
-
-
-class RankedEffect(TypedDict):
-    """One candidate."""
-
-    effect: str
-    held_out_error: float | None
-    error_removed: float
-    parameters: dict[str, RankedValue]
-    in_favour: str
-    against: str
-
-
-class ReasonDocument(TypedDict):
-    """A rule that found something unexplained, in words."""
-
-    rule: str
-    sentence: str
-
-
-class DiagnoseResult(TypedDict):
-    """What is missing."""
-
-    way_on: NotRequired[WayOnDocument]
-    model_values: NotRequired[ValuesDocument]
-    dataset: str
-    model: str
-    verdict: Literal["effect", "none", "unknown", "cannot_tell"]
-    reasons: list[ReasonDocument]
-    effects: list[str]
-    ties: list[str]
-    ranking: list[RankedEffect]
-    held_out_error_before: float | None
-    held_out_error_after: float | None
-    next_experiment: NextExperiment | None
-    notes: list[str]
     sentence: str
     errors_sentence: str
+    ties: list[str]
     left_over: list[str]
     quick: bool
     candidates: dict[str, dict[str, list[Values]]]
@@ -347,19 +298,6 @@ class LessonDocument(TypedDict):
     channels: list[LessonChannel]
 
 
-class StrategyRow(TypedDict):
-    """Several runs of one strategy."""
-
-    strategy: str
-    refused: NotRequired[str | None]
-    tip_lag_deg: NotRequired[Spread]
-    worst_deg: NotRequired[Spread]
-    mean_deg: NotRequired[Spread]
-    torque_nmm: NotRequired[Spread]
-    rotations: NotRequired[float]
-    time_s: NotRequired[float]
-
-
 class SequenceMotion(TypedDict):
     """The shaft after one motion."""
 
@@ -382,7 +320,7 @@ class Sequence(TypedDict):
 class StrategiesResult(TypedDict):
     """The table of strategies, and their sequences."""
 
-    rows: list[StrategyRow]
+    rows: list[StrategyOverall]
     target_deg: float
     needle_length_mm: float
     tissue_sections_mm: list[list[float]]
