@@ -11,6 +11,7 @@ from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_t
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from needle_rig.model import ChannelErrors
 from needle_rig.service.api.documents import Ended, Moved, Rig, Started, State
 from needle_rig.service.api.orders import MODELS
 from needle_rig.version import VERSION
@@ -66,9 +67,9 @@ STREAM = (State, Moved, Ended, Rig)
 @cache
 def openapi_document() -> dict[str, Any]:
     """The server as OpenAPI."""
-    requests: list[type[BaseModel]] = [Work, Lesson, RigModel, Notes, *MODELS.values()]
+    records: list[type[BaseModel]] = [Work, Lesson, RigModel, Notes, ChannelErrors, *MODELS.values()]
     _, asked = models_json_schema(
-        [(model, "validation") for model in requests], ref_template=f"{REFERENCE}{{model}}"
+        [(model, "validation") for model in records], ref_template=f"{REFERENCE}{{model}}"
     )
     schemas: dict[str, Any] = dict(asked["$defs"])
     paths: dict[str, Any] = {}
@@ -104,6 +105,8 @@ def schema(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
     """JSON Schema of a type; each TypedDict goes to `known`, by its name. Raises TypeError for another."""
     if kind is Any or kind is object:
         return {}
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return {"$ref": f"{REFERENCE}{kind.__name__}"}
     if kind in PLAIN:
         return {"type": PLAIN[kind]}
     if is_typeddict(kind):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NotRequired, TypedDict
 
+from needle_rig.model import ChannelErrors
 from needle_rig.workbench.contest.strategies_table import StrategyOverall
 from needle_rig.workbench.selection.documents import ComparedNumber, DiagnosisDocument, PlaceError
 
@@ -94,21 +95,13 @@ class ModelValue(TypedDict):
     unit: str
 
 
-class StepChannel(TypedDict, total=False):
-    """Errors of one channel after a step."""
-
-    training_after: float
-    held_out_after: float
-    floor: float
-
-
 class ModelStep(TypedDict):
     """A step of a model's history."""
 
     step: str
     held_out_error: float | None
     training_error: float | None
-    channels: dict[str, StepChannel]
+    channels: dict[str, ChannelErrors]
 
 
 class ModelResult(TypedDict):
