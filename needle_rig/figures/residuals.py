@@ -36,6 +36,7 @@ from needle_rig.units import deg
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.misfit import Misfit, modelled
 from needle_rig.workbench.learning.places import scale_of
+from needle_rig.workbench.observations.noise import variance
 from needle_rig.workbench.selection.answer import SIGMAS_95
 
 FORMATS = (".png", ".svg", ".pdf")
@@ -266,11 +267,8 @@ def _names(found: TraceComparison) -> tuple[str, ...]:
 def _noise(found: TraceComparison, trial: int) -> Array:
     """Standard deviation of each bin mean (C, K) of one trial by the noise alone; NaN without a reading."""
     problem = found.baseline.problem
-    spread = np.full(problem.trials[trial].mean.shape, np.nan)
-    whitening = problem.whiteners[trial]
-    for c, (use, inverse) in enumerate(zip(whitening.use, whitening.inverse, strict=True)):
-        spread[c, use] = np.linalg.norm(np.linalg.inv(inverse), axis=1) if use.size else 0.0
-    return spread
+    binned = problem.trials[trial]
+    return np.sqrt([variance(problem.noise, binned, c) for c in range(len(binned.mean))])
 
 
 def _whitened(found: TraceComparison, channel: int) -> list[Array]:

@@ -11,8 +11,9 @@ friction found and of one held harder, has the covariance of an ensemble and cou
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +30,7 @@ from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.earlier_path import PHASE, with_path_before
 from needle_rig.workbench.observations.measured_noise import measure_noise
-from needle_rig.workbench.observations.noise import Noise, Whitener, covariance, whitener
+from needle_rig.workbench.observations.noise import Noise, Whitener, variance, whitener
 from needle_rig.workbench.policy import POLICY
 
 LAGS_DEG = (5.0, 12.0, 25.0, 50.0, 100.0, 200.0)
@@ -98,7 +99,7 @@ def wound(trial: DatasetTrial, turn_rad: float, lag_rad: float) -> DatasetTrial:
     return with_path_before(trial, [*ends, relaxed_rad])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Wound:
     """A trial in bins, after any turn from a relaxed shaft: that moves the base before it alone.
 
@@ -188,10 +189,12 @@ def _shaft_of(
 
     most_n = per_length_n(BASE_PARAMETERS[FRICTION].scaled(given.torque_scale).upper) / BEYOND
 
+    whiten = functools.cache(functools.partial(_whitener, noise, given))
+
     def of(lag_rad: float) -> _Shaft:
         lag_rad = min(lag_rad, most_n * lag_of_newton)
         model = dataclasses.replace(given, friction_n=lag_rad / lag_of_newton)
-        return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names))
+        return _Shaft(model, lag_rad, noise, tuple(dataset.sensor_names), whiten)
 
     if friction_known:
         return of(given.friction_n * lag_of_newton)
@@ -205,6 +208,19 @@ def _shaft_of(
     return of(min((level * f for f in FINER), key=misfit))
 
 
+def _whitener(noise: Noise, model: NeedleModel, given: Wound) -> Whitener:
+    """Of a trial after any turn; what is counted from the start may be off by any lag."""
+    binned = given.binned
+    if given.given.start == "zeroed":
+        channels, bins = binned.mean.shape
+        # of any shaft that is tried: a width of its own would favour the loosest
+        most_rad = rad(LAGS_DEG[-1])
+        most_nm = most_rad * model.torsional_rigidity_nm2 / model.layout.needle_length_m
+        offsets = np.diag([most_nm, *[most_rad] * (channels - 1)])
+        binned = dataclasses.replace(binned, from_start=np.repeat(offsets[:, None, :], bins, axis=1))
+    return whitener(noise, binned)
+
+
 @dataclass(frozen=True)
 class _Shaft:
     """A needle, how far its tip lags when all of it slips, and the noise of the readings."""
@@ -213,12 +229,14 @@ class _Shaft:
     lag_rad: float
     noise: Noise
     sensor_names: tuple[str, ...]
+    whitener: Callable[[Wound], Whitener]
+    """Of a trial after any turn, whatever the friction."""
     simulator: Simulator = field(default_factory=Simulator)
 
     def start(self, given: Wound, turns: Sequence[float] = TURNS) -> tuple[float, float]:
         """(turn from a relaxed shaft to the start that fits best of some, χ² with it)."""
         tried_rad = [0.0] if given.given.start == "relaxed" else [turn * self.lag_rad for turn in turns]
-        chi2 = self._chi2(given, self._whitener(given), tried_rad)
+        chi2 = self._chi2(given, self.whitener(given), tried_rad)
         likely = [
             turn_rad for turn_rad, each in zip(tried_rad, chi2, strict=True) if each <= min(chi2) + BETTER
         ]
@@ -232,7 +250,7 @@ class _Shaft:
         if place in (0, len(TURNS) - 1):
             return best_rad
         ends = (TURNS[place - 1] * self.lag_rad, TURNS[place + 1] * self.lag_rad)
-        whiten = self._whitener(given)
+        whiten = self.whitener(given)
         found = minimize_scalar(
             lambda turn_rad: self._chi2(given, whiten, [float(turn_rad)])[0],
             bounds=ends,
@@ -258,8 +276,7 @@ class _Shaft:
         away = np.concatenate([others[1:] - others[0], harder[1:] - harder[0]])
         free = np.zeros(half.shape, dtype=np.bool_)
         for c in range(len(half)):
-            use, matrix = covariance(self.noise, binned, c)
-            free[c, use] = np.abs(half[c, use]) < POLICY.noise.start_sigmas * np.sqrt(np.diag(matrix))
+            free[c] = np.abs(half[c]) < POLICY.noise.start_sigmas * np.sqrt(variance(self.noise, binned, c))
         known = np.isfinite(binned.mean)
         share = float(free[known].mean())
         of_sample = bins_of_samples(recorded.seen)
@@ -313,18 +330,6 @@ class _Shaft:
             if measured.any()
         }
         return _RunIn(file, share, since_s)
-
-    def _whitener(self, given: Wound) -> Whitener:
-        """Of a trial after any turn; what is counted from the start may be off by any lag."""
-        binned = given.binned
-        if given.given.start == "zeroed":
-            channels, bins = binned.mean.shape
-            # of any shaft that is tried: a width of its own would favour the loosest
-            most_rad = rad(LAGS_DEG[-1])
-            most_nm = most_rad * self.model.torsional_rigidity_nm2 / self.model.layout.needle_length_m
-            offsets = np.diag([most_nm, *[most_rad] * (channels - 1)])
-            binned = dataclasses.replace(binned, from_start=np.repeat(offsets[:, None, :], bins, axis=1))
-        return whitener(self.noise, binned)
 
     def _chi2(self, given: Wound, whiten: Whitener, turns_rad: Sequence[float]) -> list[float]:
         """χ² of a trial after each turn."""

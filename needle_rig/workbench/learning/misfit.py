@@ -14,7 +14,7 @@ import numpy as np
 from needle_rig.numerics import Array
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.learning.places import Place, all_places, scale_of, worst_places
-from needle_rig.workbench.observations.noise import covariance
+from needle_rig.workbench.observations.noise import variance
 from needle_rig.workbench.selection.documents import ChannelError, MisfitDocument
 
 
@@ -95,10 +95,11 @@ def _channels(
         factor, unit = scale_of(c)
         squares = expected = count = 0.0
         for binned, left, spread in zip(problem.trials, residuals, spreads, strict=True):
-            use, matrix = covariance(problem.noise, binned, c)
+            of_noise = variance(problem.noise, binned, c)
+            use = np.flatnonzero(np.isfinite(of_noise))
             weight = binned.count[c, use]
             squares += float((left[c, use] ** 2 * weight).sum())
-            expected += float(((np.diag(matrix) + (spread[c, use] ** 2).sum(axis=1)) * weight).sum())
+            expected += float(((of_noise[use] + (spread[c, use] ** 2).sum(axis=1)) * weight).sum())
             count += float(weight.sum())
         if not count:
             continue  # not recorded, or no reading of it can be compared

@@ -12,7 +12,7 @@ from needle_rig.numerics import Array
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.problem import Problem
 from needle_rig.workbench.observations.binning import direction_of
-from needle_rig.workbench.observations.noise import covariance
+from needle_rig.workbench.observations.noise import variance
 from needle_rig.workbench.selection.documents import PlaceError
 
 WORST, WORST_OF_A_CHANNEL = 8, 2
@@ -100,8 +100,10 @@ def all_places(
     prediction by one standard deviation each, which count as noise.
     """
     groups: dict[tuple[int, str, str, str], list[tuple[float, float, float, float, str]]] = {}
-    for binned, left_over, spread in zip(problem.trials, residuals, spreads, strict=True):
-        noise = [covariance(problem.noise, binned, c) for c in range(len(names))]
+    for binned, whiten, left_over, spread in zip(
+        problem.trials, problem.whiteners, residuals, spreads, strict=True
+    ):
+        variances = [variance(problem.noise, binned, c) for c in range(len(names))]
         for m, motion in enumerate(binned.motions):
             move = binned.last_move_rad[binned.motion == m]
             way = {0.0: "", 1.0: "up", -1.0: "down"}[float(direction_of(move[:1]).sum())]
@@ -125,15 +127,15 @@ def all_places(
                     if state == "settled":
                         of_prediction = np.average(moved, axis=0, weights=weight) ** 2
                     share = weight / weight.sum()
-                    known, matrix = noise[c]
-                    at = np.searchsorted(known, np.flatnonzero(use))
-                    of_noise = matrix[np.ix_(at, at)]
-                    variance = float(of_prediction.sum())
-                    variance += float(
-                        share @ of_noise @ share if state == "settled" else share @ np.diag(of_noise)
-                    )
+                    of_noise = float(share @ variances[c][use])
+                    if state == "settled":
+                        average = np.zeros((1, use.size))
+                        average[0, use] = share
+                        channel = whiten.channels[c]
+                        of_noise = float((channel.of_averages(average[:, channel.use]) ** 2).sum())
+                    deviation = float(np.sqrt(of_prediction.sum() + of_noise))
                     groups.setdefault((c, motion, state, way), []).append(
-                        (measured, modelled, rms, float(np.sqrt(variance)), binned.file)
+                        (measured, modelled, rms, deviation, binned.file)
                     )
     places = []
     for (c, motion, state, way), seen in groups.items():

@@ -268,10 +268,9 @@ def bin_trial(given: DatasetTrial) -> BinnedTrial:
                 for change in given.start_change
             ]
         ).transpose(1, 2, 0)
-    weights = np.zeros((number, grid_time.size))
-    weights[of_bin, place[: first.size]] = size / samples[of_bin]
     of_sample = np.repeat(of_bin, size)
-    whole = csr_array(weights)
+    places = (of_bin, place[: first.size])
+    whole = csr_array((size / samples[of_bin], places), shape=(number, grid_time.size))
     outliers, missing, mean, count, averages = [], [], [], [], []
     for values in channels(given):
         filled, valid, outlier = set_aside(values)

@@ -77,9 +77,7 @@ def contrasts(
         seen, places = seen[:, common], alike[:, common]
         covariances = []
         for i, own in zip(group, places, strict=True):
-            use, matrix = covariance(noise, binned[i], channel)
-            at = np.searchsorted(use, own)
-            covariances.append(matrix[np.ix_(at, at)])
+            covariances.append(covariance(noise, Bins(binned[i], channel, own)))
         lower = lower_root(np.mean(covariances, 0))
         mean = seen.mean(0)
         rows = np.vstack(
@@ -97,12 +95,12 @@ def each_alone(
     """The residuals of every trial that has bins enough, in the place of contrasts."""
     found = []
     for trial, left in zip(binned, residuals, strict=True):
-        use, matrix = covariance(noise, trial, channel)
-        if use.size < FEWEST_BINS:
+        bins = Bins.of(trial, channel)
+        if bins.use.size < FEWEST_BINS:
             continue
-        lower = lower_root(matrix)
-        independent = solve_triangular(lower, left[channel, use], lower=True)[None]
-        found.append(Contrasts(lower, independent, np.zeros((0, use.size)), Bins(trial, channel, use)))
+        lower = lower_root(covariance(noise, bins))
+        independent = solve_triangular(lower, left[channel, bins.use], lower=True)[None]
+        found.append(Contrasts(lower, independent, np.zeros((0, bins.use.size)), bins))
     return found
 
 

@@ -24,7 +24,7 @@ from needle_rig.workbench.observations.noise import Noise, covariance
 from needle_rig.workbench.observations.noise_terms.drift import Drift
 from needle_rig.workbench.observations.noise_terms.interference import Interference
 from needle_rig.workbench.observations.noise_terms.motion_scatter import MotionScatter
-from needle_rig.workbench.observations.noise_terms.term import ShownTerm
+from needle_rig.workbench.observations.noise_terms.term import Bins, ShownTerm
 from needle_rig.workbench.policy import POLICY
 
 KINDS: tuple[type[ShownTerm], ...] = (Drift, Interference)
@@ -236,11 +236,11 @@ def _motion_means(noise: Noise, binned: BinnedTrial, residuals: Array) -> list[t
     each; 0 where a channel has none."""
     found = [(np.zeros(len(residuals)), np.zeros(len(residuals))) for _ in binned.motions]
     for c, left in enumerate(residuals):
-        use, matrix = covariance(noise, binned, c)
         for m, (mean, variance) in enumerate(found):
-            inside = (binned.motion[use] == m) & ~binned.moving[use]
-            weight = binned.count[c, use] * inside
+            use = np.flatnonzero((binned.motion == m) & ~binned.moving & np.isfinite(binned.mean[c]))
+            weight = binned.count[c, use]
             if weight.sum():
                 weight = weight / weight.sum()
+                matrix = covariance(noise, Bins(binned, c, use))
                 mean[c], variance[c] = weight @ left[use], weight @ matrix @ weight
     return found

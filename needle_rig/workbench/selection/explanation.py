@@ -20,7 +20,7 @@ from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.estimation.simulator import Simulator
 from needle_rig.workbench.observations.binning import bin_trial
-from needle_rig.workbench.observations.noise import covariance
+from needle_rig.workbench.observations.noise import variance
 
 IN_NOISE_UNITS = "noise_units"
 """Name of the errors over all channels, in units of the noise."""
@@ -186,10 +186,8 @@ def _floors(problem: Problem, found: Fit, scatter: float) -> Array:
     total, number = np.zeros(count), np.zeros(count)
     for t, (binned, whiten) in enumerate(zip(problem.trials, problem.whiteners, strict=True)):
         for c in range(count):
-            use, matrix = covariance(problem.noise, binned, c)
-            if not use.size:
-                continue
-            random_effect = np.linalg.solve(whiten.inverse[c], found.jacobians[t][whiten.channel == c, -1])
-            total[c] += float(np.trace(matrix)) + scatter**2 * float(random_effect @ random_effect)
-            number[c] += use.size
+            random_effect = whiten.channels[c].raw(found.jacobians[t][whiten.channel == c, -1])
+            total[c] += float(np.nansum(variance(problem.noise, binned, c)))
+            total[c] += scatter**2 * float(random_effect @ random_effect)
+            number[c] += random_effect.size
     return np.sqrt(total / np.maximum(number, 1))

@@ -125,10 +125,8 @@ def _shared_keys(binned: list[BinnedTrial], problem: Problem, group: list[int]) 
     """Cells that every trial of a group has."""
     each = []
     for b, t in zip(binned, group, strict=True):
-        use = problem.whiteners[t].use
-        each.append(
-            {(c, int(b.motion[k]), bool(b.moving[k])) for c, places in enumerate(use) for k in places}
-        )
+        channels = problem.whiteners[t].channels
+        each.append({(c, int(b.motion[k]), bool(b.moving[k])) for c, w in enumerate(channels) for k in w.use})
     return sorted(set.intersection(*each))
 
 
@@ -138,7 +136,8 @@ Averages = tuple[tuple[int, list[int], Array], ...]
 
 def _averages(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Averages:
     found = []
-    for c, (use, inverse) in enumerate(zip(whitener.use, whitener.inverse, strict=True)):
+    for c, channel in enumerate(whitener.channels):
+        use = channel.use
         rows = [i for i, key in enumerate(keys) if key[0] == c]
         if not rows:
             continue
@@ -148,7 +147,7 @@ def _averages(binned: BinnedTrial, whitener: Whitener, keys: list[Key]) -> Avera
             inside = (binned.motion[use] == motion) & (binned.moving[use] == moving)
             weight = binned.count[c][use] * inside
             average[i] = weight / weight.sum()
-        found.append((c, rows, average @ solve_triangular(inverse, np.eye(use.size), lower=True)))
+        found.append((c, rows, channel.of_averages(average)))
     return tuple(found)
 
 
@@ -205,7 +204,7 @@ def _raw_means(problem: Problem, found: Fit, trial: int, keys: list[Key]) -> lis
     raw = w.raw(found.residuals[trial])
     means = []
     for channel, motion, moving in keys:
-        use = w.use[channel]
+        use = w.channels[channel].use
         inside = (b.motion[use] == motion) & (b.moving[use] == moving)
         means.append(float(np.average(raw[channel][use][inside], weights=b.count[channel][use][inside])))
     return means

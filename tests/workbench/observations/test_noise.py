@@ -11,9 +11,10 @@ from needle_rig.physics.trial_friction import FrictionOfTrial
 from needle_rig.units import nm, rad
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, motions_of
 from needle_rig.workbench.observations.measured_noise import measure_noise
-from needle_rig.workbench.observations.noise import Noise, covariance, replicate_groups, whitener
+from needle_rig.workbench.observations.noise import Noise, covariance, replicate_groups, variance, whitener
 from needle_rig.workbench.observations.noise_terms.drift import Drift
 from needle_rig.workbench.observations.noise_terms.offset import Offset
+from needle_rig.workbench.observations.noise_terms.term import Bins
 from needle_rig.workbench.observations.outliers import set_aside
 from tests.workbench.foreign_friction import Measured
 from tests.workbench.foreign_friction import dataset as swept
@@ -103,8 +104,8 @@ def test_a_slow_ramp_has_no_outliers() -> None:
 
 def test_whitened_noise_is_white() -> None:
     noise, binned = measured(dataset())
-    use, matrix = covariance(noise, binned[0], 2)
-    lower = np.linalg.cholesky(matrix)
+    use = Bins.of(binned[0], 2).use
+    lower = np.linalg.cholesky(covariance(noise, Bins.of(binned[0], 2)))
     random = np.random.default_rng(1)
     draws = np.zeros((binned[0].mean.shape[0], binned[0].mean.shape[1], 400))
     draws[2][use] = lower @ random.standard_normal((use.size, 400))
@@ -112,6 +113,31 @@ def test_whitened_noise_is_white() -> None:
     white = whiten(draws)[whiten.channel == 2]
     assert np.allclose(np.cov(white), np.eye(use.size), atol=0.35)
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_long_trial_is_whitened_in_blocks_as_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise that drifts over half a block; the rest of the terms as measured."""
+    noise, (binned, *_) = measured(dataset())
+    channels = len(binned.mean)
+    noise = noise.having(Drift(np.full(channels, 3e-3), np.full(channels, 0.6)))
+    whole = whitener(noise, binned)
+    monkeypatch.setattr("needle_rig.workbench.observations.noise.BLOCK", 24)
+    blocks = whitener(noise, binned)
+    assert len(blocks.channels[2].blocks) > 3
+    means = binned.mean
+    assert whole.raw(whole(means)) == pytest.approx(means, rel=1e-9, nan_ok=True)
+    assert blocks.raw(blocks(means)) == pytest.approx(means, rel=1e-9, nan_ok=True)
+    assert blocks.log_det == pytest.approx(whole.log_det, abs=0.02 * len(blocks.channel))
+    for c, (one, many) in enumerate(zip(whole.channels, blocks.channels, strict=True)):
+        matrix = covariance(noise, Bins.of(binned, c))
+        assert one.of_averages(np.eye(one.use.size)) == pytest.approx(np.linalg.cholesky(matrix), abs=1e-12)
+        assert variance(noise, binned, c)[many.use] == pytest.approx(np.diag(matrix), rel=1e-12)
+        white = many(np.asarray(np.linalg.cholesky(matrix), dtype=np.float64))
+        assert np.mean(white**2) * one.use.size == pytest.approx(1.0, abs=1e-9)  # a unit of variance each
+        assert np.abs(white @ white.T - np.eye(one.use.size)).max() < 0.2
+        average = np.full((1, many.use.size), 1.0 / many.use.size)
+        told = float((many.of_averages(average) ** 2).sum())
+        assert told == pytest.approx((average @ matrix @ average.T).item(), rel=0.1)
 
 
 def test_replicates_are_trials_of_one_command() -> None:

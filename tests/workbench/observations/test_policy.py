@@ -27,7 +27,7 @@ from needle_rig.workbench.observations.binning import (
     motions_of,
 )
 from needle_rig.workbench.observations.measured_noise import _split, floors, measure_noise
-from needle_rig.workbench.observations.noise import covariance, replicate_groups
+from needle_rig.workbench.observations.noise import replicate_groups, variance
 from needle_rig.workbench.observations.noise_terms.drift import Drift
 from needle_rig.workbench.observations.noise_terms.jitter import Jitter
 from needle_rig.workbench.observations.noise_terms.motion_scatter import MotionScatter
@@ -193,10 +193,7 @@ def test_readings_within_half_a_sigma_of_both_extreme_starts_are_free_of_the_sta
     recorded = [Wound.of(t) for t in data.trials]
     shaft = _shaft_of(recorded, data, noise, null_model(data), friction_known=False)
     binned = bin_trial(wound(trial, shaft._finer(Wound.of(trial)), shaft.lag_rad))
-    one_sigma = np.full(binned.mean.shape, np.nan)
-    for c in range(len(one_sigma)):
-        use, matrix = covariance(noise, binned, c)
-        one_sigma[c, use] = np.sqrt(np.diag(matrix))
+    one_sigma = np.sqrt([variance(noise, binned, c) for c in range(len(binned.mean))])
     one_sigma = one_sigma[:, binned.time_s >= 0.0]
     assert free(0.45)
     assert not free(0.55)

@@ -46,10 +46,9 @@ def drawn(noise: Noise, binned: Sequence[BinnedTrial], seed: int) -> list[Array]
     for b in binned:
         values = np.full(b.mean.shape, np.nan)
         for c in range(len(values)):
-            use, matrix = covariance(noise, b, c)
-            values[c, use] = np.linalg.cholesky(matrix + 1e-30 * np.eye(use.size)) @ random.standard_normal(
-                use.size
-            )
+            bins = Bins.of(b, c)
+            root = np.linalg.cholesky(covariance(noise, bins) + 1e-30 * np.eye(bins.use.size))
+            values[c, bins.use] = root @ random.standard_normal(bins.use.size)
         found.append(values)
     return found
 

@@ -18,8 +18,6 @@ from needle_rig.workbench.observations.noise_terms.term import Bins, Forms, Show
 
 TIMES_S = np.array([0.2, 0.6, 2.0, 6.0, 20.0])
 """Correlation times that are tried."""
-ROUNDED = 1e-6
-"""Overlap, over the bins' length, that rounding of times makes."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +43,9 @@ class Drift(ShownTerm):
         return np.asarray(self.sd[bins.channel] ** 2 * correlation(bins, self.form[bins.channel]))
 
 
-def _apart(time_s: Array, duration_s: Array) -> Array:
-    """Durations (k,) shortened where neighbours would overlap, as by uneven samples: means of noise over
-    stretches that overlap have another covariance."""
-    reach = 0.5 * (duration_s[1:] + duration_s[:-1])
-    share = np.minimum(np.diff(time_s) / reach, 1.0)
-    share[share > 1.0 - ROUNDED] = 1.0
-    return np.asarray(duration_s * np.minimum(np.r_[1.0, share], np.r_[share, 1.0]))
-
-
 def correlation(bins: Bins, tau_s: float) -> Array:
     """Correlation (k, k) of means of noise that is correlated as e^(−|t| / τ)."""
-    width = _apart(bins.time_s, bins.duration_s)
+    width = bins.apart_s
     ratio = np.maximum(width / tau_s, 1e-6)
     apart = np.abs(np.subtract.outer(bins.time_s, bins.time_s))
     gap = np.maximum(apart - 0.5 * np.add.outer(width, width), 0.0)

@@ -17,6 +17,8 @@ import numpy.typing as npt
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
 
+ROUNDED = 1e-6
+"""Overlap, over the bins' length, that rounding of times makes."""
 Places = npt.NDArray[np.int64]
 
 
@@ -31,7 +33,8 @@ class Bins:
     @classmethod
     def of(cls, trial: BinnedTrial, channel: int) -> Self:
         """All that hold a reading."""
-        return cls(trial, channel, np.flatnonzero(np.isfinite(trial.mean[channel])))
+        every = cls(trial, channel, np.arange(trial.mean.shape[1]))._every
+        return cls(trial, channel, every)
 
     @property
     def time_s(self) -> Array:
@@ -53,15 +56,38 @@ class Bins:
         """Motion that each bin belongs to (k,)."""
         return self.trial.motion[self.use]
 
+    @property
+    def apart_s(self) -> Array:
+        """Durations (k,) shortened where neighbours would overlap, as by uneven samples: means of noise over
+        stretches that overlap have another covariance."""
+        trial, every = self.trial, self._every
+        duration_s = trial.duration_s[every]
+        reach = 0.5 * (duration_s[1:] + duration_s[:-1])
+        share = np.minimum(np.diff(trial.time_s[every]) / reach, 1.0)
+        share[share > 1.0 - ROUNDED] = 1.0
+        found = np.zeros(trial.mean.shape[1])
+        found[every] = duration_s * np.minimum(np.r_[1.0, share], np.r_[share, 1.0])
+        return found[self.use]
+
     @cached_property
     def rate(self) -> Array:
         """Rate of change of the reading in each bin, N·m/s or rad/s; 0 while the base holds (k,)."""
-        mean, found = self.trial.mean[self.channel, self.use], np.zeros(self.use.size)
-        for m in np.unique(self.motion):
-            inside = np.flatnonzero((self.motion == m) & self.trial.moving[self.use])
-            if inside.size > 1:
-                found[inside] = np.gradient(mean[inside], self.time_s[inside])
-        return found
+        trial, found = self.trial, np.zeros(self.trial.mean.shape[1])
+        moving = self._every[trial.moving[self._every]]
+        if moving.size > 1:
+            step_s = np.diff(trial.time_s[moving])
+            slope = np.diff(trial.mean[self.channel, moving]) / step_s
+            # an end of a motion has the slope on its one side
+            weight = np.where(np.diff(trial.motion[moving]) == 0, 1.0 / step_s, 0.0)
+            sides = np.r_[0.0, weight] + np.r_[weight, 0.0]
+            sums = np.r_[0.0, weight * slope] + np.r_[weight * slope, 0.0]
+            found[moving] = sums / np.where(sides > 0, sides, 1.0)
+        return found[self.use]
+
+    @property
+    def _every(self) -> Places:
+        """All that hold a reading: what depends on neighbours is the same in each choice of bins."""
+        return np.flatnonzero(np.isfinite(self.trial.mean[self.channel]))
 
 
 class NoiseTerm(ABC):
