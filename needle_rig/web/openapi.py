@@ -11,6 +11,7 @@ from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_t
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from needle_rig.importing import Mapping as ImportMapping
 from needle_rig.model import ChannelErrors
 from needle_rig.service.api.documents import Ended, Moved, Rig, Started, State
 from needle_rig.service.api.orders import MODELS
@@ -67,11 +68,12 @@ STREAM = (State, Moved, Ended, Rig)
 @cache
 def openapi_document() -> dict[str, Any]:
     """The server as OpenAPI."""
-    records: list[type[BaseModel]] = [Work, Lesson, RigModel, Notes, ChannelErrors, *MODELS.values()]
-    _, asked = models_json_schema(
-        [(model, "validation") for model in records], ref_template=f"{REFERENCE}{{model}}"
+    asked: list[type[BaseModel]] = [Work, Lesson, RigModel, Notes, ChannelErrors, *MODELS.values()]
+    _, records = models_json_schema(
+        [*((model, "validation") for model in asked), (ImportMapping, "serialization")],
+        ref_template=f"{REFERENCE}{{model}}",
     )
-    schemas: dict[str, Any] = dict(asked["$defs"])
+    schemas: dict[str, Any] = dict(records["$defs"])
     paths: dict[str, Any] = {}
     for route in ROUTES:
         content = {} if route.answer is None else _content(schema(route.answer, schemas))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, NotRequired, TypedDict
+from typing import NotRequired, TypedDict
 
+from needle_rig.importing import Mapping
 from needle_rig.model import ChannelErrors
 from needle_rig.workbench.contest.strategies_table import StrategyOverall
 from needle_rig.workbench.selection.documents import ComparedNumber, DiagnosisDocument, PlaceError
@@ -147,66 +148,6 @@ class LearnResult(TypedDict):
     files: list[str]
 
 
-class MappedPart(TypedDict):
-    """A line of a mapping, with its reason and its doubt."""
-
-    why: str
-    doubt: str
-
-
-class MappedChannel(MappedPart):
-    """What a column is."""
-
-    clock: str
-    source: str
-    role: str
-    unit: str | None
-    sign: float
-    zero: float | Literal["start"]
-
-
-class MappedClock(MappedPart):
-    """A column of times, or a rate."""
-
-    source: str | None
-    rate_hz: float | None
-    unit: str | None
-
-
-class MappedTrials(MappedPart):
-    """Where trials begin."""
-
-    at: Literal["whole", "rests", "column", "times"]
-    source: str | None
-    start: str
-
-
-class UnusedColumn(TypedDict):
-    """A column that nothing is made of."""
-
-    source: str
-    clock: str
-    why: str
-
-
-class MappedRig(TypedDict):
-    """The shaft of a mapping, as far as the page edits it."""
-
-    lever_mm: NotRequired[float | None]
-
-
-class MappingResult(TypedDict):
-    """A mapping, as far as the page edits it."""
-
-    name: str
-    channels: list[MappedChannel]
-    clocks: dict[str, MappedClock]
-    trials: MappedTrials
-    layout: MappedPart
-    rig: MappedRig | None
-    not_used: list[UnusedColumn]
-
-
 class ShownChannel(TypedDict):
     """A mapped channel, to look at."""
 
@@ -220,7 +161,7 @@ class ShownChannel(TypedDict):
 class GuessResult(TypedDict):
     """What is what in recordings."""
 
-    mapping: MappingResult
+    mapping: Mapping
     lacks: list[str]
     roles: list[str]
     shown: list[ShownChannel]
