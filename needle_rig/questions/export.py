@@ -5,18 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 from needle_rig.errors import BadInput
 from needle_rig.questions.doing import SILENT, Doing
-from needle_rig.questions.question import PathLike, Request
-
-if TYPE_CHECKING:
-    from needle_rig.recording import RunFile
-
-    AnyRun: TypeAlias = PathLike | RunFile
-else:
-    AnyRun = object
+from needle_rig.questions.question import AnyRun, PathLike, Request
 
 Form: TypeAlias = Literal["csv", "dataset", "mcap", "png"]
 ENDINGS: dict[Form, str] = {"csv": "_csv", "dataset": "_dataset", "mcap": ".mcap", "png": ".png"}

@@ -14,17 +14,21 @@ from needle_rig.questions.fields import defaults, hints, taken
 PathLike: TypeAlias = str | os.PathLike[str]
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
+    from needle_rig.dataset.protocol import Protocol
     from needle_rig.dataset.settled import SettledData
     from needle_rig.model import SavedModel
     from needle_rig.physics.effect import Effect
     from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.recording import RunFile
     from needle_rig.workbench.learning.observations import Observations
 
     AnyData: TypeAlias = PathLike | Sequence[PathLike] | Dataset | SettledData
     AnyModel: TypeAlias = PathLike | SavedModel
+    AnyProtocol: TypeAlias = PathLike | Protocol
+    AnyRun: TypeAlias = PathLike | RunFile
     Hidden: TypeAlias = str | Effect
 else:  # looked at where they are read, so that a question imports light
-    AnyData = AnyModel = Hidden = object
+    AnyData = AnyModel = AnyProtocol = AnyRun = Hidden = object
 
 Kind = TypeVar("Kind", bound="Request")
 

@@ -5,23 +5,18 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 from needle_rig.errors import BadInput
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
-from needle_rig.questions.question import OnSimulatedRig, PathLike
+from needle_rig.questions.question import AnyProtocol, OnSimulatedRig, PathLike
 from needle_rig.workbench.virtual.noise import Noise
 
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
-    from needle_rig.dataset.protocol import Protocol
     from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.physics.rod import Layout
-
-    AnyProtocol: TypeAlias = PathLike | Protocol
-else:
-    AnyProtocol = object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
