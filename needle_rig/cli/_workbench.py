@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 import click
 
@@ -15,11 +15,8 @@ from needle_rig.questions.doing import Doing
 from needle_rig.questions.fields import Within, defaults, hints
 
 if TYPE_CHECKING:
-    from needle_rig.config.own_things import Library
-    from needle_rig.physics.effect import Effect
     from needle_rig.questions.question import About, Question
 
-Thing = TypeVar("Thing")
 Command = Callable[..., Any]
 Words = tuple[str, ...]
 
@@ -102,21 +99,6 @@ def typed(command: str, question: About, *more: str, first: Words = (), last: Wo
     model = () if question.model is None else ("--model", str(question.model))
     folders = [word for folder in question.effects for word in ("--effects", str(folder))]
     return shlex.join(["needle-rig", command, *first, *map(str, data), *last, *model, *folders, *more])
-
-
-def library(effects: tuple[str, ...]) -> Library[type[Effect]]:
-    """Built-in effects and one's own; each that is broken gets a warning line."""
-    from needle_rig.model import effect_directories
-    from needle_rig.physics.library import find_effects
-
-    return warned(find_effects(effect_directories(effects)))
-
-
-def warned(found: Library[Thing]) -> Library[Thing]:
-    """`found`, after a line on stderr for each thing of one's own that cannot be used."""
-    for _, sentence in found.broken:
-        click.echo(f"warning: {sentence}", err=True)
-    return found
 
 
 def say(text: str) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from needle_rig.cli._complete import completing
-from needle_rig.cli._workbench import effects_option, json_option, library, measured, terminal
+from needle_rig.cli._workbench import effects_option, json_option, measured, terminal
 from needle_rig.questions.identify import Identify
+from needle_rig.questions.question import OnSimulatedRig
 
 SIMULATED = ("jg", "damping", "friction")
 
@@ -114,17 +116,13 @@ def _simulated(
     as_json: bool,
 ) -> int:
     from needle_rig.config.schema import SimulationSection
-    from needle_rig.model import load_parameters
-    from needle_rig.physics.effect_text import parse_effects
     from needle_rig.workbench.paper.experiments import DAMPING, EXPERIMENTS
 
-    model = load_parameters(parameters, effects=effects)
-    known = library(effects)
-    if hidden:
-        model = model.with_effects(*parse_effects(hidden, known))
+    rig = OnSimulatedRig(parameters=parameters, hidden=hidden, effects=effects)
+    model = rig.plant(terminal())
     added = what == "damping" and not any(e.name() == DAMPING and not e.is_off() for e in model.effects)
     if added:
-        model = model.with_effects(*parse_effects((f"{DAMPING}=2.8",), known))
+        model = replace(rig, hidden=(*hidden, f"{DAMPING}=2.8")).plant()
     found = EXPERIMENTS[what](model, SimulationSection(parameters=parameters, seed=seed))
     document = found.as_document()
     if as_json:

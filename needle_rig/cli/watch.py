@@ -10,7 +10,8 @@ import click
 
 from needle_rig.cli._output import console
 from needle_rig.cli._runs import config_option, directory_option, runs_directory
-from needle_rig.cli._workbench import effects_option, json_option, library, number
+from needle_rig.cli._workbench import effects_option, json_option, number, terminal
+from needle_rig.questions.question import Question
 
 if TYPE_CHECKING:
     from needle_rig.workbench.learning.watched_runs import WatchedRun
@@ -55,9 +56,8 @@ def command(
     from needle_rig.errors import BadInput
     from needle_rig.workbench.learning import watch
     from needle_rig.workbench.learning.watched_runs import kept_runs
-    from needle_rig.workbench.parallel import one_thread_each
 
-    one_thread_each()
+    doing = terminal()
     folder = runs_directory(directory, config_path)
     if not folder.is_dir():
         raise BadInput(f"{show_path(folder)}: there is no such folder of runs; name it with --dir")
@@ -65,7 +65,7 @@ def command(
     if model is not None or reference is not None:
         stated = {"model": model} | ({} if reference is None else {"reference_runs": reference})
         section = WatchSection.model_validate(stated)
-    looked = watch.look(folder, library(effects), section)
+    looked = watch.look(folder, Question(effects=effects).library(doing), section)
     if restart:
         if not looked:
             raise BadInput(

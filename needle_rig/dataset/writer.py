@@ -17,16 +17,22 @@ from needle_rig.physics.machine import NEEDLE
 from needle_rig.records import JsonObject
 
 
+def vacant(folder: str | os.PathLike[str]) -> Path:
+    """`folder`, which holds no dataset yet. Raises BadInput."""
+    target = Path(folder)
+    if os.path.lexists(target / "dataset.yaml"):
+        raise BadInput(
+            f"{show_path(target)}: holds a dataset already; name another folder or remove it first"
+        )
+    return target
+
+
 def write_dataset(dataset: Dataset, folder: str | os.PathLike[str]) -> Path:
     """Write `dataset.yaml` and one CSV a trial below `folder`, which must not hold a dataset yet.
 
     Angles are written to 0.0001°, torques to 1e-6 N·mm; missing samples are empty fields. Raises BadInput.
     """
-    target = Path(folder)
-    if (target / "dataset.yaml").exists():
-        raise BadInput(
-            f"{show_path(target)}: holds a dataset already; name another folder or remove it first"
-        )
+    target = vacant(folder)
     (target / "trials").mkdir(parents=True, exist_ok=True)
     layout, needle = dataset.layout, dataset.needle
     trials: list[JsonObject] = []

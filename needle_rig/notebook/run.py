@@ -5,18 +5,16 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needle_rig.dataset import write_dataset
 from needle_rig.errors import BadInput
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.shown import Shown
 from needle_rig.notebook.tables import Table, columns_of, table_of
+from needle_rig.questions.export import Export, Form
 from needle_rig.recording import RunFile
-from needle_rig.recording.export_csv import export_csv
-from needle_rig.recording.export_mcap import export_mcap
 from needle_rig.recording.tables import edge_values
 from needle_rig.workbench.observations.runs import runs_as_dataset
 
@@ -90,15 +88,9 @@ class Run(Shown):
         """What happened, instead of thousands of ticks."""
         return self.table(EVENTS)
 
-    def export(self, out: str | os.PathLike[str], form: Literal["csv", "mcap", "dataset"] = "csv") -> Path:
-        """Write the run to `out`, which must be new: a folder of CSV, an MCAP file, or a dataset folder.
+    def export(self, out: str | os.PathLike[str], form: Form = "csv") -> Path:
+        """Write the run to `out`, which must be new: a folder of CSV or of a dataset, an MCAP or PNG file.
 
         Raises BadInput.
         """
-        target = Path(out)
-        if form == "mcap":
-            return export_mcap(self.file, target)
-        if form == "dataset":
-            return write_dataset(runs_as_dataset([self.file]), target)
-        export_csv(self.file, target)
-        return target
+        return Export(run=self.file, form=form, out=out).answer()

@@ -5,21 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
-from needle_rig.dataset import write_dataset
-from needle_rig.dataset.protocol import Protocol, load_protocol
+from needle_rig.dataset.protocol import Protocol
 from needle_rig.errors import BadInput
-from needle_rig.model import load_parameters, load_saved
-from needle_rig.notebook.asking import PathLike, at_work
+from needle_rig.model import load_saved
+from needle_rig.notebook.asking import AnyModel, PathLike, at_work, several
 from needle_rig.notebook.catalogue import hidden_effects
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.model import Model
 from needle_rig.notebook.run import Run
+from needle_rig.questions.export import Form
 from needle_rig.questions.recordings import Understand
+from needle_rig.questions.simulate import Simulate
 from needle_rig.recording import RunFile
 from needle_rig.workbench.observations.sources import read_observed
-from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 
 
@@ -41,8 +40,10 @@ def read_model(path: PathLike, *, effects: Iterable[PathLike] = ()) -> Model:
 def simulate(
     effects: Mapping[str, float | Mapping[str, float]] | None = None,
     *,
-    parameters: str = "rig_rigid",
-    protocol: str | Protocol = "standard",
+    parameters: AnyModel = "rig_rigid",
+    protocol: PathLike | Protocol = "standard",
+    replicates: int = 1,
+    layout: PathLike | None = None,
     seed: int = 1,
     noise: Noise | None = None,
     rate_hz: float = 50.0,
@@ -52,17 +53,24 @@ def simulate(
 ) -> Data:
     """Simulated trials with effects hidden in them, `{"tissue_elasticity": 0.35}` in the units of files.
 
-    An effect of several parameters takes them by name; `folders` are further ones with effects. With `out`
-    the dataset is written there too. Raises BadInput.
+    An effect of several parameters takes them by name; `folders` are further ones with effects. `parameters`
+    is a parameter set or a model. `layout` is `experiment`, `model`, a rig file or a dataset folder, in place
+    of the model's own. With `out` the dataset is written there too. Raises BadInput.
     """
-    hidden = hidden_effects({} if effects is None else effects, folders)
-    model = load_parameters(parameters)
-    model = model.with_effects(*hidden) if hidden else model
-    plan_ = load_protocol(protocol) if isinstance(protocol, str) else protocol
-    dataset = simulate_dataset(model, plan_, seed, noise or Noise(), name=name, rate_hz=rate_hz)
-    if out is not None:
-        write_dataset(dataset, Path(out))
-    return Data(dataset)
+    question = Simulate(
+        parameters=parameters.saved if isinstance(parameters, Model) else parameters,
+        hidden=hidden_effects({} if effects is None else effects, folders),
+        effects=several(folders),
+        protocol=protocol,
+        replicates=replicates,
+        layout=layout,
+        seed=seed,
+        noise=noise,
+        rate_hz=rate_hz,
+        name=name,
+        out=out,
+    )
+    return Data(question.answer(at_work()))
 
 
 def import_recording(
@@ -95,8 +103,8 @@ def import_recording(
         return Data(imported.dataset)
 
 
-def export(run: Run | PathLike, out: PathLike, form: Literal["csv", "mcap", "dataset"] = "csv") -> Path:
-    """Write a run to `out`, which must be new: a folder of CSV, an MCAP file, or a dataset folder.
+def export(run: Run | PathLike, out: PathLike, form: Form = "csv") -> Path:
+    """Write a run to `out`, which must be new: a folder of CSV or of a dataset, an MCAP or PNG file.
 
     Raises BadInput.
     """

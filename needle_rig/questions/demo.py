@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,21 +11,19 @@ from needle_rig.folders import temporary_folder
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
 from needle_rig.questions.learn import free_place
-from needle_rig.questions.question import AnyModel, PathLike, Question
-from needle_rig.questions.strategies import Hidden, made
+from needle_rig.questions.question import OnSimulatedRig, PathLike
 
 if TYPE_CHECKING:
     from needle_rig.workbench.contest.demo import Story
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Demo(Question):
-    """Runs with reed2008, diagnose, adopt, and planned with the new model on fresh needles."""
+class Demo(OnSimulatedRig):
+    """Runs with reed2008, diagnose, adopt, and planned with the new model on fresh needles.
 
-    parameters: AnyModel = "rig_rigid"
-    """The rig: parameter set, or model file."""
-    hidden: Sequence[Hidden] = ()
-    """Effects of the rig; none: elastic tissue, where the rig has no effect of its own."""
+    A rig without any effect hides elastic tissue.
+    """
+
     law: bool = False
     """Hide a law that no effect holds; learn takes the place of diagnose."""
     draft: PathLike | None = None
@@ -44,12 +41,13 @@ class Demo(Question):
         from needle_rig.workbench.contest.demo import tell_law_story, tell_story
         from needle_rig.workbench.contest.untold_law import SECTION
 
-        library, plant = self.library(doing), self.needle(self.parameters)
+        library, plant = self.library(doing), self.plant()
         if not self.law:
-            hidden = self.hidden or (() if plant.effects else ("tissue_elasticity=0.3",))
+            if not (plant.effects or self.hidden):
+                plant = replace(self, hidden=("tissue_elasticity=0.3",)).plant()
             with doing.work(self) as work:
                 return tell_story(
-                    plant.with_effects(*made(hidden, library)),
+                    plant,
                     library,
                     target_deg=self.target_deg,
                     runs=self.runs,

@@ -80,7 +80,6 @@ class Diagnosed:
             "errors_sentence": found.errors_sentence(),
             "ties": list(found.ties),
             "left_over": found.left_in_words(),
-            "reasons": [reason.as_json() for reason in found.reasons],
         }
 
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from needle_rig.errors import BadInput
 
@@ -56,6 +56,10 @@ def taken(place: str, hint: Any, value: Any) -> Any:
         if not bounds.low <= number <= bounds.high:
             raise BadInput(f"{place} {number}: give {bounds.words()}")
         return number
+    if origin is Literal:
+        if value not in args:
+            raise _wrong(place, value, _words(hint))
+        return value
     if origin in (Union, UnionType):
         return _first(place, args, value)
     if origin in (tuple, Sequence):
@@ -90,11 +94,15 @@ def _first(place: str, among: tuple[Any, ...], value: Any) -> Any:
 def _words(hint: Any) -> str:
     if get_origin(hint) is Annotated:
         return _words(get_args(hint)[0])
+    if get_origin(hint) is Literal:
+        return " or ".join(get_args(hint))
     if hint is NoneType:
         return "nothing"
     if hint in _NUMBERS:
         return _NUMBERS[hint][1]
-    return "text" if hint is str else "a path"
+    if hint is str:
+        return "text"
+    return f"a {hint.__name__}" if isinstance(hint, type) else "a path"
 
 
 def _wrong(place: str, value: Any, words: str) -> BadInput:

@@ -8,22 +8,27 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from needle_rig.errors import BadInput
-from needle_rig.questions.doing import Doing
+from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import defaults, hints, taken
 
 PathLike: TypeAlias = str | os.PathLike[str]
 if TYPE_CHECKING:
     from needle_rig.dataset import Dataset
+    from needle_rig.dataset.protocol import Protocol
     from needle_rig.dataset.settled import SettledData
     from needle_rig.model import SavedModel
     from needle_rig.physics.effect import Effect
     from needle_rig.physics.needle_model import NeedleModel
+    from needle_rig.recording import RunFile
     from needle_rig.workbench.learning.observations import Observations
 
     AnyData: TypeAlias = PathLike | Sequence[PathLike] | Dataset | SettledData
     AnyModel: TypeAlias = PathLike | SavedModel
+    AnyProtocol: TypeAlias = PathLike | Protocol
+    AnyRun: TypeAlias = PathLike | RunFile
+    Hidden: TypeAlias = str | Effect
 else:  # looked at where they are read, so that a question imports light
-    AnyData = AnyModel = object
+    AnyData = AnyModel = AnyProtocol = AnyRun = Hidden = object
 
 Kind = TypeVar("Kind", bound="Request")
 
@@ -80,12 +85,27 @@ class Question(Request):
             raise BadInput(f"model is of type {type(model).__name__}; give a path, or a model")
         return load_saved(model, effects=self.folders())
 
-    def needle(self, parameters: AnyModel) -> NeedleModel:
-        """The needle of a simulated rig. Raises BadInput."""
-        saved = self.read_model(parameters)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnSimulatedRig(Question):
+    """A question that a simulated rig answers."""
+
+    parameters: AnyModel = "rig_rigid"
+    """The rig: parameter set, or model file."""
+    hidden: Sequence[Hidden] = ()
+    """Effects of the rig, as NAME=VALUE or as they are made."""
+
+    def plant(self, doing: Doing = SILENT) -> NeedleModel:
+        """The rig with its hidden effects. Raises BadInput."""
+        from needle_rig.physics.effect_text import parse_effects
+
+        saved = self.read_model(self.parameters)
         if saved is None:
             raise BadInput("parameters is None; name a parameter set or a model file")
-        return saved.model
+        if not self.hidden:
+            return saved.model
+        named = parse_effects([one for one in self.hidden if isinstance(one, str)], self.library(doing))
+        return saved.model.with_effects(*named, *(one for one in self.hidden if not isinstance(one, str)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

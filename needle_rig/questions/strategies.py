@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 from needle_rig.questions.doing import SILENT, Doing
 from needle_rig.questions.fields import Within
-from needle_rig.questions.question import AnyModel, Question
+from needle_rig.questions.question import AnyModel, OnSimulatedRig
 
 if TYPE_CHECKING:
-    from needle_rig.physics.effect import Effect
-    from needle_rig.physics.needle_model import NeedleModel
     from needle_rig.workbench.contest.contest import Contest
-
-    Hidden: TypeAlias = str | Effect
-else:
-    Hidden = object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Strategies(Question):
+class Strategies(OnSimulatedRig):
     """Run strategies on a simulated rig, from a relaxed and from a wound shaft."""
 
     names: Sequence[str] = ()
     """Strategies; none: all."""
     parameters: AnyModel = "rig_elastic"
-    """The rig: parameter set, or model file."""
-    hidden: Sequence[Hidden] = ()
-    """Effects of the rig, as NAME=VALUE or as they are made."""
     model: AnyModel | None = None
     """What planned works with; None: identified from eight runs on the rig."""
     diagnose: bool = False
@@ -39,11 +30,6 @@ class Strategies(Question):
     """Runs of each kind."""
     friction_scatter: Annotated[float, Within(0.0, 0.5)] = 0.05
     """Relative, from run to run."""
-
-    def plant(self, doing: Doing = SILENT) -> NeedleModel:
-        """The rig with its hidden effects. Raises BadInput."""
-        rig = self.needle(self.parameters)
-        return rig.with_effects(*made(self.hidden, self.library(doing))) if self.hidden else rig
 
     def answer(self, doing: Doing = SILENT) -> Contest:
         """Raises BadInput, SolverError."""
@@ -55,7 +41,7 @@ class Strategies(Question):
         for _, sentence in find_strategies().broken:
             doing.tell(f"warning: {sentence}")
         noise = Noise(friction_scatter=self.friction_scatter)
-        plant, library, model = self.plant(doing), self.library(doing), self.read_model(self.model)
+        plant, library, model = self.plant(), self.library(doing), self.read_model(self.model)
         asked = Asked(tuple(self.names) or all_strategies(), tuple(self.targets_deg), self.seeds, noise)
         with doing.work(self) as work:
             return contest(
@@ -68,11 +54,3 @@ class Strategies(Question):
                 say=doing.say,
                 tell=doing.tell,
             )
-
-
-def made(hidden: Sequence[Hidden], library: Mapping[str, type[Effect]]) -> list[Effect]:
-    """Effects that are named with their values, then those made already. Raises BadInput."""
-    from needle_rig.physics.effect_text import parse_effects
-
-    named = [one for one in hidden if isinstance(one, str)]
-    return [*parse_effects(named, library), *(one for one in hidden if not isinstance(one, str))]

@@ -24,6 +24,8 @@ OF_DATA = ("compare", "diagnose", "take_values", "adopt", "show", "export", "lea
 """Kinds of work that are given a model or none, and that are given data."""
 OF_VALUES = ("refit", "fixed", "free")
 """Fields of a comparison, which its record checks."""
+EXAMPLE = {"parameters": "rig_elastic", "name": "example"}
+"""What is simulated for those without data: the simulated rig's needle, whose tissue yields."""
 SHOWN = (
     "quick",
     *OF_VALUES,
@@ -121,7 +123,9 @@ class Desk:
             given |= self._recordings(asked)
             if kind == "guess":
                 given["layout"] = await self._layout(asked)
-        elif "data" not in given and kind not in ("undo", "example"):
+        elif kind == "example":
+            given |= EXAMPLE
+        elif "data" not in given and kind != "undo":
             raise BadInput("this is no computation that the page knows")
         effects = [*self._effects, *self._folders(drafts)]
         if kind in (*OF_A_MODEL, "adopt", "open"):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal, TypedDict
 
+from needle_rig.web.jobs import State
+
 
 class Named(TypedDict):
     """A key with the name that people read."""
@@ -32,7 +34,7 @@ class JobDocument(Named):
     data: list[Named]
     model: Named | None
     asked: dict[str, Any]
-    state: Literal["waiting", "running", "done", "failed", "cancelled"]
+    state: State
     step: str
     done: int
     total: int

@@ -11,6 +11,8 @@ from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_t
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from needle_rig.importing import Mapping as ImportMapping
+from needle_rig.model import ChannelErrors
 from needle_rig.service.api.documents import Ended, Moved, Rig, Started, State
 from needle_rig.service.api.orders import MODELS
 from needle_rig.version import VERSION
@@ -66,11 +68,12 @@ STREAM = (State, Moved, Ended, Rig)
 @cache
 def openapi_document() -> dict[str, Any]:
     """The server as OpenAPI."""
-    requests: list[type[BaseModel]] = [Work, Lesson, RigModel, Notes, *MODELS.values()]
-    _, asked = models_json_schema(
-        [(model, "validation") for model in requests], ref_template=f"{REFERENCE}{{model}}"
+    asked: list[type[BaseModel]] = [Work, Lesson, RigModel, Notes, ChannelErrors, *MODELS.values()]
+    _, records = models_json_schema(
+        [*((model, "validation") for model in asked), (ImportMapping, "serialization")],
+        ref_template=f"{REFERENCE}{{model}}",
     )
-    schemas: dict[str, Any] = dict(asked["$defs"])
+    schemas: dict[str, Any] = dict(records["$defs"])
     paths: dict[str, Any] = {}
     for route in ROUTES:
         content = {} if route.answer is None else _content(schema(route.answer, schemas))
@@ -104,6 +107,8 @@ def schema(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
     """JSON Schema of a type; each TypedDict goes to `known`, by its name. Raises TypeError for another."""
     if kind is Any or kind is object:
         return {}
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return {"$ref": f"{REFERENCE}{kind.__name__}"}
     if kind in PLAIN:
         return {"type": PLAIN[kind]}
     if is_typeddict(kind):

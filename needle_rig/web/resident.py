@@ -32,7 +32,7 @@ class Resident:
             await self._running()
 
     async def ask(self, question: str, **given: Any) -> Any:
-        """The answer to `effects`, `lesson`, `expect` or `trends`, with what it is given.
+        """The answer to `effects`, `lesson`, `expect`, `trends` or `openapi`, with what it is given.
 
         Raises BadInput, RigFault.
         """
@@ -90,6 +90,7 @@ def main() -> None:
         "lesson": lambda **given: lesson(directories=directories, **given),
         "expect": Expectations().after,
         "trends": trends,
+        "openapi": _openapi,
     }
     for line in sys.stdin:
         asked = json.loads(line)
@@ -97,6 +98,13 @@ def main() -> None:
             voice.tell(result=answers[asked["question"]](**asked["given"]))
         except NeedleRigError as error:
             voice.tell(error=str(error))
+
+
+def _openapi() -> dict[str, Any]:
+    """The server as OpenAPI; its types are of modules that take 60 MB, so they wait for the question."""
+    from needle_rig.web.openapi import openapi_document
+
+    return openapi_document()
 
 
 if __name__ == "__main__":

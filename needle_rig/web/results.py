@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, NotRequired, TypedDict
+from typing import NotRequired, TypedDict
 
-from needle_rig.workbench.contest.strategies_table import Spread
-from needle_rig.workbench.selection.documents import NextExperiment, PlaceError, ValuesDocument, WayOnDocument
+from needle_rig.importing import Mapping
+from needle_rig.model import ChannelErrors
+from needle_rig.workbench.contest.strategies_table import StrategyOverall
+from needle_rig.workbench.selection.documents import ComparedNumber, DiagnosisDocument, PlaceError
 
-Number = float | str | None
-"""Infinity is written as text."""
 Values = list[float | None]
 
 
@@ -52,18 +52,10 @@ class DrawnTraces(TypedDict):
     of: int
 
 
-class ComparedValue(TypedDict):
+class ComparedValue(ComparedNumber):
     """A value of the model beside that of a refit."""
 
-    name: str
-    unit: str
-    model: Number
-    model_uncertainty: Number
-    refit: Number
-    refit_uncertainty: Number
-    sigmas: Number
-    fixed: bool
-    pull_sigma: Number
+    pull_sigma: float | None
 
 
 class CompareResult(TypedDict):
@@ -84,51 +76,12 @@ class CompareResult(TypedDict):
     notes: NotRequired[list[str]]
 
 
-class RankedValue(TypedDict):
-    """A value of a candidate with its 95 % range."""
+class DiagnoseResult(DiagnosisDocument):
+    """What is missing; `candidates` are predictions by effect and file."""
 
-    value: float
-    low: float
-    high: float
-    unit: str
-
-
-class RankedEffect(TypedDict):
-    """One candidate."""
-
-    effect: str
-    held_out_error: float | None
-    error_removed: float
-    parameters: dict[str, RankedValue]
-    in_favour: str
-    against: str
-
-
-class ReasonDocument(TypedDict):
-    """A rule that found something unexplained, in words."""
-
-    rule: str
-    sentence: str
-
-
-class DiagnoseResult(TypedDict):
-    """What is missing."""
-
-    way_on: NotRequired[WayOnDocument]
-    model_values: NotRequired[ValuesDocument]
-    dataset: str
-    model: str
-    verdict: Literal["effect", "none", "unknown", "cannot_tell"]
-    reasons: list[ReasonDocument]
-    effects: list[str]
-    ties: list[str]
-    ranking: list[RankedEffect]
-    held_out_error_before: float | None
-    held_out_error_after: float | None
-    next_experiment: NextExperiment | None
-    notes: list[str]
     sentence: str
     errors_sentence: str
+    ties: list[str]
     left_over: list[str]
     quick: bool
     candidates: dict[str, dict[str, list[Values]]]
@@ -143,21 +96,13 @@ class ModelValue(TypedDict):
     unit: str
 
 
-class StepChannel(TypedDict, total=False):
-    """Errors of one channel after a step."""
-
-    training_after: float
-    held_out_after: float
-    floor: float
-
-
 class ModelStep(TypedDict):
     """A step of a model's history."""
 
     step: str
     held_out_error: float | None
     training_error: float | None
-    channels: dict[str, StepChannel]
+    channels: dict[str, ChannelErrors]
 
 
 class ModelResult(TypedDict):
@@ -203,66 +148,6 @@ class LearnResult(TypedDict):
     files: list[str]
 
 
-class MappedPart(TypedDict):
-    """A line of a mapping, with its reason and its doubt."""
-
-    why: str
-    doubt: str
-
-
-class MappedChannel(MappedPart):
-    """What a column is."""
-
-    clock: str
-    source: str
-    role: str
-    unit: str | None
-    sign: float
-    zero: float | Literal["start"]
-
-
-class MappedClock(MappedPart):
-    """A column of times, or a rate."""
-
-    source: str | None
-    rate_hz: float | None
-    unit: str | None
-
-
-class MappedTrials(MappedPart):
-    """Where trials begin."""
-
-    at: Literal["whole", "rests", "column", "times"]
-    source: str | None
-    start: str
-
-
-class UnusedColumn(TypedDict):
-    """A column that nothing is made of."""
-
-    source: str
-    clock: str
-    why: str
-
-
-class MappedRig(TypedDict):
-    """The shaft of a mapping, as far as the page edits it."""
-
-    lever_mm: NotRequired[float | None]
-
-
-class MappingResult(TypedDict):
-    """A mapping, as far as the page edits it."""
-
-    name: str
-    channels: list[MappedChannel]
-    clocks: dict[str, MappedClock]
-    trials: MappedTrials
-    layout: MappedPart
-    rig: MappedRig | None
-    not_used: list[UnusedColumn]
-
-
 class ShownChannel(TypedDict):
     """A mapped channel, to look at."""
 
@@ -276,7 +161,7 @@ class ShownChannel(TypedDict):
 class GuessResult(TypedDict):
     """What is what in recordings."""
 
-    mapping: MappingResult
+    mapping: Mapping
     lacks: list[str]
     roles: list[str]
     shown: list[ShownChannel]
@@ -347,19 +232,6 @@ class LessonDocument(TypedDict):
     channels: list[LessonChannel]
 
 
-class StrategyRow(TypedDict):
-    """Several runs of one strategy."""
-
-    strategy: str
-    refused: NotRequired[str | None]
-    tip_lag_deg: NotRequired[Spread]
-    worst_deg: NotRequired[Spread]
-    mean_deg: NotRequired[Spread]
-    torque_nmm: NotRequired[Spread]
-    rotations: NotRequired[float]
-    time_s: NotRequired[float]
-
-
 class SequenceMotion(TypedDict):
     """The shaft after one motion."""
 
@@ -382,7 +254,7 @@ class Sequence(TypedDict):
 class StrategiesResult(TypedDict):
     """The table of strategies, and their sequences."""
 
-    rows: list[StrategyRow]
+    rows: list[StrategyOverall]
     target_deg: float
     needle_length_mm: float
     tissue_sections_mm: list[list[float]]

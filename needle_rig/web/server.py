@@ -34,7 +34,6 @@ from needle_rig.web.glossary import glossary_html
 from needle_rig.web.guard import LOOPBACK, SESSION, WATCHED_JOBS, WATCHES, Guard, Keys, Session
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.live import STOP_BYTES, live
-from needle_rig.web.openapi import openapi_document
 from needle_rig.web.resident import Resident
 from needle_rig.web.rig_link import ORDERS, RigLink
 from needle_rig.web.run_index import RunIndex
@@ -295,6 +294,10 @@ class Page:
             await self.lessons.ask("lesson", effect=asked.effect, values=asked.values, data=path)
         )
 
+    async def openapi(self, _: Request) -> Response:
+        """What this server answers, as OpenAPI."""
+        return JSONResponse(await self.lessons.ask("openapi"))
+
     @contextlib.asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
         """Listens to the daemon while the server runs."""
@@ -342,7 +345,7 @@ def application(page: Page, port: int, keys: Keys, hosts: tuple[str, ...] = ()) 
             put("/api/runs/{name}/notes", page.notes, "PUT"),
             put("/api/effects", page.effects, "GET"),
             put("/api/lesson", page.lesson, "POST"),
-            put("/api/openapi", openapi, "GET"),
+            put("/api/openapi", page.openapi, "GET"),
             put("/glossary.html", glossary, "GET"),
             put("/", index, "GET"),
             Mount(place(), KeptFiles(directory=STATIC)),
@@ -351,11 +354,6 @@ def application(page: Page, port: int, keys: Keys, hosts: tuple[str, ...] = ()) 
         lifespan=page.lifespan,
     )
     return Guard(app, port, keys, hosts)
-
-
-async def openapi(_: Request) -> Response:
-    """What this server answers, as OpenAPI."""
-    return JSONResponse(openapi_document())
 
 
 async def glossary(_: Request) -> Response:

@@ -11,25 +11,24 @@ import math
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from needle_rig.dataset import write_dataset
-from needle_rig.dataset.protocol import load_protocol
-from needle_rig.errors import BadInput, SolverError
+from needle_rig.errors import SolverError
 from needle_rig.extras import needed
-from needle_rig.model import load_parameters, load_saved
+from needle_rig.model import load_saved
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.diagnose import Diagnose
 from needle_rig.questions.doing import Doing
+from needle_rig.questions.export import Export, Form
 from needle_rig.questions.identify import Identify
 from needle_rig.questions.learn import Learn
 from needle_rig.questions.question import Question
+from needle_rig.questions.simulate import Simulate
 from needle_rig.questions.strategies import Strategies
-from needle_rig.recording import RunFile, mark_read
-from needle_rig.recording.export_csv import export_csv
-from needle_rig.recording.export_mcap import export_mcap
+from needle_rig.recording import RunFile
 from needle_rig.web import pictures, recordings, traces
 from needle_rig.web.laws import learn
 from needle_rig.web.models import finite, kept_document
@@ -40,11 +39,9 @@ from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.observations.runs import runs_as_dataset
 from needle_rig.workbench.selection.diagnose import Diagnosis
-from needle_rig.workbench.virtual.dataset import simulate_dataset
 
 Document = dict[str, Any]
 Say = Callable[[str], None]
-EXAMPLE = "rig_elastic"
 EVENTS = 1000
 """Of a run, shown."""
 CANDIDATES = 8
@@ -212,33 +209,17 @@ def _mapping(text: object) -> Document:
     return {}
 
 
-def export(say: Say, *, data: list[str], form: str, out: str) -> Document:
+def export(say: Say, *, data: list[str], form: Form, out: str) -> Document:
     """A run as a file of another format; folders come packed."""
-    say("writing the file")
-    run, folder = RunFile(data[0]), Path(out)
-    if form == "csv":
-        export_csv(run, folder / f"{run.name}_csv")
-        written = packed(folder / f"{run.name}_csv")
-    elif form == "dataset":
-        written = packed(write_dataset(runs_as_dataset([run]), folder / f"{run.name}_dataset"))
-    elif form == "mcap":
-        written = export_mcap(run, folder / f"{run.name}.mcap")
-    elif form == "png":
-        from needle_rig.figures.run import draw_run
-
-        written = draw_run(run, folder / f"{run.name}.png")
-    else:
-        raise BadInput(f"{form[:20]}: no such format; there are csv, dataset, mcap, png")
-    mark_read(run.path)
+    written = Export(run=data[0], form=form, folder=out).answer(Doing(say=say))
+    if written.is_dir():
+        written = Path(shutil.make_archive(str(written), "zip", written.parent, written.name))
     return {"file": written.name}
 
 
-def example(say: Say, *, out: str) -> Document:
-    """A simulated series for those without data: the simulated rig's needle, whose tissue yields."""
-    say("simulating a series")
-    dataset = simulate_dataset(load_parameters(EXAMPLE), load_protocol("standard"), name="example")
-    write_dataset(dataset, Path(out) / DATASET)
-    return {"name": dataset.name}
+def example(question: Simulate, doing: Doing, out: str) -> Document:
+    """A simulated series for those without data."""
+    return {"name": replace(question, out=Path(out) / DATASET).answer(doing).name}
 
 
 def chart(say: Say, *, chart: Document, out: str) -> Document:
@@ -259,11 +240,6 @@ def chart(say: Say, *, chart: Document, out: str) -> Document:
     return {"file": path.name}
 
 
-def packed(folder: Path) -> Path:
-    """The folder as a ZIP beside it."""
-    return Path(shutil.make_archive(str(folder), "zip", folder.parent, folder.name))
-
-
 QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
     "compare": (Compare, compare),
     "diagnose": (Diagnose, diagnose),
@@ -273,6 +249,7 @@ QUESTIONS: Mapping[str, tuple[type[Question], Callable[..., Document]]] = {
     "undo": (Undo, undo),
     "learn": (Learn, learn),
     "strategies": (Strategies, strategies),
+    "example": (Simulate, example),
 }
 FILES: Mapping[str, Callable[..., Document]] = {
     "guess": recordings.guess,
@@ -283,6 +260,5 @@ FILES: Mapping[str, Callable[..., Document]] = {
     "open": opened,
     "show": show,
     "export": export,
-    "example": example,
     "watch": look,
 }

@@ -67,6 +67,8 @@ def test_every_name_is_there_and_completes() -> None:
             "is '0.35', not a number; give it in N·mm/rad",
         ),
         (lambda: untyped.simulate({"tissue_elasticity": None}), "is None, not a number"),
+        (lambda: untyped.simulate(protocol=3), "protocol is of type int; name one, or a YAML file"),
+        (lambda: untyped.simulate(layout="nowhere"), "layout nowhere: is neither experiment nor model"),
         (lambda: untyped.adopt("diagnosis.yaml"), "diagnosis is of type str; give what diagnose answers"),
         (lambda: untyped.plan("rig_elastic", 45.0, "planed"), "planed"),
         (lambda: untyped.experiment(data(), "tip_friction"), "between is 'tip_friction', not a list of text"),

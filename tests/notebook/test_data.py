@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from shutil import copy
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import needle_rig as nr
 from needle_rig.dataset import Dataset
 from needle_rig.notebook.data import Data
 from needle_rig.notebook.tables import table_of
+from needle_rig.recording.retention import was_read
 from tests.workbench.hidden import PROTOCOL
 
 pd = pytest.importorskip("pandas")
@@ -80,13 +82,20 @@ def test_tables_of_a_run_are_frames_in_degrees_and_nmm(run_path: Path) -> None:
         run.table("shafts")
 
 
-def test_a_run_is_exported_once(run_path: Path, tmp_path: Path) -> None:
+def test_a_run_is_exported_once_and_counts_as_read(run_path: Path, tmp_path: Path) -> None:
+    (tmp_path / ".read").mkdir()
+    run_path = Path(copy(run_path, tmp_path))
     run = nr.read_run(run_path)
     assert (nr.export(run, tmp_path / "csv") / "events.csv").is_file()
     assert nr.export(run_path, tmp_path / "run.mcap", "mcap").read_bytes()
     assert len(nr.read_dataset(nr.export(run, tmp_path / "data", "dataset"))) == 1
-    with pytest.raises(nr.BadInput, match=r"exists already; name another place$"):
-        nr.export(run, tmp_path / "csv")
+    assert was_read(run_path)
+    (tmp_path / "png").touch()
+    for form in ("csv", "png"):
+        with pytest.raises(nr.BadInput, match=r"exists already; name another place$"):
+            nr.export(run, tmp_path / form, form)
+    with pytest.raises(nr.BadInput, match=r"^form is 'csw', not csv or dataset or mcap or png$"):
+        nr.export(run, tmp_path / "csw", "csw")  # type: ignore[arg-type]
 
 
 def test_a_table_without_rows_has_its_columns() -> None:

@@ -14,18 +14,20 @@ import pytest
 import needle_rig as nr
 from needle_rig import questions
 from needle_rig.notebook import questions as functions
-from needle_rig.notebook.sources import import_recording
+from needle_rig.notebook.sources import export, import_recording, simulate
 from needle_rig.questions.adopt import AddEffect, Adopt, Undo
 from needle_rig.questions.compare import Compare
 from needle_rig.questions.demo import Demo
 from needle_rig.questions.diagnose import Diagnose
 from needle_rig.questions.experiment import Experiment
+from needle_rig.questions.export import Export
 from needle_rig.questions.fields import defaults, hints
 from needle_rig.questions.fit import Fit
 from needle_rig.questions.identify import Identify
 from needle_rig.questions.learn import Learn
 from needle_rig.questions.question import Request
 from needle_rig.questions.recordings import Understand
+from needle_rig.questions.simulate import Simulate
 from needle_rig.questions.strategies import Strategies
 from needle_rig.web.desk import OF_A_MODEL, OF_DATA
 from needle_rig.web.work import QUESTIONS
@@ -39,6 +41,8 @@ COMMANDS: dict[type[Request], str] = {
     Undo: "adopt",
     Learn: "learn",
     Experiment: "experiment",
+    Simulate: "simulate",
+    Export: "export",
     Strategies: "strategies",
     Demo: "demo",
     Understand: "import",
@@ -52,6 +56,10 @@ NO_COMMAND = {
     (Adopt, "name"): "the name of --out",
     (AddEffect, "name"): "the name of --out",
     (Strategies, "friction_scatter"): "--scatter-percent has its unit in its name",
+    (Simulate, "noise"): "each of its numbers is an option with its unit",
+    (Simulate, "name"): "the name of --out, where --name says no other",
+    (Export, "form"): "each format is a flag, and one must be named",
+    (Export, "folder"): "places are named from where the command is typed",
     (Demo, "draft"): "stands beside --out",
     (Understand, "name"): "the name of --out",
     (Understand, "folder"): "files are named from where the command is typed",
@@ -65,23 +73,28 @@ FUNCTIONS: dict[type[Request], Callable[..., Any]] = {
     AddEffect: functions.add_effect,
     Learn: functions.learn,
     Experiment: functions.experiment,
+    Simulate: simulate,
+    Export: export,
     Strategies: functions.strategies,
     Understand: import_recording,
 }
 OTHERWISE = {
     (Fit, "added"): "effects",
     (Fit, "effects"): "folders",
+    (Simulate, "hidden"): "effects",
+    (Simulate, "effects"): "folders",
     (Strategies, "hidden"): "effects",
     (Strategies, "effects"): "folders",
     (Adopt, "chosen"): "effects",
 }
-"""In `fit`, `strategies` and `adopt` what is named are effects, so that folders are called so."""
+"""In `fit`, `simulate`, `strategies` and `adopt` what is named are effects, so that folders are called so."""
 NO_ARGUMENT = {
     (Adopt, "data"): "a diagnosis of this session was of its data",
     (Adopt, "effects"): "its fits hold their effects",
     (Adopt, "name"): "save names the model",
     (AddEffect, "name"): "save names the model",
     (Learn, "draft"): "save writes it",
+    (Export, "folder"): "places are named from where Python runs",
     (Understand, "name"): "the name of out",
     (Understand, "folder"): "files are named from where Python runs",
 }
@@ -111,7 +124,7 @@ def test_every_question_has_its_faces() -> None:
     }
     assert asked == COMMANDS.keys() | FUNCTIONS.keys()
     assert {kind for kind, _ in QUESTIONS.values()} < asked
-    assert QUESTIONS.keys() <= {*OF_A_MODEL, *OF_DATA}
+    assert QUESTIONS.keys() - {"example"} <= {*OF_A_MODEL, *OF_DATA}
 
 
 @pytest.mark.parametrize(
@@ -162,6 +175,7 @@ def test_what_a_request_states_too_much_lacks_or_mistakes_is_one_sentence() -> N
         (lambda: Strategies(targets_deg=(45.0, "9")), "targets_deg is '9', not a number"),  # type: ignore[arg-type]
         (lambda: Compare(data="mine", free="friction"), "free is 'friction', not a list of text"),
         (lambda: Compare(data="mine", effects=3), "effects is 3, not a list of a path"),  # type: ignore[arg-type]
+        (lambda: Simulate(noise=0.1), "noise is 0.1, not a Noise or nothing"),  # type: ignore[arg-type]
         (lambda: Learn(data="mine", draft=3), "draft is 3, not text or a path or nothing"),  # type: ignore[arg-type]
     ],
 )

@@ -37,7 +37,7 @@ def fits(value: Any, found: dict[str, Any], at: str, whole: bool = True) -> None
         for k, one in enumerate(value):
             fits(one, found["items"], f"{at}[{k}]", whole)
     elif "properties" in found:
-        assert set(found["required"]) <= value.keys(), at
+        assert set(found.get("required", ())) <= value.keys(), at
         assert not whole or value.keys() <= found["properties"].keys(), at
         for name in found["properties"].keys() & value.keys():
             fits(value[name], found["properties"][name], f"{at}.{name}", whole)

@@ -8,13 +8,15 @@ from typing import Any
 
 import pytest
 
+from needle_rig.dataset import read_dataset
 from needle_rig.errors import BadInput
 from needle_rig.physics.effects.tissue_elasticity import TissueElasticity
 from needle_rig.questions.doing import Doing
 from needle_rig.questions.strategies import Strategies
 from needle_rig.web import traces
+from needle_rig.web.desk import EXAMPLE
 from needle_rig.web.openapi import REFERENCE
-from needle_rig.web.places import COMPARISON, DIAGNOSIS, MODEL
+from needle_rig.web.places import COMPARISON, DATASET, DIAGNOSIS, MODEL
 from needle_rig.web.work import work
 from tests.web.fitting import fits
 from tests.workbench.hidden import dataset
@@ -84,6 +86,21 @@ def test_a_request_that_asks_something_else_is_refused_before_anything_is_read(t
         asked("compare", tmp_path, data=["nowhere"], model=None, folder="/etc")
     with pytest.raises(BadInput, match="seeds 0: give 1 to 1000"):
         asked("strategies", tmp_path, targets_deg=[10.0], seeds=0)
+
+
+def test_the_example_is_a_simulated_dataset(tmp_path: Path) -> None:
+    found, said = asked("example", tmp_path, **EXAMPLE, rate_hz=5.0)
+    assert (found, said) == ({"name": "example"}, ["simulating a series"])
+    assert len(read_dataset(tmp_path / DATASET).trials) == 8
+
+
+def test_a_run_is_exported_as_one_file(run_path: Path, tmp_path: Path) -> None:
+    for form, ending in {"csv": "_csv.zip", "dataset": "_dataset.zip"}.items():
+        found, said = asked("export", tmp_path, data=[str(run_path)], form=form)
+        assert (found, said) == ({"file": f"{run_path.stem}{ending}"}, ["writing the file"])
+        assert (tmp_path / found["file"]).is_file()
+    with pytest.raises(BadInput, match="form is 'pdf', not csv or dataset or mcap or png"):
+        asked("export", tmp_path, data=[str(run_path)], form="pdf")
 
 
 def test_no_target_is_refused_in_a_sentence() -> None:

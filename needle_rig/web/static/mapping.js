@@ -2,7 +2,7 @@
 import { Plot, line } from "./plot.js";
 import { effect, html, signal, significant, untracked, words, written } from "./ui.js";
 
-/** @typedef {import("./types").MappingResult} Mapping */
+/** @typedef {import("./types").Mapping} Mapping */
 /** @typedef {import("./types").GuessResult & {key: string}} Guess */
 /** @typedef {Guess & {upload: string}} Proposal */
 /** The dropped recordings and their mapping. @type {{value: Proposal | null}} */
@@ -42,7 +42,7 @@ export const shaft = () =>
 /** The mapping as the page shows it: confirmed doubts are part of the reasons, unused lines are left out. */
 /** @param {Mapping} mapping */
 export function asConfirmed(mapping) {
-  /** @template {import("./types").MappedPart} P @param {P} part @param {string} key @returns {P} */
+  /** @template {import("./types").LayoutPart} P @param {P} part @param {string} key @returns {P} */
   const taken = (part, key) =>
     part.doubt && confirmed.value.includes(key)
       ? { ...part, doubt: "", why: [part.why, `confirmed: ${part.doubt}`].filter(Boolean).join("; ") }
@@ -68,7 +68,7 @@ const channel = (k, more) => edit((mapping) => ({ ...mapping, channels: mapping.
 /** @param {string} name @param {object} more */
 const clock = (name, more) => edit((mapping) => ({ ...mapping, clocks: { ...mapping.clocks, [name]: { ...mapping.clocks[name], ...more } } }));
 
-/** A doubt with its tick. @param {{part: import("./types").MappedPart, of: string}} props */
+/** A doubt with its tick. @param {{part: import("./types").LayoutPart, of: string}} props */
 function Doubt({ part, of }) {
   if (!part.doubt) return null;
   const is = confirmed.value.includes(of);
@@ -101,7 +101,7 @@ export function WhatIsWhat({ busy, sources, again, take, discard }) {
         : html`<label class="row">unit <input class="short" value=${c.unit ?? ""} onChange=${(/** @type {Event} */ e) => clock(name, { unit: value(e) || null })} /></label>`}
       ${" "}<span class="quiet">${c.why}</span><${Doubt} part=${c} of=${`clock ${name}`} /></li>`)}
       <li>trials: ${{ whole: "each recording is one", rests: "cut where the base rests", column: `cut where ${mapping.trials.source} changes`, times: "cut at times" }[/** @type {"whole"} */ (mapping.trials.at)]},
-        ${" "}<label class="row">the shaft begins <select value=${mapping.trials.start} onChange=${(/** @type {Event} */ e) => edit((m) => ({ ...m, trials: { ...m.trials, start: value(e) } }))}>
+        ${" "}<label class="row">the shaft begins <select value=${mapping.trials.start} onChange=${(/** @type {Event} */ e) => edit((m) => ({ ...m, trials: { ...m.trials, start: value(e) === "wound" ? "wound" : "relaxed" } }))}>
           ${["relaxed", "wound"].map((start) => html`<option value=${start} selected=${start === mapping.trials.start}>${start}</option>`)}</select></label>
         ${" "}<span class="quiet">${mapping.trials.why}</span><${Doubt} part=${mapping.trials} of="trials" /></li>
       ${mapping.not_used.map((n) => html`<li class="quiet">not used: ${n.source} (${n.why})</li>`)}</ul>
@@ -112,7 +112,7 @@ export function WhatIsWhat({ busy, sources, again, take, discard }) {
       <button disabled=${busy || !layoutOf.value} onClick=${again}>Propose again with this shaft</button></div>
     ${layoutOf.value === WRITTEN ? html`<label class="all">The shaft in lines of YAML<textarea rows="8" value=${layoutText.value} onInput=${(/** @type {Event} */ e) => (layoutText.value = value(e))}></textarea></label>` : null}
     ${mapping.layout.why ? html`<p class="quiet">${mapping.layout.why}</p>` : null}<${Doubt} part=${mapping.layout} of="layout" />
-    ${mapping.rig?.lever_mm || found.lacks.some((/** @type {string} */ s) => s.startsWith("rig.lever_mm")) ? html`<label class="row">lever of what slides, in mm <input class="short" value=${mapping.rig?.lever_mm ?? ""} onChange=${(/** @type {Event} */ e) => edit((m) => ({ ...m, rig: { ...m.rig, lever_mm: Number(value(e)) || null } }))} /></label>` : null}
+    ${mapping.rig && (mapping.rig.lever_mm || found.lacks.some((/** @type {string} */ s) => s.startsWith("rig.lever_mm"))) ? html`<label class="row">lever of what slides, in mm <input class="short" value=${mapping.rig.lever_mm ?? ""} onChange=${(/** @type {Event} */ e) => edit((m) => ({ ...m, rig: m.rig && { ...m.rig, lever_mm: Number(value(e)) || null } }))} /></label>` : null}
     ${found.lacks.length ? html`<ul class="lacks">${found.lacks.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
     <p class="buttons"><button class="go" disabled=${busy || !mapping.rig} onClick=${take}>Import</button>
       <button disabled=${busy} onClick=${discard}>Discard</button>${mapping.rig ? null : html` <span class="lacks">Choose a shaft above, or describe one, before importing.</span>`}</p>

@@ -76,14 +76,14 @@ function Verdict({ found }) {
         <th scope="row">${found.candidates[row.effect] ? html`<button aria-pressed=${over.value === row.effect}
             onMouseEnter=${() => (over.value = row.effect)} onFocus=${() => (over.value = row.effect)}
             onClick=${() => (over.value = row.effect)}>${words(row.effect)}</button>` : words(row.effect)}</th>
-        <td>${number(row.held_out_error, 2)}</td><td>${number(100 * row.error_removed, 0)} %</td>
+        <td>${number(row.held_out_error, 2)}</td><td>${number(100 * Number(row.error_removed), 0)} %</td>
         <td class="text">${row.in_favour}${row.against ? html`; against: ${row.against}` : null}
           ${Object.entries(row.parameters).map(([name, v]) => html`<br /><span class="quiet">${parameter(name)} = ${significant(v.value)} (95 %: ${significant(v.low)} to ${significant(v.high)}) ${v.unit === "1" ? "" : v.unit}</span>`)}</td></tr>`)}</tbody></table></div>
     ${found.ranking.length > SHOWN_ROWS ? html`<p><button aria-expanded=${everyRow.value} onClick=${() => (everyRow.value = !everyRow.value)}>${everyRow.value ? "Fewer" : `The other ${found.ranking.length - SHOWN_ROWS}`}</button></p>` : null}
     ${found.way_on ? html`<h3>How to go on</h3><ul aria-label="How to go on">${found.way_on.sentences.map((/** @type {string} */ s) => html`<li>${words(s)}</li>`)}</ul>
       ${found.way_on.part ? html`<p><button disabled=${busy.value} onClick=${() => addEffect(found.way_on?.part ?? "")}>Add ${words(found.way_on.part)}</button></p>` : null}` : null}
     ${known.value.learn ? html`<${LearntLaws} found=${known.value.learn} busy=${busy.value} add=${adoptLaw} />`
-      : found.verdict === "unknown" || found.verdict === "cannot_tell" ? html`<p><button class="go" disabled=${busy.value} onClick=${learn}>Learn the law</button>
+      : found.verdict === "unknown" ? html`<p><button class="go" disabled=${busy.value} onClick=${learn}>Learn the law</button>
         <span class="quiet"> searches where it acts, on what it depends, its curve and a formula; minutes</span></p>` : null}
     ${found.left_over.length ? html`<h3>Left over</h3><ul>${found.left_over.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
     <p class="buttons"><button disabled=${busy.value} title="One file with the answer, its numbers and pictures, to send" onClick=${report}>Report as one file</button></p>

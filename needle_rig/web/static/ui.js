@@ -9,16 +9,16 @@ export { signal, computed, effect, batch, untracked, useSignal } from "./vendor/
 export const html = htm.bind(h);
 
 /** A number with a fixed count of decimals, or a dash where there is none.
- * @param {number | null | undefined} value @param {number} decimals */
+ * @param {number | string | null | undefined} value @param {number} decimals */
 export const number = (value, decimals) =>
-  value === null || value === undefined || !Number.isFinite(value)
+  typeof value !== "number" || !Number.isFinite(value)
     ? "–"
     : value.toFixed(decimals).replace(/^-(0(\.0*)?)$/, "$1").replace("-", "−");
 
 /** A number with three significant digits.
- * @param {number | null | undefined} value */
+ * @param {number | string | null | undefined} value */
 export const significant = (value) => {
-  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (typeof value !== "number" || !Number.isFinite(value)) return "–";
   return String(Number(value.toPrecision(3))).replace("-", "−");
 };
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Required, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -136,7 +136,7 @@ class Summary(TypedDict, total=False):
 class StrategyOverall(Summary):
     """All runs of one strategy."""
 
-    strategy: Required[str]
+    strategy: str
 
 
 class StrategyRow(StrategyOverall):

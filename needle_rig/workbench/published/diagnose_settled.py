@@ -34,9 +34,10 @@ from needle_rig.workbench.published.single_effects import (
 )
 from needle_rig.workbench.selection.answer import SIGMAS_95, Answer, Decision, Ranked, Say, Value
 from needle_rig.workbench.selection.decisions import decision_at
+from needle_rig.workbench.selection.documents import Verdict
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.residual_patterns import Pattern, ResidualPatterns
-from needle_rig.workbench.selection.verdict import Reason, Verdict
+from needle_rig.workbench.selection.verdict import Reason
 
 UNUSUAL = 1.0
 """Pull (σ) from which a parameter is said to lie near the edge of what is plausible."""

@@ -11,11 +11,17 @@ import numpy as np
 
 from needle_rig.records import JsonObject
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.documents import DiagnoseDocument, NextExperiment
+from needle_rig.workbench.selection.documents import (
+    DiagnoseDocument,
+    NextExperiment,
+    RankedEffect,
+    RankedValue,
+    Verdict,
+)
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.lack_of_fit import LackOfFit
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
-from needle_rig.workbench.selection.verdict import Reason, Verdict
+from needle_rig.workbench.selection.verdict import Reason
 
 Say = Callable[[str], None]
 
@@ -34,7 +40,7 @@ class Value:
     unit: str
     plausible: bool
 
-    def as_json(self) -> JsonObject:
+    def as_json(self) -> RankedValue:
         """As it stands in the JSON answer."""
         return {
             "value": _plain(self.value),
@@ -90,7 +96,7 @@ class Ranked:
     in_favour: str
     against: str
 
-    def as_json(self) -> JsonObject:
+    def as_json(self) -> RankedEffect:
         """As it stands in the JSON answer."""
         return {
             "effect": self.effect,

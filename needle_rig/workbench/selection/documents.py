@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NotRequired, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 from needle_rig.records import JsonObject
 
@@ -150,8 +150,41 @@ class WayOnDocument(TypedDict):
     sentences: list[str]
 
 
-class DiagnoseDocument(TypedDict):
-    """What `needle-rig diagnose` answers."""
+Verdict = Literal["none", "effect", "unknown"]
+"""Nothing is missing, the named effects are, or something that they are not."""
+
+
+class ReasonDocument(TypedDict):
+    """A rule that found something unexplained, in words."""
+
+    rule: str
+    sentence: str
+
+
+class RankedValue(TypedDict):
+    """A value of a candidate with its 95 % range; infinity is written as text."""
+
+    value: float | str | None
+    unit: str
+    low: float | str | None
+    high: float | str | None
+
+
+class RankedEffect(TypedDict):
+    """One candidate."""
+
+    effect: str
+    held_out_error: float | None
+    error_removed: float | str | None
+    parameters: dict[str, RankedValue]
+    indistinguishable_from: list[str]
+    separation_sigma: float | str | None
+    in_favour: str
+    against: str
+
+
+class DiagnosisDocument(TypedDict):
+    """What every form of a diagnosis says."""
 
     way_on: NotRequired[WayOnDocument]
     """Where the verdict is *unknown*."""
@@ -161,20 +194,25 @@ class DiagnoseDocument(TypedDict):
 
     dataset: str
     model: str
-    verdict: str
-    reasons: list[dict[str, str]]
+    verdict: Verdict
+    reasons: list[ReasonDocument]
     effects: list[str]
-    ranking: list[JsonObject]
+    ranking: list[RankedEffect]
     noise_floor: float | str | None
     held_out_error_before: float | None
     held_out_error_after: float | None
     explained_fraction: float | str | None
     """Infinity is written as text."""
     decisions: dict[str, JsonObject]
-    left_over: LeftOver
     lack_of_fit: FTests
     next_experiment: NextExperiment | None
     notes: list[str]
+
+
+class DiagnoseDocument(DiagnosisDocument):
+    """What `needle-rig diagnose` answers."""
+
+    left_over: LeftOver
     policy: Mapping[str, object]
 
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from needle_rig.workbench.observations.snaps import Snap, sentence
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.documents import ReasonDocument, Verdict
 from needle_rig.workbench.selection.residual_patterns import ResidualPatterns
-
-Verdict = Literal["none", "effect", "unknown"]
-"""Nothing is missing, the named effects are, or something that they are not."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class Reason:
     rule: str
     sentence: str
 
-    def as_json(self) -> dict[str, str]:
+    def as_json(self) -> ReasonDocument:
         """As it stands in the JSON answer."""
         return {"rule": self.rule, "sentence": self.sentence}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -38,11 +39,13 @@ def simulate_dataset(
     *,
     name: str | None = None,
     rate_hz: float = 50.0,
+    progress: Callable[[Iterable[TrialCommand], int], Iterable[TrialCommand]] = lambda trials, _: trials,
 ) -> Dataset:
     """A series of trials as a rig with the needle `model` would give them.
 
     Waypoints of compensations come from the torque that the simulated sensor shows after the first motion, as
     in a run (Reed 2008, (9)). The same seed gives the same numbers, whatever comes later in the series.
+    `progress` hands on the trials, and counts them.
     Raises BadInput for rates that cannot resolve the motions.
     """
     noise = noise or Noise()
@@ -53,7 +56,7 @@ def simulate_dataset(
     true = dataclasses.replace(model, torsional_rigidity_nm2=model.torsional_rigidity_nm2 * math.exp(error))
     trials: list[DatasetTrial] = []
     start_s, travel_rad = 0.0, 0.0
-    for index, command in enumerate(protocol.trials):
+    for index, command in enumerate(progress(protocol.trials, len(protocol.trials))):
         random = np.random.default_rng([seed, index + 1])
         scatter = max(0.0, 1.0 + noise.friction_scatter * float(random.standard_normal()))
         needle = true.with_effects(FrictionOfTrial(scatter))

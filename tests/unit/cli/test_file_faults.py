@@ -16,7 +16,7 @@ def test_a_place_that_cannot_be_written(
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("", encoding="utf-8")
     assert command(["simulate", "--rate-hz", "5", "--out", place]) == 3
-    said = capsys.readouterr().err
+    said = capsys.readouterr().err.removeprefix("simulating a series …\n")
     assert "cannot be read or written: " in said
     assert len(said) < 400
     assert len(said.splitlines()) == 1
