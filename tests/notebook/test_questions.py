@@ -48,6 +48,7 @@ def test_a_strategy_that_there_is_not_is_refused_before_anything_is_fitted() -> 
         nr.strategies("planned", "planed", jobs=1)
 
 
+@pytest.mark.whole
 def test_an_experiment_is_a_protocol_that_can_be_simulated(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
     data = dataset(effect("tip_friction", torque_nmm=0.02))
