@@ -88,7 +88,11 @@ class Data:
         """Standard deviation of the noise of one bin mean in the middle (C,), N·m and rad."""
         return np.array(
             [
-                np.median(np.concatenate([1.0 / np.diag(w.inverse[c]) for w in self.whiteners]))
+                np.median(
+                    np.concatenate(
+                        [1.0 / np.diag(b.own) for w in self.whiteners for b in w.channels[c].blocks]
+                    )
+                )
                 for c in range(len(self.channels))
             ]
         )
