@@ -290,7 +290,6 @@ RULES: tuple[Rule, ...] = (
     Rule("pull of the rigidity stands in for it", gives(evidence, "relieves_pull", _never)),
     # fits
     Rule("fit from other forms", gives(candidates, "over_forms", _as_fitted)),
-    Rule("fitted again where a child is worse than its parent", gives(candidates, "WORSE_FITS", math.inf)),
     # the verdict
     *(Rule(f"verdict: {rule.__name__}", without_verdict(rule)) for rule in verdict.RULES),
     Rule("verdict: values beyond what is plausible", gives(diagnose, "contrived", _none)),

@@ -18,8 +18,6 @@ from needle_rig.workbench.selection.screening import Screening, beside, screen
 
 REFINED = 10
 """Times `ROUGH`: a fit whose tolerance is larger than that has ended by it, not early."""
-WORSE_FITS = 3.0
-"""Tolerances of a fit by which a child may be worse than its parent before it is fitted again."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +72,6 @@ def fitted(problem: Problem, parent: Fit, candidate: Candidate) -> Candidate:
             best = fit(problem, names, best.vector, nuisance=best.nuisance) or best
         if excess(problem, best.objective) > 0.0:
             best = over_forms(problem, best)
-    room = 1.0 + WORSE_FITS * EXCESS_TOLERANCE * excess(problem, parent.objective)
-    if starts and (best is None or best.objective > parent.objective + room):
-        # from the parent's optimum with the effect off nothing can become worse
-        off = beside(problem, parent, parameters, np.zeros(len(parameters) - len(parent.parameters)))
-        again = fit(problem, names, off, nuisance=parent.nuisance)
-        best = min((f for f in (best, again) if f), key=lambda f: f.objective, default=None)
     return Candidate(effect, best, cross_validate(problem, best) if best is not None else None, ahead)
 
 
