@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,11 @@ Array = npt.NDArray[np.float64]
 def rounded(value: float | None, decimals: int) -> float | None:
     """`value` for JSON, to so many `decimals`; None, JSON's null, where there is none or it is not finite."""
     return None if value is None or not math.isfinite(value) else round(value, decimals)
+
+
+def beyond_chance(p: float, tried: int = 1) -> float:
+    """What the largest size of so many standard normal values exceeds with probability `p` (Bonferroni)."""
+    return -NormalDist().inv_cdf(p / 2.0 / max(1, tried))
 
 
 def forward_jacobian(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import pickle
 import sys
 from collections import ChainMap
@@ -278,16 +277,14 @@ RULES: tuple[Rule, ...] = (
     Rule("no turns of effects and noise", gives(diagnose, "renewed", _nothing)),
     # the search
     Rule("negligible effect set aside", threshold("search", "set_aside", 0)),
-    Rule("effect of no size taken out", threshold("search", "no_size", 0.0)),
+    Rule("effect of no size taken out", gives(search, "has_size", _always)),
     Rule("swap of effects", gives(search, "_swapped", _not_swapped)),
     Rule("backward elimination", gives(search, "_back", _as_it_is)),
     Rule("several sets side by side", threshold("search", "frontier", 1)),
     Rule("only what screening promises is fitted", threshold("screening", "kept", 0.0)),
     Rule("Šidák's adjustment over the library", gives(search, "adjusted_p", _one_test)),
     Rule("gain of steadier friction as F test", gives(evidence, "gain_of", _likelihood_alone)),
-    Rule("within the discretisation error", gives(search, "within_discretisation_error", _never)),
     Rule("cross-validation must improve", gives(search, "improves_cross_validation", _always)),
-    Rule("pull of the rigidity stands in for it", gives(evidence, "relieves_pull", _never)),
     # fits
     Rule("fit from other forms", gives(candidates, "over_forms", _as_fitted)),
     # the verdict
@@ -303,11 +300,6 @@ RULES: tuple[Rule, ...] = (
     noise_rule("offset of a trial", gives(measured_noise, "measured_offset", _no_offsets), "measure_noise"),
     noise_rule("jitter of the clock", threshold("noise", "clock_jitter_s", 0.0), "measure_noise"),
     noise_rule("nothing after a snap", gives(baseline, "snaps", lambda *_: ())),
-    noise_rule(
-        "nothing where replicates agree on more",
-        threshold("noise", "replicate_misfit", math.inf),
-        "with_shown_terms",
-    ),
     noise_rule("discretisation error as nuisance", gives(baseline, "with_discretisation_error", _no_error)),
 )
 

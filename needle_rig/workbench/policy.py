@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from needle_rig.numerics import beyond_chance
 from needle_rig.records import JsonObject
 
 TABLE = "judged by the campaign diagnosis_table: 920 datasets with known answers"
@@ -66,13 +67,6 @@ class NoisePolicy:
         "0.04 in a recording that follows a sine (config/recordings/davinci.yaml); 0.25 and more of steps,"
         " turns to and fro that relax the shaft between them counted",
         _NOISE,
-    )
-    replicate_misfit: float = _threshold(
-        3.0,
-        "mean square of what replicates share over that of how they differ, above which the model is wrong"
-        " and they tell nothing of noise",
-        "0.6 to 1.5 in 22 sets with nothing hidden, four kinds of noise; 36 and more with something hidden",
-        _SHOWN,
     )
     residual_share: float = _threshold(
         1.0,
@@ -167,18 +161,6 @@ class SearchPolicy:
         3, "sets that are followed side by side", "the first effect may be half of a pair", _RULES
     )
     set_aside: int = _threshold(2, "effects too small to matter that are made nuisances", CHOSEN, _RULES)
-    no_size: float = _threshold(
-        1e-3,
-        "share of the smallest size that matters below which an effect has no size",
-        "below the derivatives' step, posterior.STEP",
-        _RULES,
-    )
-    relatives_gain: float = _threshold(
-        2.0,
-        "gain in score from which a set with a relative in an effect's place is taken",
-        "odds of e to 1",
-        _RULES,
-    )
 
 
 @dataclass(frozen=True)
@@ -205,29 +187,11 @@ class EvidencePolicy:
         "one in two million",
         _RULES,
     )
-    likely_sigmas: float = _threshold(
-        2.0,
-        "standard deviations that chance seldom makes: of a first fit's gain, which is then refined, and of"
-        " the scatter of the rests, which is then an offset",
-        "95 %, two-sided",
-        _RULES,
-    )
-    relieved_pull: float = _threshold(
-        9.0,
-        "fall of the squared prior pull that stands in for a gain on commands left out",
-        "3σ",
-        "selection/test_evidence.py",
-    )
-    held_out_rise: float = _threshold(
-        1.02,
-        "as long as the error left out rises by no more than this factor",
-        CHOSEN,
-        "selection/test_evidence.py",
-    )
-    discretisation_margin: float = _threshold(
-        3.0,
-        "a change of the residuals below this many times the discretisation error along it may be that error",
-        CHOSEN,
+    rarely: float = _threshold(
+        0.05,
+        "chance that a size lies beyond its range; that a gain is refined, or the scatter of the rests taken"
+        " for an offset, which are none",
+        "the usual level of an interval",
         _RULES,
     )
     seen_information: float = _threshold(
@@ -236,9 +200,20 @@ class EvidencePolicy:
         "a standard deviation of one typical size",
         _RULES,
     )
-    limit_sigmas: float = _threshold(
-        1.645, "upper end of a size's one-sided 95 % range", "normal quantile", _RULES
-    )
+
+    @property
+    def likely_sigmas(self) -> float:
+        """Of a standard normal value that chance seldom exceeds, to either side."""
+        return beyond_chance(self.rarely)
+
+    @property
+    def limit_sigmas(self) -> float:
+        """Upper end of a size's one-sided range."""
+        return beyond_chance(2.0 * self.rarely)
+
+    def clear_of(self, tried: int) -> float:
+        """Largest of so many standard normal values that chance exceeds with `false_alarm`."""
+        return beyond_chance(self.false_alarm, tried)
 
     @property
     def trend(self) -> float:
@@ -325,9 +300,6 @@ class VerdictPolicy:
         CHOSEN,
         _RULES,
     )
-    distinct_share: float = _threshold(
-        0.1, "share of a pattern that those found before must leave for it to be another", CHOSEN, _RULES
-    )
     reached: float = _threshold(
         1.3,
         "error in units of the noise above which something is left",
@@ -340,12 +312,6 @@ class VerdictPolicy:
         "effects that may be named together whatever their values, and laws that are added one after the"
         " other: more can stand for anything",
         TABLE,
-        _RULES,
-    )
-    degrees_left: float = _threshold(
-        0.5,
-        "degrees of freedom that settled values must leave for a fit to say something",
-        "whole numbers but for priors",
         _RULES,
     )
 

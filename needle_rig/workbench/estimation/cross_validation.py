@@ -11,7 +11,7 @@ import numpy as np
 from needle_rig.errors import BadInput, SolverError
 from needle_rig.numerics import Array
 from needle_rig.physics.needle_model import NeedleModel
-from needle_rig.workbench.estimation.linear import LinearisedFit
+from needle_rig.workbench.estimation.linear import UNSEEN, LinearisedFit
 from needle_rig.workbench.estimation.map_fit import EXCESS_TOLERANCE
 from needle_rig.workbench.estimation.posterior import MOST_SOLVES, excess
 from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
@@ -26,6 +26,8 @@ SETTLED = 0.05
 MOST_ESTIMATES = 8
 FRICTION_REACH, RIGIDITY_REACH = 1.0, 0.3
 """How far leaving a command out may move their logarithms: a factor of 2.7 and of 1.35."""
+RIGIDITY = 1
+"""Its place among the shared parameters."""
 FARTHEST = 1.2
 """Largest logarithm of a trial's friction over the common one."""
 
@@ -37,7 +39,8 @@ class CrossValidation:
     error: float
     """Root mean square over all bins, in units of the noise (trial scatter included): 1 is the floor."""
     loss: float
-    """−2 log predictive density of all commands, each given the others, up to a constant."""
+    """−2 log predictive density of all commands and of the stated rigidity, each given the others, up to a
+    constant."""
     residuals: tuple[Array, ...]
     """Data minus prediction in bin means (C, K), with the friction that the other trials share."""
 
@@ -46,8 +49,8 @@ def cross_validate(problem: Problem, fit: Fit) -> CrossValidation:
     """Leave every command out in turn, refit the parameters to the rest, and predict what was left out.
 
     A held-out trial is simulated at the refitted parameters. Its random effect is unknown and marginalised;
-    in the predictive density the parameters are marginalised, too. Infinite where there is one command only,
-    or the model cannot be solved.
+    in the predictive density the parameters are marginalised, too. The stated rigidity is left out in its
+    turn. Infinite where there is one command only, or the model cannot be solved.
     """
     nothing = CrossValidation(float("inf"), float("inf"), (np.zeros((0, 0)),) * len(problem.trials))
     if len(problem.groups) <= 1:
@@ -114,8 +117,21 @@ class _LeaveOut:
             push = sum(self.terms[t].push(random_effects[t].residuals, random_effects[t].at) for t in group)
             inner = np.eye(len(spread)) + spread @ sum(information[t] for t in group)
             loss += float(np.linalg.slogdet(inner)[1] - push @ np.linalg.solve(inner, spread @ push))
+        loss += self._stated_rigidity()
         residuals = tuple(problem.trials[t].mean - r for t, r in zip(order, common, strict=True))
         return CrossValidation(float(np.sqrt(chi2 / problem.size)), loss, residuals)
+
+    def _stated_rigidity(self) -> float:
+        """−2 log predictive density of the stated rigidity, given all commands, up to a constant.
+
+        With its leverage h, the share that it has in its own estimate, a stated value which the fit misses
+        by z standard deviations was predicted with an error of z²/(1 − h) (Cook, Weisberg 1982, 2.2.3).
+        """
+        if RIGIDITY in self.linear.fixed:
+            return 0.0
+        _, spread = self.linear.without(())
+        apart = max(1.0 - float(spread[RIGIDITY, RIGIDITY] * self.prior[RIGIDITY]), UNSEEN)
+        return self.fit.pull_rigidity**2 / apart - float(np.log(apart))
 
     def _without(self, group: Sequence[int]) -> tuple[Array, Array]:
         """(shared parameters (s,) fitted without a group of trials, their covariance (s, s)).

@@ -190,9 +190,7 @@ class Traces:
         tried = try_effect(baseline.problem, baseline.current, effect)
         if tried.fit is None or tried.validation is None:
             return None
-        improves = improves_cross_validation(
-            baseline.current, baseline.validation, tried.fit, tried.validation
-        )
+        improves = improves_cross_validation(baseline.validation, tried.validation)
         compared = as_baseline(baseline, baseline.problem, tried.fit, tried.validation)
         return explanation(baseline, *compared, improves=improves)
 

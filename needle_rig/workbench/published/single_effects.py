@@ -42,8 +42,8 @@ class Candidate:
 
     @property
     def testable(self) -> bool:
-        """Whether the fit leaves degrees of freedom."""
-        return self.fit is not None and self.fit.freedom >= POLICY.verdict.degrees_left
+        """Whether the fit leaves a degree of freedom; priors make it no whole number."""
+        return self.fit is not None and round(self.fit.freedom) > 0
 
     @property
     def plausible(self) -> bool:

@@ -92,9 +92,7 @@ class Diagnosis(Answer):
         return (first, *(self._in_its_place(key) for key in dict.fromkeys(ties)))
 
     def _improves(self, key: EffectSet) -> bool:
-        return improves_cross_validation(
-            self.search.root, self.search.root_validation, *self.search.fits[key]
-        )
+        return improves_cross_validation(self.search.root_validation, self.search.fits[key][1])
 
     def _in_its_place(self, key: EffectSet) -> Explanation:
         compared = as_baseline(self.baseline, self.search.problem, *self.search.fits[key])

@@ -10,7 +10,8 @@ from scipy.special import chdtrc, chdtri, fdtrc
 
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.estimation.problem import Fit, Problem
+from needle_rig.workbench.estimation.posterior import STEP
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.policy import POLICY
 
 TINY = 1e-12
@@ -59,26 +60,6 @@ def log_places(parameters: Sequence[FreeParameter]) -> float:
     return float(sum(math.log(a.chances) for a in parameters))
 
 
-def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:
-    """Whether the child's change of the residuals is less than three times the discretisation error along it.
-
-    |Δr|² + Δ(pull of rigidity)² + |Δu|²/s² < 3 |Δr·e|, with the random effects u of scatter s and the first
-    nuisance direction e. The changes of pulls and random effects have no discretisation error.
-    """
-    if not problem.nuisance[0].shape[1]:
-        return False
-    change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
-    discretisation_error = np.concatenate(
-        [n[:, 0] for n in problem.nuisance]
-    )  # the first direction is the discretisation error
-    pull = parent.pull_rigidity - child.pull_rigidity
-    trial_friction = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
-    return bool(
-        change @ change + pull**2 + trial_friction @ trial_friction
-        < POLICY.evidence.discretisation_margin * abs(change @ discretisation_error)
-    )
-
-
 def predictive_gain(parent: CrossValidation | None, child: CrossValidation | None) -> float:
     """Fall of −2 log predictive density in cross-validation; 0 where it is not known."""
     if parent is None or child is None:
@@ -87,32 +68,20 @@ def predictive_gain(parent: CrossValidation | None, child: CrossValidation | Non
     return 0.0 if np.isnan(gain) else gain
 
 
-def improves_cross_validation(
-    parent: Fit,
-    parent_validation: CrossValidation | None,
-    child: Fit,
-    child_validation: CrossValidation | None,
-) -> bool:
-    """Whether the child's predictive density is higher in cross-validation.
-
-    A fall of the squared pull of the stated rigidity stands in for it, as long as the held-out error does not
-    rise by more than a threshold.
-    """
-    if predictive_gain(parent_validation, child_validation) > 0:
-        return True
-    if parent_validation is None or child_validation is None or not relieves_pull(parent, child):
-        return False
-    return bool(child_validation.error <= POLICY.evidence.held_out_rise * parent_validation.error)
-
-
-def relieves_pull(parent: Fit, child: Fit) -> bool:
-    """Whether the child needs a rigidity so much nearer the stated one that it says something."""
-    return parent.pull_rigidity**2 - child.pull_rigidity**2 > POLICY.evidence.relieved_pull
+def improves_cross_validation(parent: CrossValidation | None, child: CrossValidation | None) -> bool:
+    """Whether the child's predictive density is higher in cross-validation."""
+    return predictive_gain(parent, child) > 0.0
 
 
 def is_negligible(found: Fit, effect: str) -> bool:
     """Whether an effect's fitted size is below the smallest that matters."""
     return size_of(found, effect) < 1.0
+
+
+def has_size(found: Fit, effect: str) -> bool:
+    """Whether an effect is further from nothing than the step of a derivative."""
+    own = [a.effect == effect and not a.info.shapes for a in found.parameters]
+    return bool(np.any(np.abs(found.vector.scaled_values[own]) > STEP))
 
 
 def size_of(found: Fit, effect: str) -> float:

@@ -11,7 +11,7 @@ from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import SIGMAS_95, Ranked, Value
 from needle_rig.workbench.selection.candidates import Candidate
-from needle_rig.workbench.selection.evidence import adjusted_p, predictive_gain
+from needle_rig.workbench.selection.evidence import adjusted_p, improves_cross_validation
 from needle_rig.workbench.selection.rivals import Rival
 from needle_rig.workbench.selection.search import SearchTrace
 
@@ -115,18 +115,16 @@ def _single(search: SearchTrace, candidate: Candidate) -> Ranked:
     found = candidate.fit
     assert found is not None
     seen = adjusted_p(search.root, found, len(search.names)) < POLICY.evidence.significance
-    improves_cross_validation = predictive_gain(
-        search.root_validation, candidate.validation
-    ) > 0 or not np.isfinite(search.root_validation.error)
+    predicts = improves_cross_validation(search.root_validation, candidate.validation) or not np.isfinite(
+        search.root_validation.error
+    )
     removed = _removed(search.problem, search.root, found)
     favour = (
         f"alone it removes {100 * removed:.0f} % of the error above the noise"
         if seen
         else "nothing beyond chance"
     )
-    against = (
-        "" if seen and improves_cross_validation else "what it gains does not carry over to commands left out"
-    )
+    against = "" if seen and predicts else "what it gains does not carry over to commands left out"
     return Ranked(
         candidate.effect,
         candidate.validation.error if candidate.validation else None,

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.special import ndtri, stdtr
 
 from needle_rig.dataset.records import UNKNOWN_SIGMA
-from needle_rig.numerics import Array
+from needle_rig.numerics import Array, beyond_chance
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.problem import Fit, Problem
@@ -124,20 +124,9 @@ def functions(
     }
 
 
-def limit_sigmas(significance: float, tried: int) -> float:
-    """Largest of so many standard normal values that chance exceeds with this probability."""
-    return float(-ndtri(significance / 2 / max(1, tried)))
-
-
 def testable(left: Array, whole: Array) -> npt.NDArray[np.bool_]:
     """Which functions, of lengths `whole`, can be tested by the lengths that projection leaves of them."""
     return np.asarray(left > POLICY.verdict.testable_share * whole + TINY)
-
-
-def distinct(left: Array) -> npt.NDArray[np.bool_]:
-    """Which functions of unit length still differ from the patterns picked before, by what remains of
-    them."""
-    return np.asarray(left > POLICY.verdict.distinct_share)
 
 
 def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...]) -> ResidualPatterns:
@@ -157,7 +146,7 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
     usable = testable(seen_lengths, lengths)
     projected, lengths = projected[:, usable] / seen_lengths[usable], seen_lengths[usable]
     names = [n for n, u in zip(names, usable, strict=True) if u]
-    limit = limit_sigmas(POLICY.evidence.false_alarm, len(names))
+    limit = POLICY.evidence.clear_of(len(names))
     picked: list[tuple[int, float]] = []
     left, basis = project.missed, projected.copy()
     for _ in range(min(MOST_PATTERNS, len(names))):
@@ -169,8 +158,6 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
         direction = basis[:, best] / np.sqrt(basis[:, best] @ basis[:, best])
         left = left - direction * (direction @ left)
         basis = basis - np.outer(direction, direction @ basis)
-        size = np.sqrt((basis**2).sum(0))
-        basis = np.where(distinct(size), basis / np.maximum(size, TINY), 0.0)
     trend = _trend(problem, found)
     gain = sum(z**2 for _, z in picked) + sum(p.sigmas**2 for p in trend)
     patterns = [
@@ -225,7 +212,7 @@ def _trend(problem: Problem, found: Fit) -> list[Pattern]:
         z = float(np.sign(t) * -ndtri(max(stdtr(freedom, -abs(t)), 1e-300)))
         size = 100 * abs(slope) * float(np.sqrt(np.mean(course**2)))
         trends.append(Pattern("the trials' friction", law, z, size, "%", 0.0))
-    limit = limit_sigmas(POLICY.evidence.trend, len(along))
+    limit = beyond_chance(POLICY.evidence.trend, len(along))
     return sorted((p for p in trends if abs(p.sigmas) > limit), key=lambda p: -abs(p.sigmas))[:1]
 
 

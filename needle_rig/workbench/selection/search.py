@@ -31,10 +31,10 @@ from needle_rig.workbench.selection.candidates import (
 )
 from needle_rig.workbench.selection.evidence import (
     adjusted_p,
+    has_size,
     improves_cross_validation,
     is_negligible,
     size_of,
-    within_discretisation_error,
 )
 
 EffectSet = frozenset[str]
@@ -105,13 +105,11 @@ class SearchTrace:
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
         """Whether the child's extra effects are significant and improve cross-validation."""
         (old, old_validation), (new, new_validation) = self.fits[parent], self.fits[child]
-        if adjusted_p(
-            old, new, len(self.names)
-        ) >= POLICY.evidence.significance or within_discretisation_error(self.problem, old, new):
+        if adjusted_p(old, new, len(self.names)) >= POLICY.evidence.significance:
             return False
         if old_validation is not None and not np.isfinite(old_validation.error):
             return True  # a single command: nothing can be left out, and the report says so
-        return improves_cross_validation(old, old_validation, new, new_validation)
+        return improves_cross_validation(old_validation, new_validation)
 
     def named(self, key: EffectSet) -> list[str]:
         """Effects of a set that are large enough to matter and were not in the current model."""
@@ -204,7 +202,7 @@ def next_move(
     """The move that follows from the best of the next sets, and its negligible effect ("": none)."""
     found = trace.fits[chosen][0]
     small = next((e for e in sorted(chosen - trace.best) if is_negligible(found, e)), "")
-    if small and size_of(found, small) < POLICY.search.no_size:
+    if small and not has_size(found, small):
         return "take out", small
     if small and trace.best <= chosen and len(trace.negligible) < POLICY.search.set_aside:
         return "set aside", small
@@ -349,14 +347,9 @@ def that_matter(trace: SearchTrace, options: list[EffectSet]) -> list[EffectSet]
     return matter or options
 
 
-def clearly_lower(after: float, before: float) -> bool:
-    """Whether a score is lower by enough to take another effect in one's place."""
-    return after <= before - POLICY.search.relatives_gain
-
-
 def _swapped(trace: SearchTrace, work: Work) -> tuple[SearchTrace, EffectSet]:
     """The search with every effect tried in the place of each that was added, and the best set with one
-    swapped; the present one where no swap lowers its score by enough."""
+    swapped; the present one where no swap lowers its score."""
     found = trace.fits[trace.best][0]
     keys = [trace.best]
     for effect in trace.named(trace.best):
@@ -367,8 +360,7 @@ def _swapped(trace: SearchTrace, work: Work) -> tuple[SearchTrace, EffectSet]:
             trace = expand(trace, work, rest, trace.fits[rest][0].objective - found.objective)
         swaps = (rest | {c.effect} for c in trace.children[rest] if c.effect not in trace.best)
         keys += [key for key in swaps if key in trace.fits and trace.passes(rest, key)]
-    best = min(keys, key=trace.by_score)
-    return trace, best if clearly_lower(trace.score(best), trace.score(trace.best)) else trace.best
+    return trace, min(keys, key=trace.by_score)
 
 
 def _back(trace: SearchTrace, work: Work) -> SearchTrace:

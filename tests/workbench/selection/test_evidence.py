@@ -6,40 +6,31 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from needle_rig.workbench.estimation.cross_validation import CrossValidation
+from needle_rig.workbench.estimation.cross_validation import CrossValidation, cross_validate
+from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.selection.evidence import gain_of, improves_cross_validation
 from tests.workbench.hidden import null_fit
 
 
-@pytest.mark.parametrize(
-    ("loss", "error", "relieved_sigmas", "speaks_for"),
-    [
-        (99.0, 1.20, 0.0, True),
-        (101.0, 1.20, 0.0, False),
-        (101.0, 1.20, 2.9, False),
-        (101.0, 1.20, 3.1, True),
-        (101.0, 1.20 * 1.0201, 3.1, False),
-    ],
-)
-def test_the_needle_s_constants_stand_in_for_commands_left_out_but_not_against_them(
-    loss: float, error: float, relieved_sigmas: float, speaks_for: bool
+@pytest.mark.parametrize(("pull_sigmas", "more"), [(0.0, 0.0), (2.0, 4.0), (5.0, 25.0)])
+def test_a_rigidity_far_from_the_stated_one_is_a_prediction_that_failed(
+    pull_sigmas: float, more: float
 ) -> None:
-    child = null_fit(seed=21).current
-    child = dataclasses.replace(child, pull_rigidity=0.0)
-    parent = dataclasses.replace(child, pull_rigidity=relieved_sigmas)
-    assert (
-        improves_cross_validation(
-            parent, CrossValidation(1.20, 100.0, ()), child, CrossValidation(error, loss, ())
-        )
-        is speaks_for
+    baseline = null_fit(seed=21)
+    problem, found = baseline.problem, baseline.current
+    near, far = (
+        cross_validate(problem, dataclasses.replace(found, pull_rigidity=pull)) for pull in (0.0, pull_sigmas)
     )
+    _, spread = LinearisedFit.of(problem, found).without(())
+    leverage = spread[1, 1] / problem.rigidity_prior**2
+    assert 0.0 < leverage < 0.1
+    assert far.loss - near.loss == pytest.approx(more / (1.0 - leverage), rel=1e-6, abs=1e-9)
+    assert far.error == near.error
+    assert improves_cross_validation(far, near) is (more > 0.0)
 
 
 def test_nothing_is_predicted_where_nothing_was_left_out() -> None:
-    found = null_fit(seed=21).current
-    parent = dataclasses.replace(found, pull_rigidity=5.0)
-    child = dataclasses.replace(found, pull_rigidity=0.0)
-    assert not improves_cross_validation(parent, None, child, CrossValidation(1.0, 1.0, ()))
+    assert not improves_cross_validation(None, CrossValidation(1.0, 1.0, ()))
 
 
 TRIALS = 8

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from needle_rig.numerics import beyond_chance
 from needle_rig.physics.library import built_in_effects
 from needle_rig.workbench.estimation.baseline import Baseline, fit_baseline
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
@@ -23,14 +24,13 @@ from needle_rig.workbench.published.single_effects import Candidate as SettledCa
 from needle_rig.workbench.selection import candidates, residual_patterns, screening, search
 from needle_rig.workbench.selection.candidates import penalty, refinable
 from needle_rig.workbench.selection.decisions import _decision
-from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
+from needle_rig.workbench.selection.evidence import adjusted_p
 from needle_rig.workbench.selection.notes import contrived
 from needle_rig.workbench.selection.places import Place, looked_through
 from needle_rig.workbench.selection.residual_patterns import (
     Pattern,
     ResidualPatterns,
     find_residual_patterns,
-    limit_sigmas,
 )
 from needle_rig.workbench.selection.rivals import cannot_be_told_apart
 from needle_rig.workbench.selection.screening import (
@@ -41,7 +41,6 @@ from needle_rig.workbench.selection.screening import (
 from needle_rig.workbench.selection.search import (
     EffectSet,
     SearchTrace,
-    clearly_lower,
     next_move,
     promise_asked,
 )
@@ -97,15 +96,6 @@ def test_an_effect_is_seen_at_one_percent_over_the_library(p: float, passes: boo
     assert SearchTrace.passes(trace, frozenset(), frozenset("a")) is passes
 
 
-@pytest.mark.parametrize(("change", "within"), [(2.4, True), (3.6, False)])
-def test_a_change_beyond_three_times_the_discretisation_error_is_none_of_it(
-    change: float, within: bool
-) -> None:
-    problem: Any = SimpleNamespace(nuisance=(np.array([[1.0], [0.0]]),))
-    parent, child = fit(residuals=(np.array([change, 0.0]),)), fit(residuals=(np.zeros(2),))
-    assert within_discretisation_error(problem, parent, child) is within
-
-
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
 def test_a_size_is_limited_at_its_one_sided_95_percent(
     baseline: Baseline, error_share: float, decision: str
@@ -148,19 +138,9 @@ def test_a_parameter_costs_the_logarithm_of_five_times_the_trials() -> None:
     assert penalty(problem) == pytest.approx(np.log(20.0))
 
 
-@pytest.mark.parametrize(("lower_by", "clearly"), [(1.4, False), (2.8, True)])
-def test_a_relative_takes_a_place_for_odds_of_e(lower_by: float, clearly: bool) -> None:
-    assert clearly_lower(10.0 - lower_by, 10.0) is clearly
-
-
 @pytest.mark.parametrize(("left", "testable"), [(0.028, False), (0.056, True)])
 def test_a_pattern_that_the_parameters_fit_is_not_tested(left: float, testable: bool) -> None:
     assert residual_patterns.testable(np.array([left]), np.array([2.0])) == [testable]
-
-
-@pytest.mark.parametrize(("left", "distinct"), [(0.07, False), (0.14, True)])
-def test_a_pattern_that_those_found_before_make_up_is_not_another(left: float, distinct: bool) -> None:
-    assert residual_patterns.distinct(np.array([left])) == [distinct]
 
 
 @pytest.mark.parametrize(("above", "refined"), [(1700.0, True), (3400.0, False)])
@@ -226,20 +206,18 @@ def test_what_promises_a_quarter_of_what_would_tie_is_fitted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "set_aside_before", "move"),
-    [(0.7e-3, 0, "take out"), (1.4e-3, 0, "set aside"), (0.5, 1, "set aside"), (0.5, 2, "end"),
-     (1.5, 0, "forward")],
+    ("scaled", "set_aside_before", "move"),
+    [(0.002, 0, "take out"), (0.004, 0, "set aside"), (0.02, 1, "set aside"), (0.02, 2, "end"),
+     (0.5, 0, "forward")],
 )  # fmt: skip
 def test_what_becomes_of_an_effect_that_is_too_small(
-    baseline: Baseline, size: float, set_aside_before: int, move: str
+    baseline: Baseline, scaled: float, set_aside_before: int, move: str
 ) -> None:
     (parameter,) = baseline.problem.parameters(["torque_bias"])
-    found = fit(
-        parameters=(parameter,), vector=SimpleNamespace(scaled_values=np.array([size * parameter.smallest]))
-    )
+    found = fit(parameters=(parameter,), vector=SimpleNamespace(scaled_values=np.array([scaled])))
     key = frozenset(["torque_bias"])
     negligible = dict.fromkeys(range(set_aside_before))
-    large = key if size >= 1.0 else frozenset()
+    large = key if scaled >= parameter.smallest else frozenset()
     trace: Any = Trace(fits={key: (found, None)}, best=frozenset(), negligible=negligible, large=large)
     assert next_move(trace, key, 3)[0] == move
 
@@ -337,9 +315,9 @@ def test_stick_slip_is_named_with_where_it_was_seen_and_what_it_keeps_from_being
 
 
 def test_patterns_and_trends_must_be_far_beyond_chance() -> None:
-    assert limit_sigmas(POLICY.evidence.false_alarm, 1) == pytest.approx(3.29, abs=0.01)
-    assert limit_sigmas(POLICY.evidence.false_alarm, 200) == pytest.approx(4.57, abs=0.02)
-    assert limit_sigmas(POLICY.evidence.trend, 2) == pytest.approx(4.06, abs=0.01)
+    assert POLICY.evidence.clear_of(1) == pytest.approx(3.29, abs=0.01)
+    assert POLICY.evidence.clear_of(200) == pytest.approx(4.57, abs=0.02)
+    assert beyond_chance(POLICY.evidence.trend, 2) == pytest.approx(4.06, abs=0.01)
 
 
 def test_five_patterns_are_told() -> None:
