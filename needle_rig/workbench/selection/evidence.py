@@ -1,4 +1,4 @@
-"""What the gain of one more effect is worth: significance, discretisation error, cross-validation."""
+"""What the gain of one more effect is worth: significance and cross-validation."""
 
 from __future__ import annotations
 
