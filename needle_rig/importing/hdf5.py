@@ -11,14 +11,14 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import RATE_NAME, STEP_NAME, Leaf, columns_of, text_of
 from needle_rig.importing.matlab import with_tables
-from needle_rig.importing.recording import LIMIT_BYTES, Column
+from needle_rig.importing.recording import LIMIT_BYTES, Read
 
 _OBJECTS = ("table", "timetable", "string", "datetime", "duration", "categorical", "timeseries")
 """Classes of MATLAB of which a variable is a reference to numbers elsewhere."""
 UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "UNITS", "UNIT", "unit_string")
 
 
-def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_hdf5(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates. Raises BadInput."""
     leaves: dict[str, Leaf] = {}
     matlab, objects = False, False
