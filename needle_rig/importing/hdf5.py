@@ -19,7 +19,7 @@ UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "UNITS", "UNIT", "unit_stri
 
 
 def read_hdf5(path: Path, shown: str) -> Read:
-    """Dialect in words, columns and rates. Raises BadInput."""
+    """The columns of an HDF5 file, with dialect and rates. Raises BadInput."""
     leaves: dict[str, Leaf] = {}
     matlab, objects = False, False
     try:
