@@ -12,7 +12,7 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.arrays import MOST_SIDE
-from needle_rig.importing.recording import MAX_COLUMNS, Column
+from needle_rig.importing.recording import MAX_COLUMNS, Column, Read
 from needle_rig.importing.unit_text import split_name
 from needle_rig.importing.words import words_column
 
@@ -24,7 +24,7 @@ def is_frame(head: bytes) -> bool:
     return head.startswith(tuple(_READERS))
 
 
-def read_frame(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_frame(path: Path, shown: str) -> Read:
     """Dialect in words, columns and no rates. Raises BadInput."""
     with path.open("rb") as file:
         head = file.read(8)

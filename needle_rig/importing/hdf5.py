@@ -11,13 +11,13 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import RATE_NAME, STEP_NAME, Leaf, columns_of, text_of
 from needle_rig.importing.matlab import with_objects
-from needle_rig.importing.recording import LIMIT_BYTES, Column
+from needle_rig.importing.recording import LIMIT_BYTES, Read
 
 UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "UNITS", "UNIT", "unit_string")
 
 
-def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
-    """Dialect in words, columns and rates. Raises BadInput."""
+def read_hdf5(path: Path, shown: str) -> Read:
+    """The columns of an HDF5 file, with dialect and rates. Raises BadInput."""
     leaves: dict[str, Leaf] = {}
     matlab, objects = False, False
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.importing.recording import LIMIT_BYTES, MAX_COLUMNS, Column
+from needle_rig.importing.recording import LIMIT_BYTES, MAX_COLUMNS, Column, Read
 from needle_rig.importing.text_rows import NULLS, POINT, STAMP
 from needle_rig.importing.unit_text import split_name
 from needle_rig.importing.words import words_column
@@ -34,7 +34,7 @@ def is_labelled(head: bytes) -> bool:
     return min(Counter(label for pairs in found for label in pairs).values()) >= FEWEST_LINES
 
 
-def read_labelled(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_labelled(path: Path, shown: str) -> Read:
     """Dialect in words, columns and no rates; NaN where a line has no value of a label.
 
     What comes before the first line with a value, and a last line that is cut off, are left out. Raises

@@ -11,13 +11,13 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import Leaf, columns_of, text_of
-from needle_rig.importing.recording import Column
+from needle_rig.importing.recording import Column, Read
 
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 DEEPEST = 12
 
 
-def read_matlab(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_matlab(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates of a file of version 5 to 7.2. Raises BadInput."""
     import scipy.io
 

@@ -17,13 +17,13 @@ from needle_rig.importing.arrays import Leaf, columns_of
 from needle_rig.importing.bus_log import Sent, by_can, called, decoded, load_can, sent_in
 from needle_rig.importing.library_log import without_log
 from needle_rig.importing.messages import STAMP
-from needle_rig.importing.recording import Column
+from needle_rig.importing.recording import Column, Read
 
 _FRAMES = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
 """What a group of logged frames begins its channels' names with."""
 
 
-def read_mdf(path: Path, shown: str, dbc: Path | None) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_mdf(path: Path, shown: str, dbc: Path | None) -> Read:
     """Dialect in words, columns and rates. Raises BadInput."""
     load_can()
     asammdf = needed("asammdf", "an MDF file", "import")

@@ -19,9 +19,7 @@ from needle_rig.importing.data_frame import is_frame, read_frame
 from needle_rig.importing.delimited import read_delimited
 from needle_rig.importing.json_file import may_be_json, read_json
 from needle_rig.importing.labelled import is_labelled, read_labelled
-from needle_rig.importing.recording import LIMIT_BYTES, Column, Recording, sha256_of
-
-Read = tuple[str, tuple[Column, ...], dict[str, float]]
+from needle_rig.importing.recording import LIMIT_BYTES, Read, Recording, sha256_of
 
 KEPT_BYTES = 1_000_000_000
 """Largest total of numbers that are kept; what is beyond is read again when it is asked for."""
