@@ -13,8 +13,8 @@ const RIGHT = 20;
 const TOP = 14;
 const GROUND = 190;
 const STEP_DEG = 15;
-/** The drive's state as a person reads it: after boot it takes no command until an order clears it. @type {Record<string, string>} */
-const DRIVE = { silent: "waits for the first order", ready: "ready", running: "turns", fault: "fault" };
+/** What a person reads for a state of the drive: after boot it takes no command until an order clears it. @type {Record<string, string>} */
+const DRIVE = { silent: "waits for the first order" };
 
 /** @param {{state: import("./live.js").State, estimate: import("./types").EstimateDocument | null}} props */
 export function Shaft({ state, estimate }) {
