@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.importing.arrays import Leaf, columns_of, text_of
+from needle_rig.importing.arrays import FEWEST_ROWS, Leaf, columns_of, text_of
 from needle_rig.importing.recording import Column, Read
 
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
@@ -48,7 +48,7 @@ def with_objects(leaves: dict[str, Leaf], path: Path, shown: str) -> tuple[Colum
     try:
         found = signals_in(path, shown)
     except BadInput as error:
-        if not leaves:
+        if not any(array.size >= FEWEST_ROWS for array, _ in leaves.values()):
             raise
         return (Column("objects of MATLAB", "", np.empty(0), fault=str(error).removeprefix(f"{shown}: ")),)
     if not found and not leaves:
