@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
 
 from tests.stillness import Stillness
 
+MARK = "real_time"
+PAUSE_S = 0.01
+"""Of the machine, which spoils a trial: the least margin of what such tests assert."""
+PRIORITY = 1
+"""In real time, of the witness: that of the bench. Beside other tests the machine can be too busy for a rig
+that is a program."""
+TRIALS = 5
 
-class Spoils(NamedTuple):
-    """What spoils a trial."""
-
-    pause_s: float
-    """Of the machine: the least margin of what such tests assert."""
-    priority: int
-    """In real time, of the witness: what runs ahead of it is a pause too."""
-    trials: int
-
-
-BY_MARK = {
-    # the bench's priority: beside other tests the machine can be too busy for a rig that is a program
-    "real_time": Spoils(0.01, priority=1, trials=5),
-    # the 50 ms after which a drive stops by itself, less a tick of 10 ms and 10 ms for the way; ahead of the
-    # daemon, which is alone there: that it is busy is no pause.
-    # A test of minutes sees some pause nearly always: one repetition
-    "linux": Spoils(0.03, priority=60, trials=2),
-}
 WITNESS = pytest.StashKey[Stillness]()
 REPEATED = "trials repeated"
 """Property of the first report of a test that was repeated; it says why, in words."""
@@ -39,20 +28,19 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
     A failure on a machine that kept time counts at once, and so does that of the last trial.
     """
-    spoils = next((BY_MARK[mark] for mark in BY_MARK if item.get_closest_marker(mark)), None)
-    if spoils is None:
+    if item.get_closest_marker(MARK) is None:
         return None
     stash = item.config.stash
     if WITNESS not in stash:
-        stash[WITNESS] = Stillness(spoils.pause_s / 2, spoils.priority)
+        stash[WITNESS] = Stillness(PAUSE_S / 2, PRIORITY)
         item.config.add_cleanup(stash[WITNESS].close)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     repeated: list[tuple[str, object]] = []
-    for trial in range(1, spoils.trials + 1):
+    for trial in range(1, TRIALS + 1):
         stash[WITNESS].longest_s()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         pause_s = stash[WITNESS].longest_s()
-        if trial == spoils.trials or pause_s < spoils.pause_s or not any(report.failed for report in reports):
+        if trial == TRIALS or pause_s < PAUSE_S or not any(report.failed for report in reports):
             break
         repeated.append((REPEATED, f"{item.nodeid}: the machine paused for {pause_s * 1e3:.0f} ms"))
     reports[0].user_properties.extend(repeated)

@@ -871,6 +871,107 @@ def matlab_timetable_73(source: Source, folder: Path) -> Truth:
     return _table_of_matlab(source, folder, "v7.3")
 
 
+def _timeseries(name: str, time_s: np.ndarray, values: np.ndarray, unit: str) -> Any:
+    """A timeseries with the properties that MATLAB saves of one; even times are a start and a step."""
+    from matio.utils.matclass import MatlabOpaque
+
+    step_s = float(np.median(np.diff(time_s)))
+    times: dict[str, Any] = {"Time_": time_s[:, None]}
+    if np.allclose(np.diff(time_s), step_s, rtol=1e-9):
+        times = {"Time_": np.empty((0, 0)), "Start_": float(time_s[0]), "Increment_": step_s}
+    info = {"Units": "seconds", "Format": "", "StartDate": "", "Length": float(len(time_s)), **times}
+    properties = {
+        "Name": name,
+        "Data_": values[:, None],
+        "DataInfo": MatlabOpaque({"Units": unit}, "tsdata.datametadata"),
+        "TimeInfo": MatlabOpaque(info, "tsdata.timemetadata"),
+        "IsTimeFirst_": True,
+    }
+    return MatlabOpaque(properties, "timeseries")
+
+
+def _objects_of_matlab(source: Source, folder: Path, version: str, of_simulink: bool) -> Truth:
+    """Variables that are timeseries, or one Dataset of Simulink that holds a signal each."""
+    import warnings
+
+    import matio
+    from matio.utils.matclass import MatlabOpaque
+
+    units = {"base_angle": ("rad", "motor"), "base_torque": ("N*mm", "torque")}
+    units |= {f"hall_{k}": ("rad", f"hall_{k}") for k in (1, 2, 3, 4)}
+    series, channels = {}, {}
+    for role, (unit, name) in units.items():
+        factor = 1e-3 if role == "base_torque" else 1.0
+        known = np.round(source.of(role) / factor, 6)
+        series[name] = _timeseries("" if of_simulink else name, source.time_s, known, unit)
+        channels[role] = (name, factor, 1)
+    content: dict[str, Any] = series
+    if of_simulink:
+        signals = np.empty((1, len(series)), dtype=object)
+        for k, (name, values) in enumerate(series.items()):
+            signals[0, k] = MatlabOpaque({"Name": name, "Values": values}, "Simulink.SimulationData.Signal")
+        ram = MatlabOpaque({"Version": 2.0, "Elements": signals}, f"{_STORAGE}.RamDatasetStorage")
+        kept = {"Name": "logsout", "Storage_": ram}
+        content = {"out": {"logsout": MatlabOpaque(kept, "Simulink.SimulationData.Dataset")}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        matio.save_to_mat(str(folder / "run.mat"), content, version=version)
+    return Truth((folder / "run.mat",), channels, float(np.median(np.diff(source.time_s))))
+
+
+_STORAGE = "Simulink.SimulationData.Storage"
+
+
+@case
+def matlab_timeseries_7(source: Source, folder: Path) -> Truth:
+    return _objects_of_matlab(source, folder, "v7", of_simulink=False)
+
+
+@case
+def matlab_timeseries_73(source: Source, folder: Path) -> Truth:
+    return _objects_of_matlab(source, folder, "v7.3", of_simulink=False)
+
+
+@case
+def simulink_dataset_7(source: Source, folder: Path) -> Truth:
+    return _objects_of_matlab(source, folder, "v7", of_simulink=True)
+
+
+@case
+def simulink_dataset_73(source: Source, folder: Path) -> Truth:
+    return _objects_of_matlab(source, folder, "v7.3", of_simulink=True)
+
+
+def _labelled(rows: Columns, between: str, colon: str, from_: int = 0) -> list[str]:
+    return [
+        between.join(f"{name}{colon}{v:.5f}" for name, v in zip(rows.names[from_:], row[from_:], strict=True))
+        for row in rows.values
+    ]
+
+
+@case
+def arduino_plotter(source: Source, folder: Path) -> Truth:
+    names = ("t_ms", "motor_deg", "torque_nmm", "hall_1_deg", "hall_2_deg", "hall_3_deg", "hall_4_deg")
+    rows = columns(source, names, ("ms", *PLAIN_UNITS[1:]))
+    (folder / "serial.txt").write_text("\r\n".join(["Ready.", *_labelled(rows, ",", ":"), ""]))
+    return rows.truth(folder / "serial.txt")
+
+
+@case
+def arduino_plotter_with_stamps(source: Source, folder: Path) -> Truth:
+    import datetime
+
+    names = ("t", "motor_deg", "torque_nmm", "hall_1_deg", "hall_2_deg", "hall_3_deg", "hall_4_deg")
+    rows = columns(source, names, PLAIN_UNITS)
+    begin = datetime.datetime(2024, 3, 1, 12, 34, 56)
+    stamps = [
+        (begin + datetime.timedelta(seconds=float(s))).strftime("%H:%M:%S.%f")[:-3] for s in source.time_s
+    ]
+    lines = [f"{s} -> {line}" for s, line in zip(stamps, _labelled(rows, " ", ": ", 1), strict=True)]
+    (folder / "serial.txt").write_text("\n".join([*lines, ""]))
+    return rows.truth(folder / "serial.txt")
+
+
 @case
 def openpyxl_text_cells(source: Source, folder: Path) -> Truth:
     import openpyxl

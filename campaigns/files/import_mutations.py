@@ -11,6 +11,7 @@ from pathlib import Path
 
 from campaigns.files.import_kinds import FACTORS, Truth
 from needle_rig.importing.bus_log import is_bus_log
+from needle_rig.importing.labelled import is_labelled
 
 UNCHANGED = "as it was"
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".log", ".lvm", ".asc")
@@ -26,7 +27,8 @@ def mutated(truth: Truth, rng: random.Random) -> tuple[str, Truth]:
     path = rng.choice(files)
     kinds: list[Callable[[Path, Truth, random.Random], tuple[str, Truth]]] = [_cut, _bits, _emptied, _joined]
     data = path.read_bytes()
-    if path.suffix in TEXT and not data.startswith(b"\xff\xfe") and not is_bus_log(data[:512]):
+    without_table = is_bus_log(data[:512]) or is_labelled(data[:512])
+    if path.suffix in TEXT and not data.startswith(b"\xff\xfe") and not without_table:
         kinds = [*kinds[:2], *[_unit_word, _scaled] * 3, *[_swapped_names] * 2]
         kinds += [
             *[_spelled, _unknown_unit, _wrapped] * 2,

@@ -283,6 +283,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("sine",),
         _observed("F", _cable),
         lambda s, v: s * 0.008 * np.sin(v / _DEG + 0.6),
+        held_by="torque_ripple",
     ),
     HiddenLaw(
         "lag", "observe", "hall_1", ("rate",), ("line",), _observed("G", _lag), lambda s, v: -s * 0.04 * v

@@ -16,7 +16,7 @@ class MyThing(Strategy):
 
     # settled motions in, the next waypoint out; keep no memory: a run is replayed from its record
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn and one correction."""
+        """The turn, then one correction; None after both."""
         # history[0] is the rest before the first motion, history[-1] what just settled; angles in radians
         if len(history) == 1:
             return Waypoint(task.target_rad, "rotate")

@@ -36,7 +36,7 @@ class HallFit:
 
     @property
     def gains(self) -> tuple[float, float]:
-        """Factors that make both amplitudes their mean."""
+        """Factors of sine and of cosine that make both amplitudes their mean."""
         mean = (self.sine_amplitude + self.cosine_amplitude) / 2.0
         return mean / self.sine_amplitude, mean / self.cosine_amplitude
 

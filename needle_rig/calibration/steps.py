@@ -57,7 +57,7 @@ class Target:
     def write(
         self, kind: str, page: bytes, values: Mapping[str, object], lines: list[str], png: Path
     ) -> Calibration:
-        """Write page and calibration file beside the picture."""
+        """Write page and calibration file beside the picture; gives them back with the files' paths."""
         hex_file, text_file = self.folder / f"{kind}.hex", self.folder / f"{kind}.yaml"
         write_page(hex_file, page)
         head = {"format": FORMAT, "written_by": VERSION, "node": kind, "serial": self.serial}
@@ -67,7 +67,10 @@ class Target:
 
 
 async def calibrate_drive(stand: Stand, target: Target) -> Calibration:
-    """Base turned by hand, mark to mark, there and back: encoder counts a turn, and their sign."""
+    """Write the drive's calibration from a base turned by hand, mark to mark, there and back.
+
+    Values: `counts_per_turn` (signed) and the worst residual in degrees. Raises RigFault.
+    """
     places, counts, at = [], [], 0.0
     for turn in (0.0, 1.0, 1.0, -1.0, -1.0):
         if turn:
@@ -93,7 +96,10 @@ async def calibrate_drive(stand: Stand, target: Target) -> Calibration:
 
 
 async def check_drive(stand: Stand) -> str:
-    """Jog the base with its page flashed: how its speed follows the command."""
+    """Jog the base with its page flashed; a sentence with its speed over the commanded one, both ways.
+
+    Raises RigFault when either is off by more than 5 %.
+    """
     await make_ready(stand)
     ratios = []
     for speed in (SPEED_DEG_S, -SPEED_DEG_S):
@@ -107,7 +113,10 @@ async def check_drive(stand: Stand) -> str:
 
 
 async def calibrate_torque(stand: Stand, target: Target, weights_nmm: tuple[float, ...]) -> Calibration:
-    """Weights on the cell, up and down again: offset and gain."""
+    """Write the load cell's calibration from weights that are hung on it, up and down again.
+
+    Values: offset in counts, gain in N·mm per count, worst residual in N·mm. Raises RigFault.
+    """
     loads, readings = [], []
     for weight in (*weights_nmm, *reversed(weights_nmm[:-1])):
         await stand.hang(weight)
@@ -141,7 +150,10 @@ async def calibrate_torque(stand: Stand, target: Target, weights_nmm: tuple[floa
 
 
 async def calibrate_hall(stand: Stand, target: Target) -> Calibration:
-    """The free needle turned by the drive, a full turn there and back: every sensor against the base."""
+    """Write the Hall sensors' calibration; the drive turns the free needle a full turn there and back.
+
+    Values: for each sensor its offsets, amplitudes, zero and eccentricity against the base. Raises RigFault.
+    """
     await make_ready(stand)
     seconds = (360.0 + SPARE_DEG) / SPEED_DEG_S
     runs = [await jog(stand, SPEED_DEG_S, seconds), await jog(stand, -SPEED_DEG_S, seconds)]

@@ -37,7 +37,7 @@ class Commands(click.Group):
         )
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one command."""
+        """The command of this name, imported now; None when there is none."""
         if cmd_name not in self.list_commands(ctx):
             return None
         module = importlib.import_module(f"needle_rig.cli.{cmd_name.replace('-', '_')}")

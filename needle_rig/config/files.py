@@ -29,13 +29,18 @@ def find_config_file(name: str) -> Path:
     raise BadInput(f"{name}: no such file in {searched}; name one with its path")
 
 
-def parameter_sets() -> dict[str, Path]:
-    """Every parameter set by name, the working folder's before the shipped ones."""
+def named_files(kind: str) -> dict[str, Path]:
+    """YAML files below `kind` of the config folders by name, the working folder's before the shipped ones."""
     found: dict[str, Path] = {}
     for folder in config_directories():
-        for path in sorted((folder / "parameters").glob("*.yaml")):
+        for path in sorted((folder / kind).glob("*.yaml")):
             found.setdefault(path.stem, path)
     return found
+
+
+def parameter_sets() -> dict[str, Path]:
+    """Every parameter set by name; see `named_files`."""
+    return named_files("parameters")
 
 
 def parameters_path(name_or_path: str | os.PathLike[str]) -> Path:

@@ -55,7 +55,7 @@ class Files:
         path: Sequence[str] | None = None,  # noqa: ARG002 see MetaPathFinder
         target: ModuleType | None = None,  # noqa: ARG002
     ) -> ModuleSpec | None:
-        """The file of a module, or the empty package that stands for its folder.
+        """The spec of a module of one's own, or of its folder's empty package; None for any other module.
 
         Raises BadInput where the file is no longer the one that the name was given to.
         """

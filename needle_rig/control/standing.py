@@ -49,7 +49,7 @@ class StandingFaults:
         self._passing = next((fault for fault in found if not fault.latching), None)
 
     def beside(self, some: Collection[Fault]) -> str:
-        """What stands beside `some`, as `text`."""
+        """All faults that stand but `some`, as one sentence each; empty where there is no other."""
         return _told(fault for fault in self.all if fault not in some)
 
     def settle(self, some: Collection[Fault]) -> None:

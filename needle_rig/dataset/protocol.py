@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from needle_rig.config.check import validate
-from needle_rig.config.directories import config_directories
+from needle_rig.config.files import named_files
 from needle_rig.config.places import read_yaml, write_yaml
 from needle_rig.config.schema import Section
 from needle_rig.dataset.records import TrialCommand
@@ -60,21 +60,12 @@ class ProtocolFile(Section):
     trials: tuple[PlannedTrial, ...]
 
 
-def protocols() -> dict[str, Path]:
-    """Every protocol by name, the working folder's config/protocols before the shipped ones."""
-    found: dict[str, Path] = {}
-    for folder in config_directories():
-        for path in sorted((folder / "protocols").glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
-
-
 def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
     """The protocol of a name (`standard`) or a YAML file. Raises BadInput with file and line."""
     given = os.fspath(name_or_path)
     if given.endswith((".yaml", ".yml")) or os.sep in given:
         path = Path(given)
-    elif given in (known := protocols()):
+    elif given in (known := named_files("protocols")):
         path = known[given]
     else:
         there = ", ".join(sorted(known)) or "none"

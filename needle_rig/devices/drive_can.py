@@ -56,7 +56,7 @@ class DriveCan(Drive):
         self._identity = NodeIdentity(self._codec, "drive")
 
     def complaint(self, now_s: float) -> str:
-        """What is wrong with a node that does speak, for the message of a missing link."""
+        """What is wrong with a node that does speak, for a person; empty when nothing is."""
         if self._identity.refusal:
             return self._identity.refusal
         if math.isinf(self._health_s) and self._clock.age_s(now_s) < HEALTH_AGE_LIMIT_S:

@@ -33,7 +33,7 @@ class HallText(MultiTurnHall):
         )
 
     def complaint(self, now_s: float) -> str:
-        """What is wrong with lines that do come."""
+        """What is wrong with lines that do come, for a person; empty when nothing is."""
         if self._stream.damaged:
             shown = self._stream.damaged[:_SHOWN_BYTES].decode("ascii", "replace")
             return f"a line cannot be read: {shown!r}; wanted is a clock, then an angle a sensor"

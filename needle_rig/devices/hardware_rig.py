@@ -88,7 +88,7 @@ class RealHost:
         return line
 
     def udp(self, address: str, port: int, received: BytesHandler) -> BytePort:
-        """See `Host.udp`."""
+        """An open UDP port to `address`, whose datagrams `received` gets; see `Host.udp`."""
         made = UdpPort(self.kind, address, port, self._guarded(received), self.now)
         self.links.append(made)
         return made

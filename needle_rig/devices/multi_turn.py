@@ -22,7 +22,7 @@ class MultiTurnHall(HallSensors):
         self.angle_rad = self._turns.angle_rad
 
     def complaint(self, now_s: float) -> str:  # noqa: ARG002
-        """What is wrong with messages that do come."""
+        """What is wrong with messages that do come, for a person; empty when nothing is."""
         return self._misfit or self._turns.complaint
 
     def refer(self, base_rad: float) -> None:

@@ -46,7 +46,7 @@ class TorqueCan(TorqueSensor):
         self._identity = NodeIdentity(self._codec, "torque")
 
     def complaint(self, now_s: float) -> str:  # noqa: ARG002
-        """What is wrong with frames that do come, for the message of a missing link."""
+        """What is wrong with frames that do come, for a person; empty when nothing is."""
         return self._identity.refusal or self._complaint
 
     def firmware(self, now_s: float) -> Firmware:

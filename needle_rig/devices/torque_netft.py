@@ -41,7 +41,7 @@ class TorqueNetFt(TorqueSensor):
         self._complaint = ""
 
     def complaint(self, now_s: float) -> str:  # noqa: ARG002
-        """What is wrong with records that do come."""
+        """What is wrong with records that do come, for a person; empty when nothing is."""
         return self._complaint
 
     def age_s(self, now_s: float) -> float:

@@ -15,7 +15,7 @@ _BINS = 72
 
 
 def draw_hall(residuals: Mapping[str, tuple[Array, Array]], path: Path) -> Path:
-    """Residual of every sensor over the turn: samples, and their mean every 5°.
+    """Draw the residual of every sensor over the turn, samples and their mean every 5°; gives `path` back.
 
     `residuals` gives the needle's angle and the residual, both (samples,) in rad, by sensor.
     """

@@ -78,7 +78,7 @@ def row(name: str, cells: Iterable[str | float], mark: bool | None = None) -> st
 
 
 def shown(picture: Picture) -> str:
-    """A picture under its title."""
+    """HTML of a picture under its title."""
     return f"{heading(picture.title)}{image(picture.title, picture.png)}"
 
 

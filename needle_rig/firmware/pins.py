@@ -33,7 +33,7 @@ class Pins:
     supply: bool = False
 
     def take_can(self) -> list[tuple[int, bytes]]:
-        """Frames that the node sent since the last call."""
+        """The (id, data) of frames that the node sent since the last call, oldest first."""
         taken, self.can_out = self.can_out, []
         return taken
 

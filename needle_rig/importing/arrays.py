@@ -85,7 +85,8 @@ def columns_of(leaves: Mapping[str, Leaf], shown: str) -> tuple[tuple[Column, ..
         if rate_hz is not None:
             rates.setdefault(table, rate_hz)
     for path, fault in left.items():
-        columns.append(Column(path, "", np.empty(0), fault=fault))
+        name = path.removeprefix(f"{common}/")
+        columns.append(Column(name, leaves[path][1] if path in leaves else "", np.empty(0), fault=fault))
     return tuple(columns), rates
 
 

@@ -16,7 +16,7 @@ from needle_rig.config.places import show_path
 from needle_rig.errors import BadInput
 from needle_rig.importing.library_log import without_log
 from needle_rig.importing.messages import STAMP
-from needle_rig.importing.recording import MAX_COLUMNS, Column
+from needle_rig.importing.recording import MAX_COLUMNS, Column, Read
 from needle_rig.numerics import Array
 
 OWN = "needle_rig.dbc"
@@ -101,9 +101,7 @@ def is_bus_log(head: bytes) -> bool:
     return any(kind.match(head) for kind, _, _ in _KINDS)
 
 
-def read_bus_log(
-    path: Path, shown: str, dbc: Path | None
-) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_bus_log(path: Path, shown: str, dbc: Path | None) -> Read:
     """Dialect in words, columns and no rates: a table a message, on the clock of the log. Raises BadInput."""
     with path.open("rb") as file:
         head = file.read(512)

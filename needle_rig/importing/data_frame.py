@@ -12,7 +12,7 @@ import numpy as np
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.arrays import MOST_SIDE
-from needle_rig.importing.recording import MAX_COLUMNS, Column
+from needle_rig.importing.recording import MAX_COLUMNS, Column, Read
 from needle_rig.importing.unit_text import split_name
 from needle_rig.importing.words import words_column
 
@@ -24,15 +24,14 @@ def is_frame(head: bytes) -> bool:
     return head.startswith(tuple(_READERS))
 
 
-def read_frame(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_frame(path: Path, shown: str) -> Read:
     """Dialect in words, columns and no rates. Raises BadInput."""
     with path.open("rb") as file:
         head = file.read(8)
     kind, reader = next((told for magic, told in _READERS.items() if head.startswith(magic)), _LINES)
     polars = needed("polars", f"a file of {kind}", "import")
-    more = {"infer_schema_length": None} if reader == _LINES[1] else {}
     try:
-        frame = getattr(polars, reader)(path, **more)
+        frame = _lines(polars, path) if reader == _LINES[1] else getattr(polars, reader)(path)
     except Exception as error:  # noqa: BLE001 - the library raises several kinds, some of them Rust's panics
         raise BadInput(f"{shown}: cannot be read as {kind}: {str(error)[:200]}; write it again") from None
     columns = [column for name in frame.columns for column in _columns(polars, frame[name], name)]
@@ -44,6 +43,34 @@ def read_frame(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[st
 
 
 _LINES = ("JSON lines", "read_ndjson")
+_COUNTED_BYTES = 1 << 24
+
+
+def _lines(polars: Any, path: Path) -> Any:
+    """The frame of JSON lines. Kinds of columns are those of its first lines where these hold for all.
+
+    Looking at every line for its kinds takes as long again as reading. The library raises where a number
+    does not fit, but drops a key that the first lines lack: so all keys are counted.
+    """
+    try:
+        frame = polars.read_ndjson(path)
+        flat = not any(kind.is_nested() for kind in frame.dtypes)
+        if flat and not sum(frame.null_count().row(0)) and _keys(path) == frame.width * frame.height:
+            return frame
+        del frame  # before the second one
+    except polars.exceptions.ComputeError:
+        pass  # a column is of one kind in the first lines, and of another later
+    return polars.read_ndjson(path, infer_schema_length=None)
+
+
+def _keys(path: Path) -> int:
+    """How many keys there are, or more: a text may look like one."""
+    count, last = 0, b""
+    with path.open("rb") as file:
+        while raw := file.read(_COUNTED_BYTES):
+            count += (last + raw).count(b'":') + raw.count(b'" ')
+            last = raw[-1:]
+    return count
 
 
 def _columns(polars: Any, series: Any, name: str) -> Iterator[Column]:

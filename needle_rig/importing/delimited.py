@@ -14,7 +14,7 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.importing.header import Header, read_header, unique
-from needle_rig.importing.recording import MAX_COLUMNS, Column
+from needle_rig.importing.recording import MAX_COLUMNS, Column, Read
 from needle_rig.importing.text_rows import (
     NULLS,
     POINT,
@@ -88,7 +88,7 @@ class _Dialect:
         return f"text with {_NAMES[self.delimiter]}{decimal}{where}{code}"
 
 
-def read_delimited(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_delimited(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates of a text file. Raises BadInput with file and line."""
     head, encoding = _head(path, shown)
     lines = head.split("\n")

@@ -10,16 +10,14 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import RATE_NAME, STEP_NAME, Leaf, columns_of, text_of
-from needle_rig.importing.matlab import with_tables
-from needle_rig.importing.recording import LIMIT_BYTES, Column
+from needle_rig.importing.matlab import with_objects
+from needle_rig.importing.recording import LIMIT_BYTES, Read
 
-_OBJECTS = ("table", "timetable", "string", "datetime", "duration", "categorical", "timeseries")
-"""Classes of MATLAB of which a variable is a reference to numbers elsewhere."""
 UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "UNITS", "UNIT", "unit_string")
 
 
-def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
-    """Dialect in words, columns and rates. Raises BadInput."""
+def read_hdf5(path: Path, shown: str) -> Read:
+    """The columns of an HDF5 file, with dialect and rates. Raises BadInput."""
     leaves: dict[str, Leaf] = {}
     matlab, objects = False, False
     try:
@@ -51,7 +49,7 @@ def read_hdf5(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str
         raise BadInput(
             f"{shown}: cannot be read as HDF5: {str(error)[:200]}; close it and copy it again"
         ) from None
-    left = with_tables(leaves, path, shown) if objects else ()
+    left = with_objects(leaves, path, shown) if objects else ()
     columns, rates = columns_of(leaves, shown)
     return ("MATLAB v7.3" if matlab else "HDF5"), (*columns, *left), rates
 
@@ -70,7 +68,8 @@ def _leaf(leaves: dict[str, Leaf], name: str, item: Any) -> None:
     kind = text_of(item.attrs.get("MATLAB_class", b""))
     last = name.rpartition("/")[2]
     if (
-        kind in ("char", "cell", "function_handle", *_OBJECTS)
+        kind in ("char", "cell", "function_handle")
+        or "MATLAB_object_decode" in item.attrs  # a reference to what an object holds elsewhere
         or last.lower() in ("unit", "units")
         or item.size == 0
     ):

@@ -12,7 +12,7 @@ from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import Leaf, columns_of
 from needle_rig.importing.data_frame import read_frame
 from needle_rig.importing.matlab import flatten
-from needle_rig.importing.recording import LIMIT_BYTES, Column
+from needle_rig.importing.recording import LIMIT_BYTES, Read
 
 MOST_BYTES = LIMIT_BYTES // 10
 """A document is in memory as objects, ten times as large; lines are read as a frame."""
@@ -23,7 +23,7 @@ def may_be_json(head: bytes) -> bool:
     return head.lstrip()[:1] in (b"{", b"[") and head.lstrip()[1:].lstrip()[:1] in b'"[{-0123456789'
 
 
-def read_json(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_json(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates. Raises BadInput."""
     with path.open("rb") as file:
         first, second = file.readline(1 << 20), file.readline(1 << 10).strip()

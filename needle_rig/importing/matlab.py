@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from needle_rig.errors import BadInput
-from needle_rig.importing.arrays import Leaf, columns_of, text_of
-from needle_rig.importing.recording import Column
+from needle_rig.importing.arrays import FEWEST_ROWS, Leaf, columns_of, text_of
+from needle_rig.importing.recording import Column, Read
 
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 DEEPEST = 12
 
 
-def read_matlab(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_matlab(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates of a file of version 5 to 7.2. Raises BadInput."""
     import scipy.io
 
@@ -29,33 +29,34 @@ def read_matlab(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[s
         raise BadInput(
             f"{shown}: cannot be read as a MATLAB file: {str(error)[:200]}; save it again"
         ) from None
+    objects = "__function_workspace__" in content  # where they are kept, at whatever depth they are named
     opaque = [k for k, v in content.items() if type(v).__name__ == "MatlabOpaque"]
     leaves: dict[str, Leaf] = {}
     flatten({k: v for k, v in content.items() if not k.startswith("__") and k not in opaque}, "", leaves)
-    left = with_tables(leaves, path, shown) if opaque else ()
+    left = with_objects(leaves, path, shown) if objects else ()
     columns, rates = columns_of(leaves, shown)
     return "MATLAB v5", (*columns, *left), rates
 
 
-def with_tables(leaves: dict[str, Leaf], path: Path, shown: str) -> tuple[Column, ...]:
-    """Adds the tables of a file that holds objects to its arrays; what is no table is a column with a fault.
+def with_objects(leaves: dict[str, Leaf], path: Path, shown: str) -> tuple[Column, ...]:
+    """Adds the signals of a file's objects to its arrays; what cannot be read is a column with a fault.
 
-    Raises BadInput where there is nothing but objects that are no tables.
+    Raises BadInput where there is nothing but objects that hold no signals.
     """
-    from needle_rig.importing.matlab_objects import tables_in
+    from needle_rig.importing.matlab_objects import signals_in
 
     try:
-        tables = tables_in(path, shown)
+        found = signals_in(path, shown)
     except BadInput as error:
-        if not leaves:
+        if not any(array.size >= FEWEST_ROWS for array, _ in leaves.values()):
             raise
         return (Column("objects of MATLAB", "", np.empty(0), fault=str(error).removeprefix(f"{shown}: ")),)
-    if not tables and not leaves:
+    if not found and not leaves:
         raise BadInput(
-            f"{shown}: holds objects of MATLAB that are no tables; save a timeseries as arrays, with"
+            f"{shown}: holds objects of MATLAB that are no table, timeseries or Dataset; save arrays, with"
             " s.Time = ts.Time; s.Data = ts.Data"
         )
-    leaves |= tables
+    leaves |= found
     return ()
 
 

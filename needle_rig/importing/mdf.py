@@ -17,19 +17,20 @@ from needle_rig.importing.arrays import Leaf, columns_of
 from needle_rig.importing.bus_log import Sent, by_can, called, decoded, load_can, sent_in
 from needle_rig.importing.library_log import without_log
 from needle_rig.importing.messages import STAMP
-from needle_rig.importing.recording import Column
+from needle_rig.importing.recording import Column, Read
 
 _FRAMES = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
 """What a group of logged frames begins its channels' names with."""
 
 
-def read_mdf(path: Path, shown: str, dbc: Path | None) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_mdf(path: Path, shown: str, dbc: Path | None) -> Read:
     """Dialect in words, columns and rates. Raises BadInput."""
     load_can()
     asammdf = needed("asammdf", "an MDF file", "import")
     leaves: dict[str, Leaf] = {}
     frames: dict[tuple[str, int], Sent] = {}
     logged: list[bool] = []
+    lost: list[Column] = []
     dialect, failed = "", None
     with _silent():
         try:
@@ -38,7 +39,7 @@ def read_mdf(path: Path, shown: str, dbc: Path | None) -> tuple[str, tuple[Colum
                 logged = [_is_of_frames(group) for group in file.groups]
                 for index, group in enumerate(file.groups):
                     if not logged[index]:
-                        _group(file, index, group, leaves)
+                        lost += _group(file, index, group, leaves)
             if any(logged):
                 frames = sent_in(by_can("MF4Reader")(path))
         except Exception as error:  # noqa: BLE001 - damaged files raise anything, down to struct's errors
@@ -52,7 +53,7 @@ def read_mdf(path: Path, shown: str, dbc: Path | None) -> tuple[str, tuple[Colum
     if sent and not leaves:
         return dialect, sent, {}
     columns, rates = columns_of(leaves, shown)
-    return dialect, (*columns, *sent), rates
+    return dialect, (*columns, *sent, *lost), rates
 
 
 @contextmanager
@@ -71,18 +72,59 @@ def _is_of_frames(group: Any) -> bool:
     return any(channel.name.startswith(_FRAMES) for channel in group.channels)
 
 
-def _group(file: Any, index: int, group: Any, leaves: dict[str, Leaf]) -> None:
-    master = file.masters_db.get(index)
-    wanted = [(None, index, k) for k, channel in enumerate(group.channels) if k != master and channel.name]
-    signals = file.select(wanted, ignore_value2text_conversions=True) if wanted else []
-    if not signals:
-        return
+def _group(file: Any, index: int, group: Any, leaves: dict[str, Leaf]) -> list[Column]:
+    """Adds the channels of a group to `leaves`; returns what its records hold that no channel tells of."""
     place = _plain(str(getattr(group.channel_group, "acq_name", "") or f"group {index + 1}"))
     while any(path.startswith(f"{place}/") for path in leaves):
         place += "'"
-    leaves[f"{place}/{STAMP}"] = (np.asarray(signals[0].timestamps, dtype=np.float64), "s")
-    for signal in signals:
-        leaves[f"{place}/{_plain(signal.name)}"] = (np.asarray(signal.samples), str(signal.unit or ""))
+    master = file.masters_db.get(index)
+    if master is not None and getattr(group.channels[master], "sync_type", _TIME) != _TIME:
+        master = None  # its rows are counted, or turned, and that is a column like others
+    size = int(getattr(group.channel_group, "samples_byte_nr", 0))
+    beyond = [channel.name for channel in group.channels if _bytes_of(channel)[1] > size]
+    if beyond:  # the library takes the kind of a row from all its channels
+        raise ValueError(f"{', '.join(beyond)[:100]} reaches beyond the {size} bytes of a row")
+    wanted = [(None, index, k) for k in range(len(group.channels)) if k != master]
+    signals = file.select(wanted, ignore_value2text_conversions=True) if wanted else []
+    if signals and master is not None:
+        leaves[f"{place}/{STAMP}"] = (np.asarray(signals[0].timestamps, dtype=np.float64), "s")
+    for (_, _, k), signal in zip(wanted, signals, strict=True):
+        path = f"{place}/{_plain(signal.name) or f'channel {k + 1}'}"
+        while path in leaves:
+            path += "'"
+        leaves[path] = (np.asarray(signal.samples), str(signal.unit or ""))
+    return [
+        Column(f"{place}, bytes {begin + 1} to {end} of a row", "", np.empty(0), fault=_NO_CHANNEL)
+        for begin, end in _gaps(group)
+    ]
+
+
+_NO_CHANNEL = "belong to no channel, as where one is lost or damaged; export the recording again"
+_TIME = 1
+"""The kind of a master channel that is a time."""
+_OF_TEXTS = 1
+"""Flag of a group that holds what has no fixed length, and no channels."""
+
+
+def _gaps(group: Any) -> list[tuple[int, int]]:
+    """Bytes of a record that no channel reads, as [begin, end): a broken chain of channels leaves them."""
+    if getattr(group.channel_group, "flags", 0) & _OF_TEXTS:
+        return []
+    size, gaps, known = int(group.channel_group.samples_byte_nr), [], 0
+    for begin, end in [*sorted(_bytes_of(channel) for channel in group.channels), (size, size)]:
+        if min(begin, size) > known:
+            gaps.append((known, min(begin, size)))
+        known = max(known, end)
+    return gaps
+
+
+def _bytes_of(channel: Any) -> tuple[int, int]:
+    """Where a channel is in a record, as [begin, end); a version before 4 counts bits."""
+    if hasattr(channel, "byte_offset"):
+        first = 8 * channel.byte_offset + channel.bit_offset
+    else:
+        first = 8 * channel.additional_byte_offset + channel.start_offset
+    return first // 8, (first + channel.bit_count + 7) // 8
 
 
 def _plain(name: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.extras import needed
-from needle_rig.importing.recording import MAX_COLUMNS, Column
+from needle_rig.importing.recording import MAX_COLUMNS, Column, Read
 
 STAMP = "recorded at"
 """The recorder's clock, ns since 1970 in the file."""
@@ -31,7 +31,7 @@ Rows = dict[str, tuple[list[float], list[dict[str, float]], str]]
 """By topic: times in s, numbers by their path, and the kind of message."""
 
 
-def read_mcap(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_mcap(path: Path, shown: str) -> Read:
     """Dialect in words, columns and no rates; JSON and ROS 2 messages. Raises BadInput."""
     reader = needed("mcap.reader", "an MCAP file", "mcap")
     rows: Rows = {}
@@ -73,7 +73,7 @@ def _store(schema: Any) -> Any:
     return store
 
 
-def read_bag(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_bag(path: Path, shown: str) -> Read:
     """Dialect in words, columns and no rates of a bag: a folder or a .db3 of ROS 2, a .bag of ROS 1."""
     highlevel = needed("rosbags.highlevel", "a ROS bag", "import")
     typesys = needed("rosbags.typesys", "a ROS bag", "import")

@@ -8,10 +8,10 @@ import numpy as np
 
 from needle_rig.errors import BadInput
 from needle_rig.importing.arrays import Leaf, columns_of
-from needle_rig.importing.recording import Column
+from needle_rig.importing.recording import Read
 
 
-def read_numpy(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_numpy(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates. Raises BadInput; objects, which could run code, are not read."""
     try:
         content = np.load(path, allow_pickle=False)

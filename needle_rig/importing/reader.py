@@ -18,9 +18,8 @@ from needle_rig.importing.bus_log import is_bus_log, read_bus_log
 from needle_rig.importing.data_frame import is_frame, read_frame
 from needle_rig.importing.delimited import read_delimited
 from needle_rig.importing.json_file import may_be_json, read_json
-from needle_rig.importing.recording import LIMIT_BYTES, Column, Recording, sha256_of
-
-Read = tuple[str, tuple[Column, ...], dict[str, float]]
+from needle_rig.importing.labelled import is_labelled, read_labelled
+from needle_rig.importing.recording import LIMIT_BYTES, Read, Recording, sha256_of
 
 KEPT_BYTES = 1_000_000_000
 """Largest total of numbers that are kept; what is beyond is read again when it is asked for."""
@@ -135,6 +134,8 @@ def _reader(path: Path, head: bytes, dbc: Path | None) -> Callable[[Path, str], 
         return partial(read_bus_log, dbc=dbc)
     if may_be_json(head):
         return read_json
+    if is_labelled(head):
+        return read_labelled
     return read_delimited
 
 

@@ -37,6 +37,10 @@ class Column:
     """Why nothing of it can be used, in words; such a column is kept to be named."""
 
 
+Read = tuple[str, tuple[Column, ...], dict[str, float]]
+"""What a reader gives: dialect in words, columns, and samples a second by table, where said."""
+
+
 @dataclass(frozen=True)
 class Recording:
     """One file: its columns, and how it was understood."""

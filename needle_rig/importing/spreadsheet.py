@@ -14,7 +14,7 @@ from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.delimited import SIGNS, ambiguous
 from needle_rig.importing.header import read_header
-from needle_rig.importing.recording import SHEETS, Column
+from needle_rig.importing.recording import SHEETS, Column, Read
 from needle_rig.importing.text_rows import number_form, value_of
 from needle_rig.importing.words import words_column
 
@@ -23,7 +23,7 @@ FEWEST_TEXTS = 3
 _EPOCH = datetime.datetime(1970, 1, 1)
 
 
-def read_spreadsheet(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_spreadsheet(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates by sheet. Raises BadInput."""
     calamine = needed("python_calamine", "a spreadsheet", "import")
     try:

@@ -13,10 +13,10 @@ from needle_rig.errors import BadInput
 from needle_rig.extras import needed
 from needle_rig.importing.arrays import FEWEST_ROWS, Leaf, columns_of, text_of
 from needle_rig.importing.library_log import without_log
-from needle_rig.importing.recording import Column
+from needle_rig.importing.recording import Read
 
 
-def read_tdms(path: Path, shown: str) -> tuple[str, tuple[Column, ...], dict[str, float]]:
+def read_tdms(path: Path, shown: str) -> Read:
     """Dialect in words, columns and rates. Raises BadInput."""
     nptdms = needed("nptdms", "a TDMS file", "import")
     leaves: dict[str, Leaf] = {}

@@ -26,7 +26,10 @@ _TORQUE = re.compile(r"(m|µ|u|k)?N·(m|c)?m")
 
 
 def torque_scale(span_nm: float, rigidity_nm2: float | None) -> float:
-    """k of a shaft whose base torque spans `span_nm` (0: not measured), with its torsional rigidity."""
+    """How large a shaft's torques are over the needle's: a power of ten, without unit.
+
+    `span_nm` is the span of its base torque, 0 where that is not measured.
+    """
     ratio = span_nm / TORQUE_SPAN_NM
     if rigidity_nm2 is not None:
         stiff = rigidity_nm2 / RIGIDITY_NM2

@@ -17,24 +17,24 @@ denoised path, a tenth of the slowest commanded rate."""
 
 
 def rate_rad_s(trial: Trial) -> Array:
-    """Rate of the base, by central differences."""
+    """Rate of the base (samples,), rad/s, by central differences."""
     if trial.time_s.size < 2:
         return np.zeros_like(trial.base_angle_rad)
     return np.asarray(np.gradient(trial.base_angle_rad, trial.time_s))
 
 
 def travel_rad(trial: Trial) -> Array:
-    """Sum of |base motion| since the trial began."""
+    """Sum of |base motion| since the trial began (samples,), rad."""
     return np.asarray(np.cumsum(np.abs(_moved_rad(trial))))
 
 
 def forward_travel_rad(trial: Trial) -> Array:
-    """The same of counter-clockwise motion alone."""
+    """Sum of counter-clockwise base motion since the trial began (samples,), rad."""
     return np.asarray(np.cumsum(np.maximum(_moved_rad(trial), 0.0)))
 
 
 def backward_travel_rad(trial: Trial) -> Array:
-    """The same of clockwise motion alone."""
+    """Sum of clockwise base motion since the trial began (samples,), rad, positive."""
     return np.asarray(np.cumsum(np.maximum(-_moved_rad(trial), 0.0)))
 
 
@@ -43,18 +43,18 @@ def _moved_rad(trial: Trial) -> Array:
 
 
 def clock_s(trial: Trial) -> Array:
-    """Time on the clock of the series."""
+    """Time on the clock of the series (samples,), s."""
     return np.asarray(trial.start_s + trial.time_s)
 
 
 def stop_time_s(trial: Trial) -> Array:
-    """Time since the base last moved, or since the trial began."""
+    """Time since the base last moved, or since the trial began (samples,), s."""
     moves = np.abs(rate_rad_s(trial)) > MOVES_RAD_S
     return np.asarray(trial.time_s - np.maximum.accumulate(np.where(moves, trial.time_s, trial.time_s[:1])))
 
 
 def direction(trial: Trial) -> Array:
-    """Sign of the last motion of the base, 0 before the first."""
+    """Sign of the last motion of the base (samples,): −1, 1, or 0 before the first."""
     rate = rate_rad_s(trial)
     moves = np.abs(rate) > MOVES_RAD_S
     last = np.maximum.accumulate(np.where(moves, np.arange(rate.size), -1))

@@ -35,7 +35,7 @@ class Adopt(Question):
     """Of a model that learnt nothing before; one that did keeps its own."""
 
     def answer(self, doing: Doing = SILENT) -> SavedModel:
-        """Raises Refused, BadInput, SolverError."""
+        """The model with what the diagnosis names. Raises Refused, BadInput, SolverError."""
         from needle_rig.workbench.learning.adopt import adopt_diagnosis
         from needle_rig.workbench.learning.diagnosis_file import KeptDiagnosis, load_diagnosis
 
@@ -59,7 +59,7 @@ class AddEffect(About):
     """Of the model that was the null model; another keeps its own."""
 
     def answer(self, doing: Doing = SILENT) -> SavedModel:
-        """Raises Refused, BadInput, SolverError."""
+        """The model with `effect`, fitted again. Raises Refused, BadInput, SolverError."""
         from needle_rig.workbench.learning.adopt import adopt
 
         saved, library, observed = self.saved(), self.library(doing), self.observed()
@@ -75,7 +75,7 @@ class Undo(Question):
     model: AnyModel
 
     def answer(self, doing: Doing = SILENT) -> SavedModel:
-        """Raises BadInput."""
+        """The model before its last step. Raises BadInput."""
         from needle_rig.workbench.learning.adopt import undo
 
         saved = self.read_model(self.model)

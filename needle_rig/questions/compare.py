@@ -25,7 +25,7 @@ class Compare(About):
     """Values that are fitted also where the model's others stand."""
 
     def answer(self, doing: Doing = SILENT) -> Comparison:
-        """Raises BadInput, SolverError."""
+        """Where the model fails on the data, beside a refit. Raises BadInput, SolverError."""
         from needle_rig.workbench.learning.compare import Held
 
         saved, library, observed = self.saved(), self.library(doing), self.observed()

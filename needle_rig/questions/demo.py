@@ -33,7 +33,7 @@ class Demo(OnSimulatedRig):
     seed: Annotated[int, Within(0)] = 1
 
     def answer(self, doing: Doing = SILENT) -> Story:
-        """Raises BadInput, SolverError."""
+        """What was hidden, what was named, and what that changed. Raises BadInput, SolverError."""
         if self.target_deg == 0.0:
             raise BadInput("target_deg 0: there is nothing to turn; give up to ±360 degrees")
         if self.law and self.hidden:

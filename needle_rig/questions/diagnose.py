@@ -92,7 +92,7 @@ class Diagnose(About):
     """Look for one effect alone."""
 
     def answer(self, doing: Doing = SILENT) -> Diagnosed:
-        """Raises BadInput, SolverError."""
+        """The effect that is missing, with its rivals and the verdict. Raises BadInput, SolverError."""
         saved, library, observed = self.saved(), self.library(doing), self.observed()
         with doing.work(self) as work:
             found = observed.diagnose(

@@ -22,7 +22,7 @@ class Experiment(About):
     """Rig file whose limits hold; None: the shipped one."""
 
     def answer(self, doing: Doing = SILENT) -> Proposed:
-        """Raises BadInput, SolverError."""
+        """The trial that tells two effects apart best. Raises BadInput, SolverError."""
         from needle_rig.workbench.learning.experiment import propose_experiment
 
         saved, library, dataset = self.saved(), self.library(doing), self.traces("fit both effects")

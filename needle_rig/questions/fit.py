@@ -22,7 +22,7 @@ class Fit(About):
     """Values in the units of files that no fit moves."""
 
     def answer(self, doing: Doing = SILENT) -> TraceComparison:
-        """Raises BadInput, SolverError."""
+        """The fit of chosen effects, held against the data. Raises BadInput, SolverError."""
         from needle_rig.workbench.learning.fit_effects import fit_effects
 
         saved, library, dataset = self.saved(), self.library(doing), self.traces("fit values one by one")

@@ -34,7 +34,10 @@ class Identify(About):
     """What the model knows counts, too."""
 
     def answer(self, doing: Doing = SILENT) -> Identified:
-        """Raises Contradiction where the data are not what the model predicts, BadInput, SolverError."""
+        """Constants with their uncertainty, and the model whose values counted too.
+
+        Raises Contradiction where the data are not what the model predicts, BadInput, SolverError.
+        """
         from needle_rig.workbench.learning.identify import identify, update
 
         saved = self.saved()

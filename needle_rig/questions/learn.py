@@ -30,7 +30,7 @@ class Learn(About):
     """Effect file to write (.py); a second law's is beside it."""
 
     def answer(self, doing: Doing = SILENT) -> Laws:
-        """Raises BadInput, SolverError."""
+        """The laws that were learnt, and the effect files drafted of them. Raises BadInput, SolverError."""
         library = self.library(doing)
         draft = None if self.draft is None else free_place(Path(self.draft), set(library))
         saved, dataset = self.saved(), self.traces("learn a curve")

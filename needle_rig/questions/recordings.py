@@ -82,7 +82,7 @@ class Understand(Request):
     """Radius at which what slides turns."""
 
     def answer(self, doing: Doing = SILENT) -> Understood:
-        """Raises BadInput."""
+        """The mapping of the files, guessed or given, and what is to be confirmed. Raises BadInput."""
         from needle_rig.importing import Recordings
         from needle_rig.importing.asked import given_mapping, guessed_mapping, is_mapping
         from needle_rig.importing.campaign import MAPPING, campaign_in, is_campaign

@@ -45,7 +45,7 @@ class Simulate(OnSimulatedRig):
         return rig if self.layout is None else replace(rig, layout=layout_named(os.fspath(self.layout)))
 
     def answer(self, doing: Doing = SILENT) -> Dataset:
-        """Raises BadInput, SolverError."""
+        """The simulated dataset; written to `out` where that is given. Raises BadInput, SolverError."""
         from needle_rig.dataset.protocol import Protocol, load_protocol
         from needle_rig.dataset.writer import vacant, write_dataset
         from needle_rig.workbench.virtual.dataset import simulate_dataset

@@ -32,7 +32,7 @@ class Strategies(OnSimulatedRig):
     """Relative, from run to run."""
 
     def answer(self, doing: Doing = SILENT) -> Contest:
-        """Raises BadInput, SolverError."""
+        """What each strategy left at the tip, beside what was predicted. Raises BadInput, SolverError."""
         from needle_rig.control.strategy import find_strategies
         from needle_rig.workbench.contest.contest import Asked, contest
         from needle_rig.workbench.contest.strategies_table import all_strategies

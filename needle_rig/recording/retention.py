@@ -64,8 +64,8 @@ def retain(
 ) -> Retained:
     """Remove runs of `directory` that were read: those older than `keep_days`, the oldest beyond `keep_gb`.
 
-    The newest run stays, and one that is not closed. From the first call with a limit on, the folder's group
-    may mark runs as read. `now_s` is the time of day in seconds since 1970.
+    Gives what was removed. The newest run stays, and one that is not closed. From the first call with a limit
+    on, the folder's group may mark runs as read. `now_s` is the time of day in seconds since 1970.
     """
     if keep_days is None and keep_gb is None:
         return Retained()

@@ -170,7 +170,9 @@ class Guard:
         """Why a request for `path` with these headers, of this session, is not let in; None when it is."""
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
-            return Refusal(421, "this server answers at its loopback address alone; open the printed address")
+            return Refusal(
+                421, "this server has another name; open the printed address, or allow this one: --allow-host"
+            )
         origin = headers.get("origin")
         if origin is not None and origin not in self._origins:
             return Refusal(403, "another site asked for this; open the printed address")

@@ -148,7 +148,7 @@ def adopt(question: Adopt | AddEffect, doing: Doing, out: str) -> Document:
 
 
 def opened(say: Say, *, model: str, effects: list[str], out: str) -> Document:
-    """A model file that a person dropped. Raises BadInput."""
+    """Values and ladder of errors of a model file that a person dropped. Raises BadInput."""
     say("reading the model")
     return kept_document(load_saved(model, effects=effects), out)
 

@@ -8,6 +8,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -30,43 +31,7 @@ from needle_rig.workbench.policy import POLICY
 from tests.effects.common import LIBRARY, SEQUENCE, SETTLED_S, SHORT, driven, make_effect, path
 from tests.workbench.hidden import dataset
 
-NAMES = [
-    "tissue_elasticity",
-    "tissue_viscoelasticity",
-    "viscous_slip",
-    "stribeck",
-    "stiction_ageing",
-    "layered_friction",
-    "tip_friction",
-    "platform_friction",
-    "guide_friction",
-    "mount_compliance",
-    "chuck_compliance",
-    "chuck_backlash",
-    "chuck_inertia",
-    "bearing_drag",
-    "gear_backlash",
-    "rotor_inertia",
-    "bending_torque",
-    "direction_asymmetry",
-    "friction_wear",
-    "torque_bias",
-    "torque_gain",
-    "torque_drift",
-    "torque_nonlinearity",
-    "torque_low_pass",
-    "hall_offset",
-    "hall_gain",
-    "hall_eccentricity",
-    "hall_harmonics",
-    "hall_crosstalk",
-    "encoder_eccentricity",
-    "transmission_error",
-    "torque_ripple",
-    "coupling_slip",
-    "insertion_depth",
-    "clock_offset",
-]
+PAGE = Path(__file__).parents[2] / "docs/reference/effects.md"
 
 
 def off(effect: type[Effect]) -> Effect:
@@ -92,8 +57,9 @@ def distance(one: Reading, other: Reading) -> float:
     return float(max(angle, np.abs(one.torque_nm - other.torque_nm).max() / nm(POLICY.size.largest_nmm)))
 
 
-def test_the_library_has_the_promised_effects() -> None:
-    assert sorted(built_in_effects()) == sorted(NAMES)
+def test_the_library_has_the_effects_that_its_page_lists() -> None:
+    listing = PAGE.read_text(encoding="utf-8").partition("$ needle-rig effects\n")[2].partition("```")[0]
+    assert sorted(built_in_effects()) == [line.split()[0] for line in listing.splitlines()]
 
 
 def test_off_leaves_the_model_bit_for_bit(effect: type[Effect], coarse: NeedleModel) -> None:
@@ -150,7 +116,7 @@ def _size_that_matters(effect: type[Effect], field: str, model: NeedleModel) -> 
     return distance(*settled), distance(model.with_effects(smallest).predict(moving), model.predict(moving))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sorted(built_in_effects()))
 def test_the_declared_smallest_size_is_where_it_starts_to_matter(name: str, model: NeedleModel) -> None:
     effect = LIBRARY[name]
     for field, info in effect.parameters().items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import json
 import pickle
 import random
 import subprocess
@@ -35,6 +36,10 @@ PACKAGE = {
     "pandas_json_lines": "polars",
     "matlab_timetable_7": "matio",
     "matlab_timetable_73": "matio",
+    "matlab_timeseries_7": "matio",
+    "matlab_timeseries_73": "matio",
+    "simulink_dataset_7": "matio",
+    "simulink_dataset_73": "matio",
 }
 WRITTEN_BY = {"openpyxl_text_cells": "openpyxl", "ros1_bag": "rosbags"}
 """Packages that write these kinds."""
@@ -280,6 +285,64 @@ def test_a_tdms_file_that_is_cut_off_keeps_the_rows_that_all_channels_have(tmp_p
     (tmp_path / "run.tdms").write_bytes(whole[: len(whole) // 2 - 800])
     with pytest.raises(BadInput, match="is cut off: torque has 0 of 100 samples"):
         read_recording(tmp_path / "run.tdms")
+
+
+def test_what_a_damaged_mf4_loses_is_told(source: Source, tmp_path: Path) -> None:
+    """The block of the torque, the third of the chain: its kind, its link to the next one, and its size."""
+    file = made("asammdf_mf4", source, tmp_path).files[0]
+    whole = file.read_bytes()
+    blocks = [at for at in range(0, len(whole), 8) if whole.startswith(b"##CN", at)]
+    torque = next(at for at in blocks if int.from_bytes(whole[at + 24 + 64 + 4 :][:4], "little") == 16)
+    too_long = b"\0\0\x10\0\0\0\xff\xff\xff"  # a whole number at byte 16, of 2²⁴ bits
+    after = {"holds words": (90, b"\x07"), "belong to no channel": (24, bytes(8)), "": (90, too_long)}
+    for told, (at, value) in after.items():
+        damaged = bytearray(whole)
+        damaged[torque + at : torque + at + len(value)] = value
+        file.write_bytes(damaged)
+        if told:
+            faults = [c.fault for c in read_recording(file).columns if c.fault]
+            assert any(told in fault for fault in faults), faults
+            continue
+        with pytest.raises(BadInput, match="Torque reaches beyond the 56 bytes of a row"):
+            read_recording(file)
+
+
+@pytest.mark.parametrize("name", ["matlab_timeseries_7", "matlab_timeseries_73", "simulink_dataset_73"])
+def test_objects_of_matlab_have_units_and_one_clock(name: str, source: Source, tmp_path: Path) -> None:
+    found = read_recording(made(name, source, tmp_path).files[0])
+    columns = {c.name: c for c in found.columns}
+    assert {c.table for c in found.columns} == {columns["motor"].table}
+    assert columns["torque"].unit == "N*mm"
+    np.testing.assert_allclose(columns["Time"].values, source.time_s, atol=1e-9)
+    np.testing.assert_allclose(columns["torque"].values, source.torque * 1e3, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "line", ["t:{0},angle:{1}", "angle: {1} t: {0}", "12:34:5{2}.000 -> t:{0}\tangle:{1}"]
+)
+def test_lines_of_a_serial_plotter_are_columns(line: str, tmp_path: Path) -> None:
+    rows = [line.format(k, 0.5 * k, k % 10) for k in range(10)]
+    (tmp_path / "run.txt").write_text("\n".join(["Ready", *rows, "t:10,ang"]))
+    columns = {c.name: c.values for c in read_recording(tmp_path / "run.txt").columns}
+    np.testing.assert_array_equal(columns["t"], np.arange(10.0))
+    np.testing.assert_array_equal(columns["angle"], 0.5 * np.arange(10.0))
+    if "->" in line:
+        np.testing.assert_array_equal(np.diff(columns["recorded at"]), np.ones(9))
+    (tmp_path / "run.txt").write_text("\n".join([*rows, "overrun", *rows, ""]))
+    with pytest.raises(BadInput, match=r"run\.txt:11: 'overrun' is not label:value"):
+        read_recording(tmp_path / "run.txt")
+
+
+@pytest.mark.parametrize(
+    "late", ['{"t": 1, "angle": 0.5, "torque": 2}', '{"t": 1.5}', '{"t": 1, "angle": 7}']
+)
+def test_json_lines_keep_what_their_first_lines_lack(late: str, tmp_path: Path) -> None:
+    pytest.importorskip("polars")
+    lines = ['{"t": 1, "angle": 0.5}' if "torque" in late else '{"t": 1, "angle": 3}'] * 300
+    (tmp_path / "run.jsonl").write_text("\n".join([*lines, late, ""]))
+    columns = {c.name: c.values for c in read_recording(tmp_path / "run.jsonl").columns}
+    for name, value in json.loads(late).items():
+        assert columns[name][-1] == value
 
 
 def test_a_bus_in_an_mf4_is_read_by_a_process_that_did_not_write_it(source: Source, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,13 @@ IN_BROWSER = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium"),
     pytest.mark.timeout(900),
 ]
-PICTURES = Path(__file__).parents[2] / "build" / "page"
+ROOT = Path(__file__).parents[2]
+PICTURES = ROOT / "build" / "page"
+_APP = (ROOT / "needle_rig/web/static/app.js").read_text(encoding="utf-8")
+VIEWS = tuple(
+    re.findall(r"^  (\w+): \[", _APP.partition("const VIEWS = {")[2].partition("};")[0], re.MULTILINE)
+)
+"""Every view of the page, by its address."""
 WIDE, NARROW = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 MIDDLE = {"width": 1024, "height": 768}
 PATIENCE_MS = 300_000

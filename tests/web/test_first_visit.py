@@ -10,13 +10,12 @@ import pytest
 
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
-from tests.web.looking import IN_BROWSER, Open, look_at
+from tests.web.looking import IN_BROWSER, VIEWS, Open, look_at
 from tests.web.served import Served
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
 expect = playwright.expect
 pytestmark = IN_BROWSER
-VIEWS = ("live", "data", "runs", "trends", "models", "effects", "strategies")
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,11 @@ import pytest
 from needle_rig.cli.main import run as command
 from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
-from tests.web.looking import IN_BROWSER, Open, look_at, pictured
+from tests.web.looking import IN_BROWSER, VIEWS, Open, look_at, pictured
 from tests.web.served import Served
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
 pytestmark = IN_BROWSER
-
-PAGES = ("live", "data", "runs", "trends", "models", "effects", "strategies")
 
 
 def fallen(page: Any) -> tuple[float, float]:
@@ -166,7 +164,7 @@ def test_a_slider_redraws_the_standard_trial_within_a_tenth_of_a_second(visit: O
     assert took < 100.0
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", VIEWS)
 def test_no_page_has_a_serious_finding_of_accessibility(visit: Open, name: str) -> None:
     page = visit(name)
     ready = {"live": ".shaft", "data": ".sources label", "effects": ".sliders", "strategies": "form select"}

@@ -45,6 +45,15 @@ def test_a_jog_has_no_part_in_the_result_of_the_run_before_it(visit: Open, rig: 
     assert page.locator(".ended").count() == 0
 
 
+def test_a_drive_that_waits_is_not_told_as_a_fault(visit: Open, shell: Shell, tmp_path: Path) -> None:
+    for served in started(shell, "--rig", "simulated", "--fast", "--dir", str(tmp_path)):
+        page = visit("live", served=served)
+        drive = page.locator(".readings div", has_text="drive")
+        expect(drive).to_have_text("drivewaits for the first order")
+        page.get_by_role("button", name="Jog", exact=True).click()
+        expect(drive).to_have_text(re.compile("drive(ready|running)"), timeout=30_000)
+
+
 def test_the_focus_stays_on_the_button_that_was_pressed(visit: Open, rig: Served) -> None:
     page = visit("live", served=rig)
     page.wait_for_selector(".shaft .curve")

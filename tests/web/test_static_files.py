@@ -50,3 +50,12 @@ def test_the_name_changes_with_any_file(
     assert place.__wrapped__() == place()
     (other / changed).write_text("changed")
     assert place.__wrapped__() != place()
+
+
+def test_each_part_of_the_glossary_is_a_link_away_and_its_table_is_one(served: Served) -> None:
+    text = served.ask("GET", "/glossary.html", {}).text
+    links = re.findall(r'<a href="#([^"]+)"', text)
+    assert links == re.findall(r'<h2 id="([^"]+)"', text)
+    assert len(links) > 3
+    assert '<th scope="col">means</th>' in text
+    assert "|---" not in text

@@ -15,7 +15,7 @@ class BaseEqualsTip(Strategy):
     """
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn and the way back."""
+        """The turn, then the way back; None after both."""
         if len(history) == 1:
             return Waypoint(task.target_rad, "rotate")
         if len(history) == 2:

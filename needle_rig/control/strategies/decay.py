@@ -21,7 +21,7 @@ class Decay(Strategy):
             raise BadInput("decay: rotations must be a whole number from 1 to 100 and ratio between 0 and 1")
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn, the rotations, the target."""
+        """The turn, the rotations, then the target; None after these."""
         done = len(history) - 1
         if done == 0:
             return Waypoint(task.target_rad, "rotate")
@@ -31,5 +31,5 @@ class Decay(Strategy):
         return Waypoint(task.target_rad, "final") if done == self.rotations + 1 else None
 
     def expected_motions(self) -> int:
-        """The turn, the rotations and the last."""
+        """The number of rotations and two: the turn, and the last."""
         return self.rotations + 2

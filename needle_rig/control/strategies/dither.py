@@ -37,7 +37,7 @@ class Dither(Strategy):
             )
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """One motion."""
+        """One motion; None after it."""
         if len(history) > 1:
             return None
         oscillation = Oscillation(rad(self.amplitude_deg), self.frequency_hz)

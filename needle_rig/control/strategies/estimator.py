@@ -59,7 +59,7 @@ class Estimator(Strategy):
             )
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn, then one correction after the other."""
+        """The turn, then corrections; None once the tip is near enough or all corrections are made."""
         if len(history) == 1:
             return Waypoint(task.target_rad, "rotate")
         estimate = self.estimate(task, history)
@@ -69,7 +69,7 @@ class Estimator(Strategy):
         return Waypoint(self._base_for_tip(task, history, estimate, error), f"step_{len(history)}")
 
     def expected_motions(self) -> int:
-        """The turn and usually three corrections."""
+        """Four: the turn and usually three corrections."""
         return 4
 
     def estimate(self, task: Task, history: History) -> Estimate:

@@ -12,7 +12,7 @@ class NoCompensation(Strategy):
     """Base to the target; the tip stays behind by the lag. What every other strategy is compared with."""
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """One motion."""
+        """One motion; None after it."""
         return Waypoint(task.target_rad, "rotate") if len(history) == 1 else None
 
     def expected_motions(self) -> int:

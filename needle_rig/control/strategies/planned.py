@@ -177,7 +177,7 @@ class Planned(Strategy):
         )
 
     def expected_motions(self) -> int:
-        """The turn in two parts, and the way back."""
+        """Three: the turn in two parts, and the way back."""
         return 3
 
     def belief(self, task: Task, history: History, effort: Effort) -> Belief:

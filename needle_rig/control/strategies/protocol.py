@@ -50,7 +50,7 @@ class Protocol(Strategy):
                 raise BadInput(f"protocol: in step {number} {fault}")
 
     def next(self, task: Task, history: History) -> Waypoint | None:  # noqa: ARG002 see Strategy
-        """The next step of the list."""
+        """The next step of the list; None after the last."""
         done = len(history) - 1
         if done == len(self.steps_deg):
             return None

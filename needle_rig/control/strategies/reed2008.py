@@ -18,7 +18,7 @@ class Reed2008(Strategy):
     """
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The five motions in turn."""
+        """The next of the five motions; None after the last."""
         done = len(history) - 1
         return reed_motion(task, done, history[1].predicted_lag_rad if done else 0.0)
 

@@ -33,7 +33,7 @@ class Reed2008Elastic(Strategy):
             )
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The five motions in turn."""
+        """The next of the five motions; None after the last."""
         waypoint = Reed2008().next(task, history)
         if waypoint is None or len(history) != 2:
             return waypoint

@@ -27,7 +27,7 @@ class Relax(Strategy):
             raise BadInput("relax: torque_nmm must be above 0 and corrections from 1 to 20")
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn, then one correction after the other."""
+        """The turn, then corrections; None when the sequence is over."""
         if len(history) == 1:
             return Waypoint(task.target_rad, "rotate")
         last = history[-1]
@@ -43,5 +43,5 @@ class Relax(Strategy):
         return Waypoint(last.base_angle_rad - turn, f"step_{len(history)}")
 
     def expected_motions(self) -> int:
-        """The turn and usually two corrections."""
+        """Three: the turn and usually two corrections."""
         return 3

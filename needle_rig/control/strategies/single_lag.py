@@ -12,7 +12,7 @@ class SingleLag(Strategy):
     """Base to θ_d, then further by θ_lag of (7) or (9) : the tip arrives, the shaft stays wound."""
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn and one correction."""
+        """The turn, then one correction; None after both."""
         if len(history) == 1:
             return Waypoint(task.target_rad, "rotate")
         if len(history) == 2:

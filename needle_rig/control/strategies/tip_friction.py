@@ -15,7 +15,7 @@ class TipFriction(Strategy):
     """
 
     def next(self, task: Task, history: History) -> Waypoint | None:
-        """The turn and one correction."""
+        """The turn, then one correction; None after both."""
         if len(history) == 1:
             return Waypoint(task.target_rad, "rotate")
         if len(history) == 2:

@@ -29,7 +29,7 @@ from needle_rig.importing.guess.series import (
 )
 from needle_rig.importing.guess.units import base_unit, sensor_unit, torque_unit
 from needle_rig.importing.mapping import BASE, TIP_TORQUE, TORQUE, ChannelPart
-from needle_rig.importing.recording import Recording
+from needle_rig.importing.recording import Column, Recording
 from needle_rig.importing.signals import CLEAR_WORK
 from needle_rig.importing.unit_text import unit_of
 from needle_rig.numerics import Array
@@ -121,6 +121,18 @@ def channels_of(
         if len(at_tip) == 1:
             channels.append(_tip_torque_channel(at_tip[0]))
     return channels, why
+
+
+def asked_torque(channels: Sequence[ChannelPart], faulty: Sequence[Column]) -> list[ChannelPart]:
+    """The channels; without a torque their base is asked about the `faulty` columns that may have held it."""
+    lost = list(dict.fromkeys(f"{c.name} {c.fault}" for c in faulty if kind_of(c)[0] in ("torque", "")))
+    if not lost or any(c.role == TORQUE for c in channels):
+        return list(channels)
+    doubt = f"no torque goes with it, and {'; '.join(lost)[:300]}; shall it be imported without?"
+    return [
+        c if c.role != BASE else c.model_copy(update={"doubt": "; ".join(filter(None, (c.doubt, doubt)))})
+        for c in channels
+    ]
 
 
 def _repeated(base: Series, followers: Sequence[Series]) -> dict[tuple[str, str], Series]:

@@ -59,7 +59,7 @@ def known_start(
     rig: RigPart | None,
     lever_mm: float | None,
 ) -> TrialsPart:
-    """How the line is at first: a needle is relaxed, another machine wound where its base turns already.
+    """`trials` with the line's state at the start: another machine is wound where its base turns already.
 
     One that turns already is one trial whole: it may come by its first angle at any speed.
     """

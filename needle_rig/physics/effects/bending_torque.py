@@ -44,6 +44,6 @@ class BendingTorque(Effect):
     )
 
     def torque(self, angle_rad: float, rate_rad_s: float, time_s: float, position_m: float) -> float:
-        """Torque towards the angle of rest."""
+        """Torque towards the angle of rest, N·m per metre."""
         sine = self.sine_nmm_per_100mm * math.sin(angle_rad)
         return -(sine + self.cosine_nmm_per_100mm * math.cos(angle_rad)) * N_PER_NMM_PER_100MM

@@ -35,5 +35,5 @@ class ChuckBacklash(Effect):
     )
 
     def drive(self, trial: Trial) -> Array:
-        """The held end's path: the base's, followed at half the play."""
+        """The held end's path (samples,) in rad: the base's, followed at half the play."""
         return after_play(trial.base_angle_rad, rad(self.play_deg), trial.held_rad)

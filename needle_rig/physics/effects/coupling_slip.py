@@ -71,7 +71,7 @@ class CouplingSlip(Effect):
     )
 
     def drive(self, trial: Trial) -> Array:
-        """The held end's path: behind the base from the slip on, where that lies within the trial."""
+        """The held end's path (samples,) in rad: behind the base from a slip within the trial on."""
         path_rad = trial.base_angle_rad
         if self.at_s <= trial.start_s:
             return path_rad

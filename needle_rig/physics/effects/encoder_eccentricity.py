@@ -47,7 +47,7 @@ class EncoderEccentricity(Effect):
     )
 
     def drive(self, trial: Trial) -> Array:
-        """The true path of the base."""
+        """The true path of the base (samples,) in rad."""
         shown_rad = trial.base_angle_rad
         error_rad = rad(self.sine_deg) * np.sin(shown_rad) + rad(self.cosine_deg) * (np.cos(shown_rad) - 1.0)
         return shown_rad - error_rad

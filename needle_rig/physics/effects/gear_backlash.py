@@ -37,5 +37,5 @@ class GearBacklash(Effect):
     )
 
     def drive(self, trial: Trial) -> Array:
-        """The line's path: the base's, followed at half the play."""
+        """The line's path (samples,) in rad: the base's, followed at half the play."""
         return after_play(trial.base_angle_rad, rad(self.play_deg), trial.held_rad)

@@ -66,7 +66,7 @@ class TransmissionError(Effect):
     )
 
     def drive(self, trial: Trial) -> Array:
-        """The path of the held end."""
+        """The path of the held end (samples,) in rad."""
         shown_rad = trial.base_angle_rad
         phase_rad = self.order * shown_rad
         error_rad = rad(self.sine_deg) * np.sin(phase_rad) + rad(self.cosine_deg) * (np.cos(phase_rad) - 1.0)

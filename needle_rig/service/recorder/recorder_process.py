@@ -61,7 +61,7 @@ class Keeper:
                 self._answer(number=number, **answer)
 
     def begin(self, directory: Path, config: RigConfig, request: Mapping[str, Any]) -> Reply:
-        """Open a new run."""
+        """Open a new run; its path."""
         self._leave()
         remove_empty_runs(directory)
         self._section = config.recording
@@ -85,13 +85,13 @@ class Keeper:
             self._writer.event(time_s, kind, text)
 
     def sync(self) -> Reply:
-        """Answer when every row is on the disk."""
+        """An empty reply, once every row is on the disk."""
         if self._writer is not None:
             self._writer.sync()
         return {}
 
     def finish(self, result: JsonObject, time_s: float) -> Reply:
-        """Close the run, whole if no row is missing."""
+        """Close the run, whole if no row is missing: its path, removed runs, unread bytes over the limit."""
         writer, self._writer = self._writer, None
         if writer is None:
             raise RigFault("its file is not open any more")
@@ -109,14 +109,17 @@ class Keeper:
         }
 
     def discard(self) -> Reply:
-        """Take the run away."""
+        """Take the run away; an empty reply."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.discard()
         return {}
 
     def recover(self, path: Path, text: str, result: JsonObject | None) -> Reply:
-        """Close the run at `path` that another recorder left; `text` says why it could not close it."""
+        """Close the run at `path` that another recorder left: whether it is complete, and a sentence on it.
+
+        `text` says why the other could not close it.
+        """
         if path.exists() and path not in unfinished_runs(path.parent):
             return {"complete": RunFile(path).complete, "text": f"{path} is closed"}
         writer = RunWriter.resume(path)

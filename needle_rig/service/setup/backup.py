@@ -45,7 +45,10 @@ class Backed:
 
 
 def back_up(place: Installation, path: Path, *, with_runs: bool) -> Backed:
-    """Pack the rig of this computer into `path`. Raises BadInput without a rig, or over a running run."""
+    """Pack the rig of this computer into `path`; gives counts and bytes of what went in.
+
+    Raises BadInput without a rig, or over a running run.
+    """
     if not place.rig_file.is_file():
         raise BadInput(f"there is no {place.rig_file}: no rig is set up here; needle-rig install-service")
     left_out: list[str] = []

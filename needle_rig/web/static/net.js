@@ -58,6 +58,8 @@ async function sent(method, path, body, headers = {}) {
     access.value = "stale";
     throw new Error(STALE);
   }
+  // a proxy answers for a server that is gone
+  if ([502, 504].includes(response.status)) throw new Error(GONE);
   if (access.value === "stale") access.value = "in";
   return response;
 }
