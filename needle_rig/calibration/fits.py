@@ -102,7 +102,10 @@ class LineFit:
 
 
 def fit_line(x: Array, y: Array, what: str) -> LineFit:
-    """Least squares. Raises RigFault when the points do not tell a line: fewer than two places, no slope."""
+    """y = offset + slope · x by least squares, in the units of x (n,) and y (n,), with the residuals (n,).
+
+    Raises RigFault when the points do not tell a line: fewer than two places, no slope.
+    """
     if len(np.unique(x)) < 2:
         raise RigFault(f"{what}: one point only; measure at two or more")
     slope, offset = np.polyfit(x, y, 1)

@@ -125,7 +125,10 @@ class RealStand:
 
 
 async def collect(stand: Stand, seconds: float, command: Command = STOP) -> Collected:
-    """Send `command` every tick and keep what the rig says. Raises RigFault when the drive stops."""
+    """Send `command` every tick for so many seconds; the readings of each tick.
+
+    Raises RigFault when the drive stops or a link is silent.
+    """
     base, torque, angles, fields = [], [], [], []
     for _ in range(round(seconds / TICK_S)):
         stand.rig.write(command)

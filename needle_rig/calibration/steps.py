@@ -152,7 +152,8 @@ async def calibrate_torque(stand: Stand, target: Target, weights_nmm: tuple[floa
 async def calibrate_hall(stand: Stand, target: Target) -> Calibration:
     """Write the Hall sensors' calibration; the drive turns the free needle a full turn there and back.
 
-    Values: for each sensor its offsets, amplitudes, zero and eccentricity against the base. Raises RigFault.
+    Values of each sensor: offsets and amplitudes of its field, in counts; its zero and its eccentricity
+    against the base, in degrees. Raises RigFault.
     """
     await make_ready(stand)
     seconds = (360.0 + SPARE_DEG) / SPEED_DEG_S

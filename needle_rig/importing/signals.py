@@ -153,7 +153,8 @@ def first_stiffness(base: Array, torque: Array, within: float) -> float:
     """Slope of the torque over the base's angle while that first goes `within` from its start, absolute; 0
     if unknown.
 
-    Both (samples,), zero at the start. Friction has not yet let the shaft slip then.
+    Both (samples,), zero at the start; the slope is in their units. Friction has not yet let the shaft slip
+    then.
     """
     known = np.isfinite(base) & np.isfinite(torque)
     x, y = base[known], torque[known]

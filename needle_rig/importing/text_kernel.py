@@ -48,7 +48,7 @@ POWERS = _powers()
 
 
 def padded(words: tuple[str, ...]) -> Any:
-    """Words as bytes, filled up with zeros to one length and one more."""
+    """Array (words, longest + 1) of the words as bytes, filled up with zeros."""
     longest = max(map(len, words)) + 1
     return np.array([list(word.encode().ljust(longest, b"\0")) for word in words], dtype=np.uint8)
 

@@ -97,7 +97,7 @@ def _chart(
 
 
 def look(say: Callable[[str], None], *, directory: str, effects: list[str], out: str) -> Document:
-    """Look at runs that are new; `looked` is False where another does. Raises BadInput."""
+    """Look at runs that are new: `{"looked": bool}`, false where another process does. Raises BadInput."""
     del out
     say("looking at the runs that were not looked at")
     ours = watch.look(Path(directory), find_effects([Path(folder) for folder in effects]))

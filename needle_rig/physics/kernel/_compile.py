@@ -49,7 +49,7 @@ class LowerForCallers(NativeLowering):
     library: ClassVar[type[VectorisedLibrary]] = LoweredLibrary
 
     def run_pass(self, state: Any) -> bool:
-        """Lower the function of `state`."""
+        """Lower the function of `state`; True, as the state was changed (numba's contract of a pass)."""
         name, context = state.func_id.func_qualname, state.targetctx
         state.library = self.library(context.codegen(), name)
         state.flags.no_compile = True
@@ -118,6 +118,6 @@ def copy(source, target):
 
 @compiled
 def copy_state(states, now):
-    """Copy state `now` to slot 0."""
+    """Copy state `now` to slot 0, in place; nothing is returned."""
     for row in range(states.shape[1]):
         copy(states[now, row], states[0, row])

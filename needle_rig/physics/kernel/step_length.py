@@ -43,7 +43,9 @@ def end_of_segment(drive, row):
 
 @compiled
 def last_sample_within(drive, has, time, length, row, kink, interpolates, tolerance_rad):
-    """The last sample that a step of `length` from `time` may reach; `kink` is where the base path bends.
+    """Row of the last sample that a step of `length` from `time` may reach.
+
+    The base path bends at row `kink`.
 
     While the base moves a sensor that dry friction holds can start or stop between two samples, so that no
     sample may lie inside a step then, save in its middle, where a half step ends.

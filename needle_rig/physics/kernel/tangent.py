@@ -56,7 +56,10 @@ class Tangents(NamedTuple):
 
 @compiled
 def begin_tangents(tangents, rods, factors, factor, rod_plus, rod_minus, work):
-    """Changes of coefficients, and none of the state; limits of `rod_plus`, `rod_minus` hold at `factor`."""
+    """Write the changes of coefficients into `tangents`, and none of the state; nothing is returned.
+
+    The limits of `rod_plus` and `rod_minus` hold at `factor`.
+    """
     changes = tangents.changes
     for i in range(changes.shape[1]):
         for d in range(changes.shape[2]):
