@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
 import sys
 from collections import ChainMap
@@ -284,6 +285,7 @@ RULES: tuple[Rule, ...] = (
     Rule("only what screening promises is fitted", threshold("screening", "kept", 0.0)),
     Rule("Šidák's adjustment over the library", gives(search, "adjusted_p", _one_test)),
     Rule("gain of steadier friction as F test", gives(evidence, "gain_of", _likelihood_alone)),
+    Rule("within the discretisation error", gives(search, "within_discretisation_error", _never)),
     Rule("cross-validation must improve", gives(search, "improves_cross_validation", _always)),
     # fits
     Rule("fit from other forms", gives(candidates, "over_forms", _as_fitted)),
@@ -300,6 +302,11 @@ RULES: tuple[Rule, ...] = (
     noise_rule("offset of a trial", gives(measured_noise, "measured_offset", _no_offsets), "measure_noise"),
     noise_rule("jitter of the clock", threshold("noise", "clock_jitter_s", 0.0), "measure_noise"),
     noise_rule("nothing after a snap", gives(baseline, "snaps", lambda *_: ())),
+    noise_rule(
+        "nothing where replicates agree on more",
+        threshold("noise", "replicate_misfit", math.inf),
+        "with_shown_terms",
+    ),
     noise_rule("discretisation error as nuisance", gives(baseline, "with_discretisation_error", _no_error)),
 )
 

@@ -68,6 +68,13 @@ class NoisePolicy:
         " turns to and fro that relax the shaft between them counted",
         _NOISE,
     )
+    replicate_misfit: float = _threshold(
+        3.0,
+        "mean square of what replicates share over that of how they differ, above which the model is wrong"
+        " and they tell nothing of noise",
+        "0.6 to 1.5 in 22 sets with nothing hidden, four kinds of noise; 36 and more with something hidden",
+        _SHOWN,
+    )
     residual_share: float = _threshold(
         1.0,
         "size of a term that the residual alone shows, in units of the white noise of a sample, above which"
@@ -185,6 +192,12 @@ class EvidencePolicy:
         "standard deviations that chance does not make: of an objective above the noise, of a discretisation"
         " error that one nuisance no longer stands for, of an autocorrelation",
         "one in two million",
+        _RULES,
+    )
+    discretisation_margin: float = _threshold(
+        3.0,
+        "a change of the residuals below this many times the discretisation error along it may be that error",
+        CHOSEN,
         _RULES,
     )
     rarely: float = _threshold(

@@ -256,9 +256,10 @@ def deviance(problem: Problem, found: Fit) -> float:
 def with_samples_at(baseline: Baseline, problem: Problem, found: Fit, gain: float) -> Baseline:
     """The baseline driven by every sample, where a `gain` on `found` may be its discretisation error.
 
-    An error of norm ‖e‖ gives at most a gain of ‖e‖². Itself where it is not, or cannot be solved so.
+    So it may where √gain is below three times that error's norm: in one direction or another
+    `within_discretisation_error` would refuse it. Itself where it is not, or cannot be solved so.
     """
-    above = math.sqrt(max(gain, 0.0))
+    above = math.sqrt(max(gain, 0.0)) / POLICY.evidence.discretisation_margin
     try:
         trials = driven_at(problem, found, baseline.dataset.trials, baseline.fine_m, above)
     except SolverError:

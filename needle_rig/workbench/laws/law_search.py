@@ -42,7 +42,7 @@ from needle_rig.workbench.laws.spline_effect import SplineLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.candidates import penalty
-from needle_rig.workbench.selection.evidence import improves_cross_validation
+from needle_rig.workbench.selection.evidence import improves_cross_validation, within_discretisation_error
 
 Say = Callable[[str], None]
 
@@ -252,7 +252,7 @@ def asked_of(tried: int) -> float:
 def kept(problem: Problem, rival: Parent, found: FoundLaw, tried: int) -> bool:
     """Whether a law is there: better than its parent and the best of the library, by what is asked.
 
-    Also at commands left out; and large enough to matter. A law whose model cannot be
+    Also at commands left out; and large enough to matter, and not our own error. A law whose model cannot be
     solved there, as that of a needle that snaps while its damping is still missing, is judged with what is
     found beside it: alone it does not reach the noise.
     """
@@ -270,7 +270,9 @@ def kept(problem: Problem, rival: Parent, found: FoundLaw, tried: int) -> bool:
             return False
     if solved and np.isfinite(parent.validation.error) and not predicts(problem.size, parent, best):
         return False
-    return matters(problem, parent.fit, found)
+    return not within_discretisation_error(problem, parent.fit, best.fit) and matters(
+        problem, parent.fit, found
+    )
 
 
 def predicts(values: int, parent: Parent, best: LawFit) -> bool:

@@ -19,7 +19,7 @@ from scipy.special import chdtrc, comb
 
 from needle_rig.numerics import Array
 from needle_rig.workbench.observations.binning import BinnedTrial
-from needle_rig.workbench.observations.contrasts import Contrasts, contrasts, each_alone
+from needle_rig.workbench.observations.contrasts import TINY, Contrasts, contrasts, each_alone
 from needle_rig.workbench.observations.noise import Noise, covariance
 from needle_rig.workbench.observations.noise_terms.drift import Drift
 from needle_rig.workbench.observations.noise_terms.interference import Interference
@@ -154,11 +154,12 @@ def with_shown_terms(
 ) -> Noise:
     """Noise with the terms that `groups` of replicates show; itself where they show no others.
 
-    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect.
+    `residuals` are data minus model in bin means (C, K), a trial each, at its random effect. Where the model
+    is wrong, replicates differ by what their friction makes of its error: then nothing is learnt of noise.
     """
     groups = [group for group in groups if len(group) > 1]
     quiet = dataclasses.replace(noise, shown=())
-    if not groups:
+    if not groups or _misfit(_contrasts(quiet, binned, residuals, groups)) > POLICY.noise.replicate_misfit:
         return noise
     found = _added(quiet, lambda of: _contrasts(of, binned, residuals, groups), MOST_TERMS)
     gain = _log_likelihood(found, binned, residuals, groups) - _log_likelihood(
@@ -180,6 +181,8 @@ def with_residual_term(
     groups = [group for group in groups if len(group) > 1]
     if found is noise or not groups:
         return found
+    if _misfit(_contrasts(noise, binned, residuals, groups)) > POLICY.noise.replicate_misfit:
+        return noise
     before, after = (_log_likelihood(n, binned, residuals, groups) for n in (noise, found))
     return found if after > before else noise
 
@@ -195,6 +198,16 @@ def _log_likelihood(
 ) -> float:
     channels = _contrasts(noise, binned, residuals, groups)
     return sum(each.log_likelihood for of_channel in channels for each in of_channel)
+
+
+def _misfit(channels: Channels) -> float:
+    """Mean square of what replicates share over that of how they differ: 1 for a model that is right."""
+    shared = apart = 0.0
+    for each in (each for of_channel in channels for each in of_channel):
+        differ = each.independent
+        shared += (len(differ) + 1) * float(each.shared[0] @ each.shared[0])
+        apart += float((differ**2).sum()) / len(differ)
+    return shared / max(apart, TINY)
 
 
 def with_motion_scatter(

@@ -1,4 +1,4 @@
-"""What the gain of one more effect is worth: significance and cross-validation."""
+"""What the gain of one more effect is worth: significance, discretisation error, cross-validation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.special import chdtrc, chdtri, fdtrc
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import STEP
-from needle_rig.workbench.estimation.problem import Fit
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.policy import POLICY
 
 TINY = 1e-12
@@ -58,6 +58,26 @@ def adjusted_p(parent: Fit, child: Fit, library: int) -> float:
 def log_places(parameters: Sequence[FreeParameter]) -> float:
     """Logarithm of the number of combinations of places that were looked through."""
     return float(sum(math.log(a.chances) for a in parameters))
+
+
+def within_discretisation_error(problem: Problem, parent: Fit, child: Fit) -> bool:
+    """Whether the child's change of the residuals is less than three times the discretisation error along it.
+
+    |Δr|² + Δ(pull of rigidity)² + |Δu|²/s² < 3 |Δr·e|, with the random effects u of scatter s and the first
+    nuisance direction e. The changes of pulls and random effects have no discretisation error.
+    """
+    if not problem.nuisance[0].shape[1]:
+        return False
+    change = np.concatenate(parent.residuals) - np.concatenate(child.residuals)
+    discretisation_error = np.concatenate(
+        [n[:, 0] for n in problem.nuisance]
+    )  # the first direction is the discretisation error
+    pull = parent.pull_rigidity - child.pull_rigidity
+    trial_friction = (parent.vector.trial_friction - child.vector.trial_friction) / child.scatter
+    return bool(
+        change @ change + pull**2 + trial_friction @ trial_friction
+        < POLICY.evidence.discretisation_margin * abs(change @ discretisation_error)
+    )
 
 
 def predictive_gain(parent: CrossValidation | None, child: CrossValidation | None) -> float:

@@ -35,6 +35,7 @@ from needle_rig.workbench.selection.evidence import (
     improves_cross_validation,
     is_negligible,
     size_of,
+    within_discretisation_error,
 )
 
 EffectSet = frozenset[str]
@@ -105,7 +106,9 @@ class SearchTrace:
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
         """Whether the child's extra effects are significant and improve cross-validation."""
         (old, old_validation), (new, new_validation) = self.fits[parent], self.fits[child]
-        if adjusted_p(old, new, len(self.names)) >= POLICY.evidence.significance:
+        if adjusted_p(
+            old, new, len(self.names)
+        ) >= POLICY.evidence.significance or within_discretisation_error(self.problem, old, new):
             return False
         if old_validation is not None and not np.isfinite(old_validation.error):
             return True  # a single command: nothing can be left out, and the report says so

@@ -21,6 +21,7 @@ from needle_rig.workbench.estimation.parameters import scaled_values_of
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.selection import shown_noise
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.evidence import within_discretisation_error
 from needle_rig.workbench.virtual.dataset import simulate_dataset
 from needle_rig.workbench.virtual.noise import Noise
 from tests.workbench.hidden import PROTOCOL, dataset, effect, few, fit
@@ -43,6 +44,25 @@ def test_the_discretisation_error_is_a_nuisance_of_every_fit() -> None:
     moved = dataclasses.replace(problem, trials=tuple(shifted))
     again = fit(moved, (), found.vector)
     assert again.nuisance[0] > found.nuisance[0] + 0.5
+
+
+def test_a_gain_within_three_times_the_discretisation_error_is_refused() -> None:
+    data = dataset(seed=22)
+    baseline = fit_baseline(data, None, few())
+    problem, parent = baseline.problem, baseline.current
+
+    def child(times: float) -> Fit:
+        rows = tuple(r - times * n[:, 0] for r, n in zip(parent.residuals, problem.nuisance, strict=True))
+        return dataclasses.replace(parent, residuals=rows)
+
+    assert within_discretisation_error(problem, parent, child(2.9))
+    assert within_discretisation_error(problem, parent, child(-1.0))
+    assert not within_discretisation_error(problem, parent, child(3.1))
+    freed = dataclasses.replace(child(1.0), pull_rigidity=parent.pull_rigidity + 12.0)
+    assert not within_discretisation_error(problem, parent, freed)
+    own = parent.vector.trial_friction + 0.1 * np.linspace(-1.0, 1.0, len(problem.trials))
+    steadied = dataclasses.replace(child(1.0), vector=dataclasses.replace(parent.vector, trial_friction=own))
+    assert not within_discretisation_error(problem, parent, steadied)
 
 
 def test_a_finer_solver_leaves_less_discretisation_error() -> None:

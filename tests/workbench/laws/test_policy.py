@@ -30,7 +30,8 @@ def parent(score: Any, loss: Any = 100.0, error: Any = 3.0) -> Any:
 
 
 @pytest.fixture(autouse=True)
-def large(monkeypatch: Any) -> Any:
+def large_and_not_ours(monkeypatch: Any) -> Any:
+    monkeypatch.setattr(law_search, "within_discretisation_error", lambda *_: False)
     monkeypatch.setattr(law_search, "matters", lambda *_: True)
 
 
@@ -104,11 +105,12 @@ def test_a_law_that_predicts_less_than_the_library_is_not_kept() -> None:
     assert not kept(NO_PROBLEM, parent(960.0, loss=50.0), found, 70)
 
 
-def test_what_is_too_small_is_no_law(monkeypatch: Any) -> None:
+@pytest.mark.parametrize("which", ["within_discretisation_error", "matters"])
+def test_what_may_be_our_own_error_or_is_too_small_is_no_law(which: Any, monkeypatch: Any) -> None:
     before = parent(1000.0)
     found = FoundLaw(fitted(900.0), None, before)
     assert kept(NO_PROBLEM, before, found, 70)
-    monkeypatch.setattr(law_search, "matters", lambda *_: False)
+    monkeypatch.setattr(law_search, which, lambda *_: which == "within_discretisation_error")
     assert not kept(NO_PROBLEM, before, found, 70)
 
 

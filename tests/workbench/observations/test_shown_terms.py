@@ -3,6 +3,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from needle_rig.numerics import Array
@@ -138,6 +139,28 @@ def test_white_noise_stays_white(binned: tuple[BinnedTrial, ...], white: Noise) 
         residuals = drawn(white, binned, 100 + seed)
         assert with_shown_terms(white, binned, residuals, GROUPS) is white, seed
         assert with_residual_term(white, binned, residuals, ALONE) is white, seed
+
+
+@pytest.mark.parametrize(("share", "is_noise"), [(2.7, True), (3.3, False)])
+def test_where_replicates_share_three_times_what_they_differ_by_the_model_is_wrong(
+    binned: tuple[BinnedTrial, ...], white: Noise, share: float, is_noise: bool
+) -> None:
+    drifting = having(white, drift(0.3, 2.0))
+    residuals, error = drawn(drifting, binned, 7), drawn(drifting, binned, 8)[GROUP[0]]
+    alike = places_alike([binned[i] for i in GROUP])
+
+    def wrong_by(size: float) -> list[Array]:
+        found = [r.copy() for r in residuals]
+        for i, places in zip(GROUP, alike, strict=True):
+            found[i][:, places] += size * error[:, alike[0]]
+        return found
+
+    def misfit(size: float) -> float:
+        return shown_terms._misfit(shown_terms._contrasts(white, binned, wrong_by(size), [GROUP]))
+
+    size = brentq(lambda s: misfit(s) - share, 0.0, 30.0)
+    noise = with_shown_terms(white, binned, wrong_by(size), [GROUP])
+    assert (noise is not white) == is_noise
 
 
 def test_without_replicates_contrasts_teach_nothing(binned: tuple[BinnedTrial, ...], white: Noise) -> None:

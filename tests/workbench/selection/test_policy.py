@@ -24,7 +24,7 @@ from needle_rig.workbench.published.single_effects import Candidate as SettledCa
 from needle_rig.workbench.selection import candidates, residual_patterns, screening, search
 from needle_rig.workbench.selection.candidates import penalty, refinable
 from needle_rig.workbench.selection.decisions import _decision
-from needle_rig.workbench.selection.evidence import adjusted_p
+from needle_rig.workbench.selection.evidence import adjusted_p, within_discretisation_error
 from needle_rig.workbench.selection.notes import contrived
 from needle_rig.workbench.selection.places import Place, looked_through
 from needle_rig.workbench.selection.residual_patterns import (
@@ -94,6 +94,15 @@ def test_an_effect_is_seen_at_one_percent_over_the_library(p: float, passes: boo
     fits = {frozenset(): (parent, validation[0]), frozenset("a"): (child, validation[1])}
     trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem)
     assert SearchTrace.passes(trace, frozenset(), frozenset("a")) is passes
+
+
+@pytest.mark.parametrize(("change", "within"), [(2.4, True), (3.6, False)])
+def test_a_change_beyond_three_times_the_discretisation_error_is_none_of_it(
+    change: float, within: bool
+) -> None:
+    problem: Any = SimpleNamespace(nuisance=(np.array([[1.0], [0.0]]),))
+    parent, child = fit(residuals=(np.array([change, 0.0]),)), fit(residuals=(np.zeros(2),))
+    assert within_discretisation_error(problem, parent, child) is within
 
 
 @pytest.mark.parametrize(("error_share", "decision"), [(0.8, "absent"), (1.25, "cannot_tell")])
