@@ -465,11 +465,12 @@ def test_a_sample_of_files_is_guessed_right_and_of_its_mutations_none_wrong() ->
             pytest.skip(f"{module} writes the files")
     given = Namespace(size=50, first_seed=3, keep=None)
     tasks = import_files.plan(given)
-    sample = [*tasks[:-50:5], *tasks[-50:]]
+    sample = [*tasks[: -given.size : 5], *tasks[-given.size :]]
     rows = [{**task, **import_files.ask(task, given)} for task in sample]
-    assert len(rows) >= 63
+    files = len(sample) - given.size
+    assert files > 10
     assert not [row for row in rows if import_files.failed([row])]
-    assert "14 files: " in import_files.table(rows, given)
+    assert f"{files} files: " in import_files.table(rows, given)
 
 
 def test_a_recording_keeps_its_columns_apart_from_its_tables(tmp_path: Path) -> None:
