@@ -158,6 +158,8 @@ def find_residual_patterns(problem: Problem, found: Fit, sensors: tuple[str, ...
         direction = basis[:, best] / np.sqrt(basis[:, best] @ basis[:, best])
         left = left - direction * (direction @ left)
         basis = basis - np.outer(direction, direction @ basis)
+        size = np.sqrt((basis**2).sum(0))
+        basis = np.where(testable(size, np.ones_like(size)), basis / np.maximum(size, TINY), 0.0)
     trend = _trend(problem, found)
     gain = sum(z**2 for _, z in picked) + sum(p.sigmas**2 for p in trend)
     patterns = [
