@@ -19,7 +19,7 @@ import sys
 import time
 import traceback
 from argparse import Namespace
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,6 +80,12 @@ def key(task: Row) -> str:
 def answered(rows: Iterable[Row]) -> list[Row]:
     """Rows with an answer: neither skipped nor crashed."""
     return [row for row in rows if "skipped" not in row and "crash" not in row]
+
+
+def markdown(heads: Sequence[str], lines: Iterable[Iterable[object]]) -> str:
+    """A table of cells."""
+    cells = (f"| {' | '.join(map(str, line))} |" for line in (heads, *lines))
+    return "\n".join([next(cells), "|---" * len(heads) + "|", *cells])
 
 
 def asked(campaign: Campaign, task: Row, given: Namespace) -> Row:
