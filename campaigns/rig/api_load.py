@@ -10,7 +10,6 @@ one is what a busy machine costs; what the daemon's differs from the bystander's
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import base64
 import contextlib
@@ -332,8 +331,4 @@ def table(rows: list[Row], _: Namespace) -> str:
     return "\n".join([markdown(heads, lines), *notes])
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(jobs=1)  # the ticks are measured
-
-
-CAMPAIGN = Campaign(__doc__, plan, ask, table, 7, "rounds of three windows (7)", options, rows_a_process=1)
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 7, "rounds of three windows (7)", rows_a_process=1, jobs=1)

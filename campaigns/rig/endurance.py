@@ -7,7 +7,6 @@ not whole, when something grew, or when something is left behind.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -158,9 +157,5 @@ def failed(rows: list[Row]) -> bool:
     return any(row["wrong"] or row["grown"] or row["left"] for row in answered(rows))
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(jobs=1)  # neighbours would make ticks late
-
-
 SIZE = "percent of 1,000 runs in virtual time, of 100 on the bench, of an idle hour (100)"
-CAMPAIGN = Campaign(__doc__, plan, ask, table, 100, SIZE, options, failed)
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 100, SIZE, failed=failed, jobs=1)

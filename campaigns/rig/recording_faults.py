@@ -26,7 +26,7 @@ import struct
 import subprocess
 import tempfile
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -621,9 +621,6 @@ def failed(rows: list[Row]) -> bool:
     return not all(tally.good for tally in tallies(rows).values())
 
 
-def options(parser: ArgumentParser) -> None:
-    parser.set_defaults(jobs=8)  # runs mostly wait
-
-
+# rows mostly wait
 SIZE = "rows of 50 kills, of 10 full disks and of 10 power cuts (20)"
-CAMPAIGN = Campaign(__doc__, plan, ask, table, 20, SIZE, options, failed)
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 20, SIZE, failed=failed, jobs=8)

@@ -9,7 +9,6 @@ start. Exit code 1 when one did not.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import collections
 import dataclasses
@@ -318,8 +317,4 @@ def failed(rows: list[Row]) -> bool:
     return any(row["broken"] for row in answered(rows))
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(first_seed=1, jobs=1)  # real clients: alone on the machine
-
-
-CAMPAIGN = Campaign(__doc__, plan, ask, table, 10, f"rows of {STOPS} stops (10)", options, failed)
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 10, f"rows of {STOPS} stops (10)", failed=failed, jobs=1)

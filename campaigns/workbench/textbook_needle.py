@@ -105,7 +105,6 @@ def table(rows: list[Row], _: Namespace) -> str:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(first_seed=31)
     parser.add_argument("--keep", type=Path, help="folder for datasets of the task's needle and seeds")
 
 
