@@ -14,7 +14,6 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
-from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 
 from campaigns.rig.daemons import wait_for
@@ -29,34 +28,22 @@ GROWTH_KB_A_POINT = 300
 """Of resident memory, from the third point on: what 100 runs of a leak of 3 kB each would take."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """The daemon's processes at one instant."""
-
-    done: str
-    memory_kb: int
-    descriptors: int
-    threads: int
-    children: int
-    files: int
-
-
-def look(done: str, pid: int, runs: Path, folder: Path) -> Point:
-    """Sums over the daemon and its children."""
+def look(done: str, pid: int, runs: Path, folder: Path) -> Row:
+    """What the daemon and its children take at one instant."""
     pids = [pid, *descendants(pid)]
     status = [Path(f"/proc/{each}/status").read_text() for each in pids]
 
-    def field(text: str, name: str) -> int:
-        return int(text.split(f"{name}:")[1].split()[0])
+    def summed(name: str) -> int:
+        return sum(int(text.split(f"{name}:")[1].split()[0]) for text in status)
 
-    return Point(
-        done,
-        sum(field(text, "VmRSS") for text in status),
-        sum(len(os.listdir(f"/proc/{each}/fd")) for each in pids),
-        sum(field(text, "Threads") for text in status),
-        len(pids) - 1,
-        sum(1 for path in folder.rglob("*") if runs not in path.parents),
-    )
+    return {
+        "done": done,
+        "memory kB": summed("VmRSS"),
+        "descriptors": sum(len(os.listdir(f"/proc/{each}/fd")) for each in pids),
+        "threads": summed("Threads"),
+        "children": len(pids) - 1,
+        "other files": sum(1 for path in folder.rglob("*") if runs not in path.parents),
+    }
 
 
 def descendants(pid: int) -> list[int]:
@@ -119,11 +106,10 @@ def ask(task: Row, _: Namespace) -> Row:
                 daemon.terminate()
                 daemon.wait(60.0)
         left = [*map(str, (folder / "tmp").iterdir()), *map(str, (folder / "run").rglob("*.sock"))]
-    first, last = asdict(points[3]), asdict(points[-1])
-    limits = {"memory_kb": GROWTH_KB_A_POINT, "descriptors": 0, "threads": 0, "children": 0, "files": 0}
+    first, last = points[3], points[-1]
+    limits = {name: GROWTH_KB_A_POINT if name == "memory kB" else 0 for name in first if name != "done"}
     grown = [name for name, most in limits.items() if last[name] - first[name] > most * (POINTS - 2)]
-    points_ = [list(astuple(point)) for point in points]
-    return {"points": points_, "ticks": ticks, "wrong": wrong, "grown": grown, "left": left}
+    return {"points": points, "ticks": ticks, "wrong": wrong, "grown": grown, "left": left}
 
 
 def judged(ended: Ended) -> list[str]:
@@ -142,10 +128,11 @@ def judged(ended: Ended) -> list[str]:
 
 def table(rows: list[Row], _: Namespace) -> str:
     """The figures as Markdown."""
-    heads = ("daemon", "done", "memory kB", "descriptors", "threads", "children", "other files")
-    points = [[row["mode"], *point] for row in answered(rows) for point in row["points"]]
+    found = answered(rows)
+    heads = ["daemon", *(found[0]["points"][0] if found else ())]
+    points = ([row["mode"], *point.values()] for row in found for point in row["points"])
     lines = [markdown(heads, points), ""]
-    for row in answered(rows):
+    for row in found:
         lines.append(f"- {row['mode']}: ticks {json.dumps(row['ticks'])}")
         lines.append(f"- {row['mode']}: {len(row['wrong'])} runs are not whole {row['wrong'][:10] or ''}")
         grown, left = (", ".join(row[name]) or "nothing" for name in ("grown", "left"))

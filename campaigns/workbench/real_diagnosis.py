@@ -38,31 +38,29 @@ def plan(_: Namespace) -> list[Row]:
 def ask(task: Row, _: Namespace) -> Row:
     """What one command says, and the processor time that it takes."""
     name, *options = task["command"].split()
+    if name == "diagnose":
+        options += ["--effects", str(EFFECTS), "--jobs", "1"]
     with tempfile.TemporaryDirectory() as folder:
         data = str(Path(folder) / "davinci")
         answer("import", str(RECORDED), "--out", data)
-        if name == "compare":
-            found, processor_s = answer(name, data, "--json")
-            return {"processor_s": processor_s, "error": found["held_out_error"]}
-        words = (name, data, "--effects", str(EFFECTS), "--jobs", "1", "--json", *options)
-        found, processor_s = answer(*words)
-    return {
-        "processor_s": processor_s,
-        "alone": [[row["effect"], row["held_out_error"]] for row in found["ranking"][:3]],
-        "verdict": found["verdict"],
-        "notes": [note for note in found["notes"] if "× the noise" in note],
-    }
+        found, processor_s = answer(name, data, "--json", *options)
+    if name == "compare":
+        errors = {"no effect": found["held_out_error"]}
+        return {"processor_s": processor_s, "errors": errors, "verdict": "", "notes": []}
+    errors = {row["effect"]: row["held_out_error"] for row in found["ranking"][:3]}
+    notes = [note for note in found["notes"] if "× the noise" in note]
+    return {"processor_s": processor_s, "errors": errors, "verdict": found["verdict"], "notes": notes}
 
 
 def table(rows: list[Row], _: Namespace) -> str:
     """The figures, and the notes of each diagnosis."""
-    heads = ("command", "processor time s", "error on commands left out × the noise", "verdict")
-    lines, notes = [], []
-    for row in answered(rows):
-        error = f"{row['error']:.1f}" if "error" in row else "one effect: "
-        error += ", ".join(f"{effect} {alone:.1f}" for effect, alone in row.get("alone", ()))
-        lines.append((row["command"], f"{row['processor_s']:.0f}", error, row.get("verdict", "")))
-        notes += [f"\n`{row['command']}`: {note}" for note in row.get("notes", ())]
+    heads = ("command", "processor time s", "with one effect: error left out × the noise", "verdict")
+    told = answered(rows)
+    lines = []
+    for row in told:
+        errors = ", ".join(f"{effect} {error:.1f}" for effect, error in row["errors"].items())
+        lines.append((row["command"], f"{row['processor_s']:.0f}", errors, row["verdict"]))
+    notes = [f"\n`{row['command']}`: {note}" for row in told for note in row["notes"]]
     return "\n".join([markdown(heads, lines), *notes])
 
 

@@ -10,19 +10,13 @@ from campaigns import ROOT
 
 
 def ends(stops: int) -> dict[str, int]:
-    task = json.dumps({"seed": 1, "stops": stops})
-    done = subprocess.run(
-        [sys.executable, "-m", "campaigns", "stops", "--only", task],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=1200,
-    )
+    words = ["campaigns", "stops", "--only", json.dumps({"seed": 1, "stops": stops})]
+    line = [sys.executable, "-m", *words]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stdout + done.stderr
     row = json.loads(done.stdout)
     assert not row["broken"]
-    found: dict[str, int] = row["ends"]
-    return found
+    return dict(row["ends"])
 
 
 @pytest.mark.whole
