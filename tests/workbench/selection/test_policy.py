@@ -92,7 +92,7 @@ def test_an_effect_is_seen_at_one_percent_over_the_library(p: float, passes: boo
     problem = SimpleNamespace(nuisance=(np.zeros((1, 0)),))
     validation = CrossValidation(1.0, 10.0, ()), CrossValidation(1.0, 0.0, ())
     fits = {frozenset(): (parent, validation[0]), frozenset("a"): (child, validation[1])}
-    trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem)
+    trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem, laws={})
     assert SearchTrace.passes(trace, frozenset(), frozenset("a")) is passes
 
 
