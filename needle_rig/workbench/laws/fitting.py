@@ -32,7 +32,7 @@ from needle_rig.workbench.laws.screening import (
 )
 from needle_rig.workbench.laws.spline import Quadratic, covariance_about, smoothed
 from needle_rig.workbench.laws.spline_effect import SplineLaw
-from needle_rig.workbench.selection.candidates import score
+from needle_rig.workbench.selection.candidates import penalty, score
 
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Shares of a linearised curve at which a fit may start: of dry friction it says too much."""
@@ -60,7 +60,8 @@ class LawFit:
     score: float
     """Of the fit, with the curve integrated out; lower is better."""
     price: float = 0.0
-    """What the curve's freedom costs in that; the numbers of a formula are counted as an effect's are."""
+    """What the curve's freedom costs in that; of a formula those of its numbers that the data do not see: it
+    states them, too."""
     validation: CrossValidation = NOT_HELD_OUT
     quadratic: Quadratic | None = None
     """Of a spline's coefficients."""
@@ -273,7 +274,11 @@ def fit_formula(
             best = found
         if best is not None and excess(problem, best.objective) == 0.0:
             break
-    return None if best is None else LawFit(made, best, score(problem, best))
+    if best is None:
+        return None
+    unseen = max(0, len(own) - (best.rank - parent.rank))
+    price = penalty(problem) * unseen
+    return LawFit(made, best, score(problem, best) + price, price)
 
 
 def held_out(given: Problem, found: LawFit) -> LawFit:

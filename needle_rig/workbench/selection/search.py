@@ -85,7 +85,8 @@ class SearchTrace:
     """Effects that are significant but negligible, with the fit that showed each: they are nuisances."""
     steps: tuple[Step, ...] = ()
     laws: Mapping[str, float] = field(default_factory=dict)
-    """Laws that no library holds, by the name of each one's effect: what the freedom of its curve costs."""
+    """Laws that no library holds, by the name of each one's effect: what it costs beyond the parameters
+    that the data see."""
     laws_tried: int = 0
     """The most that were looked through at once."""
 
