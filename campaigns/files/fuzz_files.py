@@ -108,6 +108,7 @@ def made_seeds(work: Path) -> fuzz_kinds.Seeds:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
         if not seeds.warm(work / "warm"):
             raise RuntimeError(said.getvalue())
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # commands make it a KeyboardInterrupt
     return seeds
 
 

@@ -56,9 +56,7 @@ def ask(task: Row, _: Namespace) -> Row:
                 client.post("/stop")
                 phase = client.get("/state").json()["phase"]
         files = len(list(Path(folder).glob("*.h5")))
-    begun = sum(
-        count for (_, path, status), count in statuses.items() if (path, status) == ("/compensate", 202)
-    )
+    begun = sum(n for (_, *asked), n in statuses.items() if asked == ["/compensate", 202])
     answers = [[*asked, count] for asked, count in sorted(statuses.items())]
     return {"answers": answers, "phase": phase, "bad": bad, "begun": begun, "files": files}
 

@@ -56,10 +56,8 @@ def sequence(
 
 def plan(given: Namespace) -> list[Row]:
     seeds = range(given.first_seed, given.first_seed + SEEDS * given.size, SEEDS)
-    return [
-        {"ratio": ratio, "damping": damping, "exponent": exponent, "seed": seed}
-        for seed, ratio, damping, exponent in itertools.product(seeds, RATIOS, DAMPINGS, EXPONENTS)
-    ]
+    fields, each = ("seed", "ratio", "damping", "exponent"), (seeds, RATIOS, DAMPINGS, EXPONENTS)
+    return [dict(zip(fields, values, strict=True)) for values in itertools.product(*each)]
 
 
 def ask(task: Row, given: Namespace) -> Row:
