@@ -71,7 +71,7 @@ def compensate(client: DaemonClient, number: int, settle_s: float) -> Ended:
 def plan(given: Namespace) -> list[Row]:
     return [
         {"mode": "fast", "runs": 10 * given.size},
-        {"mode": "bench", "runs": given.size},
+        {"mode": "bench", "runs": max(POINTS, given.size)},
         {"mode": "idle", "runs": 0, "minutes": 0.6 * given.size},
     ]
 

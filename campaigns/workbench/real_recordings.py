@@ -277,7 +277,10 @@ def table(rows: list[Row], _: Namespace) -> str:
         parts.append(markdown(heads, ([title, *each.values()] for title, each in row["ladder"].items())))
         heads[0] = "tried beside all of these"
         parts.append(markdown(heads, ([name, *each.values()] for name, each in row["tried"].items())))
-        values = ([name, f"{value:.3g}", unit] for name, value, unit in row["values"])
+        values = (
+            [name, f"{value:.3g}" if value < 1e5 else round(value), unit]
+            for name, value, unit in row["values"]
+        )
         parts.append(markdown(["parameter", "value", "unit"], values))
     return "\n\n".join(parts)
 
