@@ -115,7 +115,8 @@ def test_the_page_and_its_session_come_through(ask: Callable[..., httpx.Response
     assert "<title>" in ask("GET", "/").text
     opened = ask("POST", "/api/session")
     assert opened.json()["watches"] is False
-    assert "httponly" in opened.headers["set-cookie"].lower()
+    flags = opened.headers["set-cookie"].lower().split("; ")
+    assert {"httponly", "secure", "samesite=strict"} <= set(flags)
 
 
 def test_another_name_is_refused_with_one_sentence(ask: Callable[..., httpx.Response]) -> None:

@@ -210,7 +210,7 @@ const nameOf = (path) => path.replace(/^.*\//, "").replace(/\.h5$/, "");
 const COMMAND = /: needle-rig diagnose \S+/;
 
 const PHASES = {
-  idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures",
+  idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures", holding: "holds the base",
   done: "done", fault: "fault", aborted: "stopped",
 };
 
@@ -230,7 +230,7 @@ function Sequence({ state }) {
     <p class="phase"><strong>${active && state.motion ? `${words(state.motion)}: ${phase}` : phase}</strong>
       ${state.waiting_for ? html` · waits for ${state.waiting_for}` : null}
       ${state.remaining_s !== null && active ? html` <span class="countdown">${number(state.remaining_s, 1)} s</span>` : null}</p>
-    ${active ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
+    ${active && state.phase !== "holding" ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
     ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°${state.model ? ` with the model ${words(state.model)}` : ""}</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
@@ -258,6 +258,8 @@ function Orders({ state }) {
   // a button that was pressed keeps the focus: it is not disabled while the needle moves
   /** @param {string} name @param {object} [content] */
   const give = (name, content) => busy || order(name, content);
+  // a held base is released without a stop before it
+  const held = state.phase === "holding";
   /** @param {{value: string}} s */
   const write = (s) => (/** @type {Event} */ e) => (s.value = written(e));
   if (watching.value) return html`<section class="card half"><h2>Orders</h2><p class="quiet">This address may watch and order nothing.${state.lease ? ` ${state.lease.charAt(0).toUpperCase()}${state.lease.slice(1)} commands this rig.` : ""}</p></section>`;
@@ -279,7 +281,7 @@ function Orders({ state }) {
       <button type="button" aria-disabled=${busy} onClick=${() => give("home")}>Home</button>
       <button type="button" aria-disabled=${busy} onClick=${() => give("home", { by: "hall" })}>Home by Hall</button>
       <button type="button" aria-disabled=${busy} onClick=${() => give("hold")}>Hold</button>
-      <button type="button" aria-disabled=${busy} onClick=${() => give("release")}>Release</button>
+      <button type="button" aria-disabled=${busy && !held} onClick=${() => (held ? order("release") : give("release"))}>Release</button>
       <button type="button" aria-disabled=${busy} onClick=${() => give("clear")}>Clear</button>
     </form>
     <p class="quiet">Escape stops at any time, Space while the needle moves.</p></section>`;
