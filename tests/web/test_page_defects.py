@@ -99,6 +99,22 @@ def test_the_shafts_letters_stay_readable_when_the_window_becomes_narrow(visit: 
     assert min(heights) >= 11.0
 
 
+def test_a_phone_shows_every_view_and_the_whole_of_a_run_without_scrolling_sideways(
+    visit: Open, rig: Served
+) -> None:
+    page = visit("live", served=rig)
+    compensated(page)
+    page.set_viewport_size(NARROW)
+    page.goto(f"{rig.base}/#/runs")
+    page.locator("tbody th a").first.wait_for()
+    row = page.locator("tbody tr").first
+    parts = [row.locator("input"), row.get_by_text("aligned"), row.locator("[data-label='duration / s']")]
+    for part in (*page.locator("nav a").all(), *parts):
+        box = part.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= NARROW["width"], part.inner_text()
+
+
 def test_two_tabs_keep_each_others_note_and_tags_and_a_refused_note_stays_written(
     visit: Open, rig: Served
 ) -> None:

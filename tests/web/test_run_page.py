@@ -73,6 +73,7 @@ def test_a_run_is_read_on_its_own_page(visit: Open, pages: Served, folder: Path)
     table = list(csv.reader(io.StringIO(saved(page, f"{name}-torque-residual", "CSV").decode())))
     assert table[0] == ["time / s", "model: residual / σ"]
     assert len(table) > 100
+    assert table[1][1], "what was turned before the record is not drawn"
     numbers = [float(row[1]) for row in table[1:] if row[1]]
     assert max(map(abs, numbers)) > 3, "elastic tissue is not rigid"
     look_at(page, "run-page-with-model")

@@ -81,7 +81,7 @@ export function ShaftPicture({ rig, points, target, curve, places, deviation }) 
     <text class="tick" x=${x(0)} y=${GROUND + 31}>base</text>
     ${(WIDTH < 1000 ? [0, 200, 400] : [0, 100, 200, 300, 400]).filter((mm) => mm <= rig.needle_length_mm).map((mm) => html`<text class="tick" x=${x(mm)} y=${HEIGHT - 6} text-anchor="middle">${mm}${mm ? "" : " mm"}</text>`)}
     <text class="tick" x=${WIDTH - RIGHT} y=${GROUND - 8} text-anchor="end">tip</text></svg>
-  <p class="key"><span class="pair"><span class="k base"></span>base</span> <span class="pair"><span class="k sensor"></span>Hall sensors</span>
-    ${curve ? html`<span class="pair"><span class="k curve"></span>estimate ± 2σ</span>` : null}
+  <p class="key"><span class="pair"><span class="k base"></span>base</span> ${points.length > 1 ? html`<span class="pair"><span class="k sensor"></span>Hall sensors</span>` : null}
+    ${curve ? html`<span class="pair"><span class="k curve"></span>${deviation ? "estimate ± 2σ" : "shaft"}</span>` : null}
     <span class="pair"><span class="k tissue"></span>tissue</span> ${target !== null && target !== undefined ? html`<span class="pair"><span class="k target"></span>target</span>` : null}</p>`;
 }
