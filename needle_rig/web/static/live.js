@@ -11,6 +11,8 @@ import { batch, html, number, sentence, signal, useEffect, useSignal, typeset, w
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
 const SHOWN_S = 40;
+/** So far a document of a change may be ahead of the states, which come at their own rate. */
+const OVERTAKEN_S = 2;
 /** Of what is expected, after now. */
 const AHEAD_S = 8;
 /** As the page's server takes the lease. */
@@ -134,10 +136,10 @@ function collect(state) {
   const { sensors, time_s } = state;
   if (!sensors || time_s === null) return;
   const row = [time_s, sensors.base_deg, sensors.torque_nmm, ...sensors.hall_deg];
-  const last = columns[0]?.at(-1);
-  if (columns.length !== row.length || (last !== undefined && (time_s < last || time_s - last > SHOWN_S)))
-    columns = row.map(() => []);
-  if (columns[0].at(-1) === time_s) return;
+  const last = columns[0]?.at(-1) ?? time_s;
+  // a time that goes back by more than documents overtake each other is that of another daemon
+  if (columns.length !== row.length || time_s < last - OVERTAKEN_S || time_s - last > SHOWN_S) columns = row.map(() => []);
+  if (columns[0].length && time_s <= last) return;
   columns.forEach((column, k) => column.push(/** @type {number} */ (row[k])));
   let old = 0;
   while (columns[0][old] < time_s - SHOWN_S) old += 1;
@@ -225,7 +227,9 @@ function Sequence({ state }) {
     // the first settled entry of a run may be the rest before its first motion
     const done = settled.filter((m) => m.phase !== "rest")[k];
     const now = active && !done && state.phase !== "rest" && k === settled.filter((m) => m.phase !== "rest").length;
-    return { name: done?.phase ?? (now ? state.motion : `motion ${k + 1}`), done: Boolean(done), now };
+    // while the next one is planned the daemon still tells of the one before
+    const named = now && state.motion !== settled.at(-1)?.phase ? state.motion : `motion ${k + 1}`;
+    return { name: done?.phase ?? named, done: Boolean(done), now };
   });
   const phase = /** @type {Record<string, string>} */ (PHASES)[state.phase] ?? state.phase;
   return html`<section class="card half"><h2>Sequence</h2>
