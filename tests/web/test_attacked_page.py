@@ -40,9 +40,7 @@ def still_works(page: Any) -> None:
     page.get_by_role("group", name="Residual map").wait_for()
 
 
-def test_twenty_thousand_runs_do_not_hang_the_page(
-    visit: Open, shell: Shell, tmp_path: Path
-) -> None:
+def test_twenty_thousand_runs_do_not_hang_the_page(visit: Open, shell: Shell, tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
     with opened(runs, tmp_path / "otherwise") as (store, _):
