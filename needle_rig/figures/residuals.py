@@ -16,7 +16,7 @@ from scipy.special import betaincinv, ndtri
 
 from needle_rig.errors import BadInput
 from needle_rig.figures.comparison import pulls, residual_map, traces, trial_title
-from needle_rig.figures.figure import Figure
+from needle_rig.figures.figure import FORMATS, Figure
 from needle_rig.figures.refit import correlation, profile
 from needle_rig.figures.style import (
     COLOURS,
@@ -39,7 +39,6 @@ from needle_rig.workbench.learning.places import scale_of
 from needle_rig.workbench.observations.noise import variance
 from needle_rig.workbench.selection.answer import SIGMAS_95
 
-FORMATS = (".png", ".svg", ".pdf")
 DOTS_PER_INCH = 300
 """As journals ask."""
 MOST_LAGS = 30

@@ -281,7 +281,9 @@ def test_a_command_that_is_stopped_three_times_says_what_one_says_that_is_not(
         process.send_signal(number)
         _, said = process.communicate()
         assert process.returncode == code, said
-        assert (code == -signal.SIGKILL) != ("the same, re-run within a week, goes on from there" in said), said
+        assert (code == -signal.SIGKILL) != ("the same, re-run within a week, goes on from there" in said), (
+            said
+        )
         if code != -signal.SIGKILL:  # a child that was just begun says that its parent is gone
             assert "Traceback" not in said, said
         kept = kept_whole()
