@@ -94,7 +94,7 @@ LINES = tuple(Line(*row) for row in (
     ("data on which no value depends", "", "", "workbench/test_degenerate.py::test_values_are_compared_and_identified_or_refused"),
     ("Ctrl-C, and typed again", "", "", "workbench/test_answers.py::test_a_command_that_is_stopped_three_times_says_what_one_says_that_is_not"),
 ))  # fmt: skip
-MISTAKES = (
+MISTAKES: tuple[tuple[str | Path, tuple[str, str], str, str, str], ...] = (
     # what is edited, how, the line, what it prints, its test
     (SHIPPED, ("rigidity_nmm2: 62.56", "rigidity_nmm2: 6.256"), "layout", r"6\.256 N·mm² is 0\.1 times the 61\.8", RIG),
     (SHIPPED, ("needle-rig/1", "needle-rig/2"), "layout", r"format 2; needle-rig \S+ reads up to 1", RIG),
