@@ -87,7 +87,7 @@ async def calibrate_drive(stand: Stand, target: Target) -> Calibration:
         target.folder / "drive.png",
         title=f"Encoder after calibration: {counts_per_turn} counts a turn",
         x_label="turns by hand",
-        y_label="residual °",
+        y_label="residual / °",
     )
     worst_deg = float(np.max(np.abs(fit.residual))) / abs(fit.slope) * 360.0
     values = {"counts_per_turn": counts_per_turn, "worst_residual_deg": round(worst_deg, 4)}
@@ -131,8 +131,8 @@ async def calibrate_torque(stand: Stand, target: Target, weights_nmm: tuple[floa
         residual_nmm,
         target.folder / "torque.png",
         title=f"Load cell after calibration: {gain * 1e3:.5f} N·mm per 1000 counts",
-        x_label="weight N·mm",
-        y_label="residual N·mm",
+        x_label="weight / N·mm",
+        y_label="residual / N·mm",
     )
     worst = float(np.max(np.abs(residual_nmm)))
     values = {

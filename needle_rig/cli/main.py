@@ -71,8 +71,9 @@ def group() -> None:
     """Turns the torsion windup out of steerable needles, and holds the needle's model against measurements.
 
     \b
-    Exit codes of all commands: 0 it ran to its end, 1 a check that you asked for failed,
-    2 bad use, 3 a fault of the rig or of a file, 4 stopped by a person, 70 a defect of this program.
+    Exit codes of all commands: 0 it ran to its end, 1 a check that you asked for
+    failed, 2 bad use, 3 a fault of the rig or of a file, 4 stopped by a person,
+    70 a defect of this program.
     """
 
 

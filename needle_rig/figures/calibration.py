@@ -30,8 +30,8 @@ def draw_hall(residuals: Mapping[str, tuple[Array, Array]], path: Path) -> Path:
         means = [residual[bins == place].mean() for place in present]
         axes.plot((present + 0.5) * 360 / _BINS, means, color="C0", linewidth=1.5)
         axes.axhline(0, color="black", linewidth=0.5)
-        axes.set_ylabel(f"{name}\nresidual °")
-    all_axes[-1].set_xlabel("needle angle °")
+        axes.set_ylabel(f"{name}\nresidual / °")
+    all_axes[-1].set_xlabel("needle angle / °")
     figure.suptitle("Hall sensors after calibration: samples, and their mean every 5°")
     figure.savefig(path, dpi=110)
     return path

@@ -43,9 +43,9 @@ def demo_figure(story: Story) -> Figure:
             time_s, base_deg = base_path(runs[0])
             right.plot(time_s, base_deg, color=colour, label=f"{name}, {runs[0].rotations} rotations")
     middle.axhline(story.target_deg, color="black", linewidth=1.0, linestyle="--")
-    middle.set(xlabel="place along the needle, mm", ylabel="degrees", title="the shaft at the end")
+    middle.set(xlabel="place along the needle / mm", ylabel="angle / °", title="the shaft at the end")
     middle.legend()
     right.axhline(story.target_deg, color="black", linewidth=1.0, linestyle="--")
-    right.set(xlabel="time, s", ylabel="degrees", title="the base on its way")
+    right.set(xlabel="time / s", ylabel="angle / °", title="the base on its way")
     right.legend()
     return picture

@@ -9,6 +9,9 @@ from matplotlib import figure
 
 from needle_rig.errors import BadInput
 
+FORMATS = (".png", ".svg", ".pdf")
+"""Endings of what every figure can be written as."""
+
 
 class Figure(figure.Figure):
     """Matplotlib's figure, without pyplot: no window belongs to it."""

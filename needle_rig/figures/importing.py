@@ -39,13 +39,13 @@ def draw_import(channels: Sequence[Drawn], loop: tuple[Array, Array] | None, pat
         axes.set_title(channel.title, fontsize=9, loc="left")
         axes.set_ylabel(channel.unit)
         axes.sharex(all_axes[0])
-    all_axes[rows - 1].set_xlabel("time s")
+    all_axes[rows - 1].set_xlabel("time / s")
     if loop is not None:
         every = max(1, len(loop[0]) // MOST_POINTS)
         all_axes[-1].plot(loop[0][::every], loop[1][::every], color="C1", linewidth=0.8)
         all_axes[-1].set_title(
             "Torque over the base's angle: it rises with it, and goes round clockwise", fontsize=9, loc="left"
         )
-        all_axes[-1].set_xlabel(f"{channels[0].title.split(' ')[0]}, {channels[0].unit}")
+        all_axes[-1].set_xlabel(f"{channels[0].title.split(' ')[0]} / {channels[0].unit}")
     figure.savefig(path, dpi=90)
     return path

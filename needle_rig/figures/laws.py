@@ -127,4 +127,4 @@ def _variable(law: LearntLaw) -> str:
 
 
 def _axis(words: str, unit: str) -> str:
-    return words if unit == "1" else f"{words}, {unit}"
+    return words if unit == "1" else f"{words} / {unit}"

@@ -40,7 +40,7 @@ def draw_layout(layout: Layout, sensor_names: Sequence[str], title: str, path: P
     axes.plot(places, np.full(len(places), 0.55), "v", color="C0")
     for number, (name, place) in enumerate(zip(sensor_names, places, strict=True)):
         axes.text(float(place), 0.68 + 0.16 * (number % 2), name, ha="center", fontsize=8)
-    axes.set(ylim=(-1.0, 1.1), yticks=[], xlabel="mm from the base", title=title)
+    axes.set(ylim=(-1.0, 1.1), yticks=[], xlabel="distance from the base / mm", title=title)
     if layout.tissue_sections_m:
         axes.legend(loc="lower right", fontsize=8, frameon=False)
     figure.savefig(path, dpi=90)

@@ -14,12 +14,14 @@ from needle_rig.figures.figure import Figure, png
 from needle_rig.figures.page import Picture, paragraph, row, shown, table, write_page
 from needle_rig.figures.style import COLOURS
 from needle_rig.model import EXPERIMENT_LAYOUT, MODEL_LAYOUT
+from needle_rig.numerics import Array
 from needle_rig.physics.rod import Layout
 from needle_rig.physics.settled_needle import SettledNeedle
 from needle_rig.units import deg, mm, nmm
 from needle_rig.workbench.paper.reproduce import STANDARD_ERROR_DEG, Reproduction, Row
 
 TISSUE = "#EFEDE6"
+_LONG_MM = 5.0
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ def draw(picture: Plot) -> Figure:
             "linewidth": 3.2 - 0.45 * number,
         }
         above.plot(place, deg(needle.angle_rad), label=line.label, **style)
-        below.stairs(nmm(needle.internal_torque_nm), place, baseline=None, **style)
+        below.plot(*_torque_nmm(needle), **style)
     above.axhline(picture.target_deg, color="#555555", linewidth=0.8, linestyle=":")
     below.axhline(0.0, color="#555555", linewidth=0.8, linestyle=":")
     for number, (position, angle_deg, label) in enumerate(picture.measured):
@@ -148,9 +150,9 @@ def draw(picture: Plot) -> Figure:
             label=label,
             zorder=5,
         )
-    above.set_ylabel("angle, °", fontsize=9)
-    below.set_ylabel("torque in the needle, N·mm", fontsize=9)
-    below.set_xlabel("distance from the base, mm", fontsize=9)
+    above.set_ylabel("angle / °", fontsize=9)
+    below.set_ylabel("torque in the needle / N·mm", fontsize=9)
+    below.set_xlabel("distance from the base / mm", fontsize=9)
     below.set_xlim(0, mm(picture.layout.needle_length_m) * 1.015)
     low, high = above.get_ylim()
     above.set_ylim(low - 0.02 * (high - low), high)
@@ -198,6 +200,16 @@ def write_paper_page(runs: Reproduction, rows: tuple[Row, ...], path: Path) -> N
     )
     blocks = (paragraph(told), table(head, beside), *map(shown, drawn(runs)))
     write_page(path, "The paper's results beside ours", blocks)
+
+
+def _torque_nmm(needle: SettledNeedle) -> tuple[Array, Array]:
+    """Places / mm and torque / N·mm there: in the middle of an element, at both ends of a long, free one."""
+    place, torque = mm(needle.position_m), nmm(needle.internal_torque_nm)
+    start, end = place[:-1], place[1:]
+    long = end - start > _LONG_MM
+    at = np.concatenate([(start + end)[~long] / 2.0, start[long], end[long]])
+    order = np.argsort(at)
+    return at[order], np.concatenate([torque[~long], torque[long], torque[long]])[order]
 
 
 def _shade(axes: Axes, layout: Layout) -> None:

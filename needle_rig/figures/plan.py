@@ -16,9 +16,9 @@ def plan_figure(run: SettledRun, target_deg: float, name: str) -> Figure:
     way, shaft = figure.subplots(1, 2)
     time_s, base_deg = base_path(run)
     way.plot(time_s, base_deg, color="#0b6e4f", label="base")
-    way.set(xlabel="time, s", ylabel="angle, °", title=f"{name}, {run.rotations} rotations")
+    way.set(xlabel="time / s", ylabel="angle / °", title=f"{name}, {run.rotations} rotations")
     shaft.plot(mm(run.position_m), np.degrees(run.shaft_rad), color="#0b6e4f", label="shaft")
-    shaft.set(xlabel="place along the needle, mm", ylabel="angle, °", title="the shaft at the end")
+    shaft.set(xlabel="place along the needle / mm", ylabel="angle / °", title="the shaft at the end")
     for axes in (way, shaft):
         axes.axhline(target_deg, color="black", linewidth=1.0, linestyle="--", label="target")
         axes.legend(frameon=False, fontsize=8)

@@ -24,8 +24,8 @@ def loops(problem: Problem, left: list[Array], shown: list[int]) -> Figure:
         base = deg(trial.base_rad)
         model = trial.mean - left[t]
         rows = (
-            (nmm(trial.mean[0]), nmm(model[0]), "torque N·mm"),
-            (base - deg(trial.mean[-1]), base - deg(model[-1]), "lag °"),
+            (nmm(trial.mean[0]), nmm(model[0]), "torque / N·mm"),
+            (base - deg(trial.mean[-1]), base - deg(model[-1]), "lag / °"),
         )
         for row, (data, fitted, name) in enumerate(rows):
             axes[row, column].plot(base, data, ".", ms=4, color="0.4", label="measured")
@@ -33,7 +33,7 @@ def loops(problem: Problem, left: list[Array], shown: list[int]) -> Figure:
             axes[row, 0].set_ylabel(name)
         rising = trial.base_rate_rad_s > 0.0
         for row, (channel, convert, name) in enumerate(
-            ((0, nmm, "torque left N·mm"), (-1, deg, "angle left °")), start=2
+            ((0, nmm, "torque left / N·mm"), (-1, deg, "angle left / °")), start=2
         ):
             for way, label, colour in ((rising, "rising", "tab:blue"), (~rising, "falling", "tab:orange")):
                 values = np.where(way, convert(left[t][channel]), np.nan)
@@ -41,7 +41,7 @@ def loops(problem: Problem, left: list[Array], shown: list[int]) -> Figure:
             axes[row, column].axhline(0.0, color="0.8", lw=0.6)
             axes[row, 0].set_ylabel(name)
         axes[0, column].set_title(", ".join(f"{value} {name}" for name, value in _told(trial.command)))
-        axes[-1, column].set_xlabel("base angle °")
+        axes[-1, column].set_xlabel("base angle / °")
     for row in (0, 2):
         axes[row, 0].legend(fontsize=8)
     return figure

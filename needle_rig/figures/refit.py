@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from needle_rig.config.hints import key_endings
 from needle_rig.errors import BadInput
 from needle_rig.figures.figure import Figure
 from needle_rig.figures.style import COLOURS, COLUMN_IN, LETTERS_PT, PAGE_IN, above, plain
@@ -28,7 +29,7 @@ def correlation(found: TraceComparison) -> Figure:
     free = [i for i, value in enumerate(found.values.each) if value.refit_uncertainty is not None]
     size = np.sqrt(np.diag(of.covariance))[free]
     matrix = of.covariance[np.ix_(free, free)] / np.outer(size, size)
-    names = [_broken(found.values.each[i].name) for i in free]
+    names = [_broken(found.values.each[i].name, found.values.each[i].unit) for i in free]
     side = max(COLUMN_IN, 0.5 * len(free) + 1.9)
     figure = Figure(figsize=(side, side - 0.4), layout="constrained")
     axis = figure.subplots()
@@ -52,8 +53,10 @@ def correlation(found: TraceComparison) -> Figure:
     return figure
 
 
-def _broken(name: str) -> str:
-    """A value's name in lines that a narrow figure has room for."""
+def _broken(name: str, unit: str) -> str:
+    """A value's name, without its unit, in lines that a narrow figure has room for."""
+    for ending in key_endings(unit):
+        name = name.removesuffix(f"_{ending}")
     words = name.replace(".", "_").split("_")
     lines = [""]
     for word in words:
@@ -92,11 +95,12 @@ def profile(found: TraceComparison) -> Figure:
             if held is not None:
                 told.append((in_file_units(of.parameters, at)[i], held.objective - of.objective, sigmas))
         value, risen, away = np.array(told).T
-        axis.plot(value, risen, "o-", ms=3, lw=1.0, color=COLOURS[1], label="profile")
-        axis.plot(value, away**2, ":", lw=1.0, color="0.3", label="as ± tells")
-        axis.axhline(SIGMAS_95**2, color="0.8", lw=0.8)
+        axis.plot(value, risen, "o", ms=2.5, color=COLOURS[1], label="profile")
+        smooth = np.linspace(away[0], away[-1], 61)
+        axis.plot(np.interp(smooth, away, value), smooth**2, "--", lw=0.8, color="0.3", label="as ± tells")
+        axis.axhline(SIGMAS_95**2, color="0.6", lw=0.6, ls=":", label="95 %")
         plain(axis)
-        axis.set_xlabel(f"{_broken(names[i])} / {units[i]}", fontsize=LETTERS_PT)
+        axis.set_xlabel(f"{_broken(names[i], units[i])} / {units[i]}", fontsize=LETTERS_PT)
         axis.xaxis.set_major_locator(MaxNLocator(3))
         axis.ticklabel_format(axis="x", useOffset=False)
     for axis in axes[::across]:

@@ -16,7 +16,7 @@ from scipy.special import betaincinv, ndtri
 
 from needle_rig.errors import BadInput
 from needle_rig.figures.comparison import pulls, residual_map, traces, trial_title
-from needle_rig.figures.figure import Figure
+from needle_rig.figures.figure import FORMATS, Figure
 from needle_rig.figures.refit import correlation, profile
 from needle_rig.figures.style import (
     COLOURS,
@@ -39,7 +39,6 @@ from needle_rig.workbench.learning.places import scale_of
 from needle_rig.workbench.observations.noise import variance
 from needle_rig.workbench.selection.answer import SIGMAS_95
 
-FORMATS = (".png", ".svg", ".pdf")
 DOTS_PER_INCH = 300
 """As journals ask."""
 MOST_LAGS = 30
@@ -75,7 +74,7 @@ def strips(found: TraceComparison) -> Figure:
     given, binned = found.baseline.dataset.trials[t], problem.trials[t]
     names = _names(found)
     figure, axes = column(
-        1.45 * len(names) + 0.5, 2 * len(names), sharex=True, height_ratios=[2, 1.1] * len(names)
+        1.5 * len(names) + 0.5, 2 * len(names), sharex=True, height_ratios=[1.8, 1.4] * len(names)
     )
     data = np.vstack([given.torque_nm[None, :], given.hall_rad.T])
     for c, name in enumerate(names):
@@ -174,10 +173,10 @@ def band(found: TraceComparison) -> Figure:
         model = factor * (binned.mean[c] - left[c])
         half = factor * SIGMAS_95 * np.sqrt((moved[c] ** 2).sum(axis=1) + noise[c] ** 2)
         axis.fill_between(
-            binned.time_s, model - half, model + half, color=COLOURS[5], alpha=0.6, lw=0, label="95 %"
+            binned.time_s, model - half, model + half, color=COLOURS[5], lw=0, label="predicted, 95 %"
         )
         axis.plot(
-            binned.time_s, factor * binned.mean[c], ".", ms=1.5, color="0.2", label="measured, bin means"
+            binned.time_s, factor * binned.mean[c], ".", ms=1.2, color="0.2", label="measured, bin means"
         )
         axis.set_ylabel(f"{spelt(name)} / {unit}")
     above(figure, axes[0])

@@ -135,7 +135,7 @@ def _draw_angles(axes: Axes, ticks: Rows, begin_s: float, config: RigConfig, tar
         )
     axes.plot(time_s, deg(ticks["base_angle_rad"]), color=BASE, lw=1.8, label="base")
     axes.plot(time_s, deg(ticks["waypoint_rad"]), color=BASE, lw=0.9, ls=":", label="waypoint")
-    axes.set_ylabel("angle, °")
+    axes.set_ylabel("angle / °")
     axes.tick_params(labelbottom=False)
     _tidy(axes)
     axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, fontsize=FONT_PT)
@@ -161,8 +161,8 @@ def _draw_torque(axes: Axes, run: RunFile, ticks: Rows, begin_s: float, config: 
     )
     limit = config.sequence.aligned_torque_nmm
     axes.axhspan(-limit, limit, color="#F0E442", alpha=0.35, lw=0, label=f"aligned: ±{limit:g} N·mm")
-    axes.set_ylabel("base torque, N·mm")
-    axes.set_xlabel("time, s")
+    axes.set_ylabel("base torque / N·mm")
+    axes.set_xlabel("time / s")
     _tidy(axes)
     axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, fontsize=FONT_PT)
 
@@ -265,8 +265,8 @@ def _draw_shaft(
         axes.axhline(target_deg, color="#9A8F00", lw=1, ls=(0, (5, 3)), zorder=1, label="target")
     axes.set_xlim(-4, max(config.needle.length_mm, float(places_mm.max())) + 4)
     lines = "dashes only join them" if pictures is None else "lines: the simulated shaft"
-    axes.set_xlabel(f"distance from the base, mm   (marks: measured; {lines})")
-    axes.set_ylabel("angle after each motion, °")
+    axes.set_xlabel(f"distance from the base / mm   (marks: measured; {lines})")
+    axes.set_ylabel("angle after each motion / °")
     _tidy(axes)
     axes.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), frameon=False, fontsize=FONT_PT)
 

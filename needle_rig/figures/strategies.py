@@ -31,11 +31,11 @@ def strategies_figure(table: Table, title: str) -> Figure:
     left.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     left.xaxis.set_major_formatter("{x:g}")
     left.xaxis.set_minor_formatter(NullFormatter())
-    left.set_xlabel("worst angle error along the shaft, degrees (line: median)")
+    left.set_xlabel("worst angle error along the shaft / ° (line: median)")
     left.set_yticks(range(len(shown)), shown)
     left.invert_yaxis()
     left.grid(axis="x", alpha=0.3)
-    right.set_xlabel("time, s")
+    right.set_xlabel("time / s")
     right.margins(x=0.35)
     picture.suptitle(title, fontsize=11)
     return picture

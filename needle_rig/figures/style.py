@@ -73,14 +73,14 @@ def above(figure: Figure, axis: Any, columns: int = 3) -> None:
 def in_sigmas(axis: Any, *values: Any) -> None:
     """A vertical scale for `values` in σ that keeps small ones apart beside large ones.
 
-    Dotted lines mark 3 σ, ticks the farthest decade of it; its ground is the noise's ±2 σ.
+    Ticks and dotted lines mark ±3 σ, the farthest tick its last decade; the ground is the noise's ±2 σ.
     """
     seen = np.abs(np.concatenate([np.ravel(v) for v in values]))
     top = max(4.0, 1.3 * float(seen[np.isfinite(seen)].max(initial=0.0)))
     farthest = LIMIT_SIGMAS * 10.0 ** np.floor(np.log10(top / LIMIT_SIGMAS))
     axis.set_yscale("symlog", linthresh=LIMIT_SIGMAS)
     axis.set_ylim(-top, top)
-    axis.set_yticks([-farthest, 0.0, farthest])
+    axis.set_yticks(sorted({-farthest, -LIMIT_SIGMAS, LIMIT_SIGMAS, farthest}))
     for limit in (-LIMIT_SIGMAS, LIMIT_SIGMAS):
         axis.axhline(limit, color="0.6", lw=0.5, ls=":", zorder=0)
     axis.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}".replace("-", "−")))

@@ -41,7 +41,8 @@ class Model(Shown):
     def headline(self) -> str:
         """The model's name and effects."""
         effects = ", ".join(e.name() for e in self.saved.model.effects) or "no effect"
-        steps = f"{len(self.saved.history)} steps from {self.saved.starts_from}"
+        count = len(self.saved.history)
+        steps = f"{count} step{'' if count == 1 else 's'} from {self.saved.starts_from}"
         return f"{self.saved.model.name}: {effects}, {steps}"
 
     def table(self) -> Table:

@@ -42,7 +42,7 @@ Say = Callable[[str], None]
 def answers_of(asked: str, say: Say, tell: Say) -> Iterator[Answers | None]:
     """The answers that belong to the question `asked`; they go when it is answered.
 
-    None where they cannot be kept, which `tell` hears.
+    None where they cannot be kept. `tell` hears that, and how many stay where KeyboardInterrupt ends it.
     """
     with ExitStack() as stack:
         answers = None
@@ -59,7 +59,12 @@ def answers_of(asked: str, say: Say, tell: Say) -> Iterator[Answers | None]:
             answers = Answers(folder, say, tell)
         except (OSError, RuntimeError) as error:
             tell(_cannot_keep(error))
-        yield answers
+        try:
+            yield answers
+        except KeyboardInterrupt:
+            if answers is not None and answers.kept:
+                tell(f"{answers.kept} tasks are done: the same, re-run within a week, goes on from there")
+            raise
         if answers is not None:
             shutil.rmtree(name, ignore_errors=True, dir_fd=whole)
 
@@ -70,7 +75,7 @@ class Answers:
     def __init__(self, folder: int, say: Say, tell: Say) -> None:
         self._folder, self._say, self._tell = folder, say, tell
         entries = list(os.scandir(folder))
-        self._done = sum("." not in entry.name for entry in entries)
+        self._done = self.kept = sum("." not in entry.name for entry in entries)
         self._room_bytes = LIMIT_BYTES - sum(_size(entry) for entry in entries)
         self._told = self._full = False
 
@@ -105,6 +110,7 @@ class Answers:
             with open(fresh, "wb", opener=self._open) as file:
                 file.write(_digest(key.encode(), answer) + answer)
             os.replace(fresh, key, src_dir_fd=self._folder, dst_dir_fd=self._folder)
+            self.kept += 1
         except FileNotFoundError:
             self._full = True  # the same question, asked twice at once, was answered there and tidied up
         except OSError as error:

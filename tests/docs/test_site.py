@@ -175,6 +175,10 @@ def options_of(command: click.Command) -> set[str]:
     return found | {"--help"}
 
 
+MISTYPED = "diagnoze"
+"""The command of which docs/evidence/face.md shows the answer."""
+
+
 def test_commands_and_options_exist() -> None:
     context = click.Context(group)
     unknown = []
@@ -182,6 +186,8 @@ def test_commands_and_options_exist() -> None:
         for name, rest in calls(page):
             command = group.get_command(context, name)
             given = set(re.findall(r"(?<!\S)(--[a-z][a-z-]*)", rest.split("#")[0]))
+            if name == MISTYPED:
+                continue
             if command is None or not given <= options_of(command):
                 unknown.append(f"{page.relative_to(ROOT)}: needle-rig {name}{rest}")
     assert not unknown

@@ -60,18 +60,18 @@ def test_the_band_without_data_does_not_set_the_axis() -> None:
     low, high = axes.get_ylim()
     assert -1.0 < low < -0.5
     assert 0.5 < high < 1.0
-    assert axes.get_ylabel() == "torque along the needle, N·mm per 100 mm"
-    assert below.get_xlabel() == "the angle of the needle there, ° (grey: no data)"
+    assert axes.get_ylabel() == "torque along the needle / N·mm per 100 mm"
+    assert below.get_xlabel() == "the angle of the needle there / ° (grey: no data)"
 
 
 @pytest.mark.parametrize(
     ("law", "said"),
     [
-        (Law("drive", "base", "base_angle"), "needle − encoder, °"),
-        (Law("observe", "torque", "rate"), "error of the torque reading, N·mm"),
-        (Law("observe", "halls", "angle"), "error of halls, °"),
+        (Law("drive", "base", "base_angle"), "needle − encoder / °"),
+        (Law("observe", "torque", "rate"), "error of the torque reading / N·mm"),
+        (Law("observe", "halls", "angle"), "error of halls / °"),
         (Law("shape", "slip_limit", "x"), "slip limit / that without it − 1"),
-        (Law("shape", "stiffness", "x"), "angle before it slips, °"),
+        (Law("shape", "stiffness", "x"), "angle before it slips / °"),
     ],
 )
 def test_the_axis_says_what_the_curve_is(law: Law, said: str) -> None:

@@ -70,9 +70,10 @@ def test_noise_alone_lies_on_the_line_of_the_quantiles_and_within_the_band() -> 
 
 def test_the_profile_of_a_value_that_the_data_know_is_the_parabola_of_its_uncertainty() -> None:
     (axis,) = drawn(found(), "profile").axes
-    profile, parabola = (np.array(line.get_ydata()) for line in axis.lines[:2])
+    (at, profile), (value, parabola) = (map(np.array, line.get_data()) for line in axis.lines[:2])
     assert profile[3] == pytest.approx(0.0, abs=0.1)
-    assert profile[[1, 5]] == pytest.approx(parabola[[1, 5]], rel=0.4)
+    assert profile[[1, 5]] == pytest.approx(np.interp(at[[1, 5]], value, parabola), rel=0.4)
+    assert axis.get_xlabel() == "torsional rigidity / N·mm²"
 
 
 def test_correlations_are_of_the_fitted_values_alone() -> None:

@@ -44,7 +44,7 @@ class Asking:
     """One question, asked several times."""
 
     def __init__(self, place: Path) -> None:
-        self.place, self.said, self.told = place, [], []  # type: ignore[var-annotated]
+        self.place, self.said, self.told, self.stays = place, [], [], ""  # type: ignore[var-annotated]
 
     @contextmanager
     def work(self, jobs: int = 1, asked: str = "it") -> Iterator[Work]:
@@ -60,6 +60,7 @@ class Asking:
         with suppress(KeyboardInterrupt), self.work(jobs, asked) as work:
             work.run(noted, [(k,) for k in range(tasks)])
             raise KeyboardInterrupt
+        self.stays = self.told.pop()
 
     def answered(self, tasks: int, jobs: int = 1) -> list[int]:
         """The tasks that are done for it, in order."""
@@ -80,6 +81,7 @@ def test_a_stopped_question_goes_on_and_an_answered_one_leaves_nothing(
 ) -> None:
     asking.stopped(3, before)
     assert asking.said == []
+    assert asking.stays == "3 tasks are done: the same, re-run within a week, goes on from there"
     assert asking.answered(5, after) == [3, 4]
     assert asking.said == [WENT_ON.format(3)]
     assert list(cache.iterdir()) == []
@@ -279,6 +281,9 @@ def test_a_command_that_is_stopped_three_times_says_what_one_says_that_is_not(
         process.send_signal(number)
         _, said = process.communicate()
         assert process.returncode == code, said
+        assert (code == -signal.SIGKILL) != ("the same, re-run within a week, goes on from there" in said), (
+            said
+        )
         if code != -signal.SIGKILL:  # a child that was just begun says that its parent is gone
             assert "Traceback" not in said, said
         kept = kept_whole()

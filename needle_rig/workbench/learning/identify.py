@@ -53,7 +53,7 @@ from needle_rig.workbench.learning.joint import JointFriction, joint_friction, s
 from needle_rig.workbench.learning.steps import numbered
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Say
-from needle_rig.workbench.selection.values import CONTRADICTS
+from needle_rig.workbench.selection.values import CONTRADICTS, spelt_p
 
 SCATTER = "friction_scatter"
 RATIO = "friction_over_rigidity"
@@ -321,7 +321,7 @@ def _contradiction(baseline: Baseline, saved: SavedModel, prior: Gaussian, alone
         in_file_units(parameters, within_bounds(parameters, g.mean))[worst] for g in (alone, prior)
     )
     return (
-        f"{baseline.problem.name}: contradicts {saved.model.name} (p = {p:.1g}, limit {CONTRADICTS:g}):"
+        f"{baseline.problem.name}: contradicts {saved.model.name} ({spelt_p(p)}, limit {CONTRADICTS:g}):"
         f" {names[worst]} is {here:.4g} here and {there:.4g} there, {abs(away[worst]):.1f} standard"
         " deviations apart; the model file is unchanged: identify these data without it for values of their"
         " own"

@@ -101,7 +101,7 @@ class ComparedValues:
         worst = self.worst()
         if self.p is None or worst is None:
             return ""
-        spelt = f"p = {self.p:.2g}" if self.p > LEAST_P else f"p < {LEAST_P:g}"
+        spelt = spelt_p(self.p)
         if not self.contradict:
             return f"the model's values hold on these data ({spelt}, limit {CONTRADICTS:g})"
         return (
@@ -126,6 +126,11 @@ class ComparedValues:
             if value.pull_sigma is not None:
                 free[value.name]["pull_sigma"] = value.pull_sigma
         return free
+
+
+def spelt_p(p: float) -> str:
+    """A p value in words; one of 0 is below what a tail is known to."""
+    return f"p = {p:.2g}" if p > LEAST_P else f"p < {LEAST_P:g}"
 
 
 def compared_values(

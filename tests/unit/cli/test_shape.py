@@ -109,6 +109,31 @@ def test_an_option_means_the_same_everywhere() -> None:
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["history", "m.yaml", "--png", "picdir"],
+            "--png picdir: names no kind of picture; let it end in .png",
+        ),
+        (
+            ["compare", "data", "--pictures", "x.png"],
+            "--pictures x.png: is the name of a picture; name a folder",
+        ),
+    ],
+)
+def test_a_picture_is_a_file_with_an_ending_and_pictures_a_folder(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words) == 2
+    assert capsys.readouterr().err.startswith(said)
+
+
+def test_the_first_help_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
     "name", ["--target", "--extra", "--by", "--to", "--here", "--move", "--speed", "--settle"]
 )
 def test_a_quantity_says_its_unit(name: str) -> None:
