@@ -307,6 +307,30 @@ def test_what_a_damaged_mf4_loses_is_told(source: Source, tmp_path: Path) -> Non
             read_recording(file)
 
 
+@pytest.mark.parametrize(("version", "mark", "first"), [("4.10", b"##DG", 24), ("3.30", b"HD", 4)])
+def test_a_group_of_an_mdf_that_no_link_reaches_is_told(
+    version: str, mark: bytes, first: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("can")
+    asammdf = pytest.importorskip("asammdf")
+    time_s = np.arange(200) * 0.01
+    with asammdf.MDF(version=version) as mdf:
+        for name in ("angle", "torque"):
+            mdf.append([asammdf.Signal(np.sin(time_s), time_s, name=name, unit="deg")])
+        file = Path(mdf.save(tmp_path / f"run.m{'f4' if version[0] == '4' else 'df'}"))
+    assert not any(c.fault for c in read_recording(file).columns)
+    whole = bytearray(file.read_bytes())
+    at = whole.find(mark) + first
+    if mark == b"HD":  # its first link is to the data group, whose first one is to the next
+        at = int.from_bytes(whole[at : at + 4], "little") + 4
+    whole[at : at + 4] = bytes(4)
+    file.write_bytes(whole)
+    told = {c.name: c.fault for c in read_recording(file).columns}
+    assert "angle" in told
+    assert "torque" not in told
+    assert sum("no link leads to it" in fault for fault in told.values()) == 1, told
+
+
 @pytest.mark.parametrize("name", ["matlab_timeseries_7", "matlab_timeseries_73", "simulink_dataset_73"])
 def test_objects_of_matlab_have_units_and_one_clock(name: str, source: Source, tmp_path: Path) -> None:
     found = read_recording(made(name, source, tmp_path).files[0])

@@ -14,6 +14,7 @@ from needle_rig.errors import BadInput
 from needle_rig.importing import names
 from needle_rig.importing.guess.channels import asked_torque, channels_of
 from needle_rig.importing.guess.clocks import clock_of, doubt_speed, is_even, on_one_clock
+from needle_rig.importing.guess.dropouts import doubt_dropouts
 from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.known import Known
 from needle_rig.importing.guess.series import Series, series_of
@@ -92,6 +93,7 @@ def guess(
     clocks, series = on_one_clock(clocks, series)
     channels, reasons = channels_of(series, known, recordings, why)
     channels = asked_torque(channels, [c for r in recordings for c in r.columns if c.fault])
+    channels = doubt_dropouts(channels, series)
     why |= reasons
     clocks = {k: v for k, v in clocks.items() if any(c.clock == k for c in channels)}
     if trials.clock is not None and trials.clock not in clocks:
