@@ -172,3 +172,22 @@ def test_a_recording_without_an_angle_is_a_sentence(tmp_path: Path) -> None:
     values = table()[:, [0, 2]]
     with pytest.raises(BadInput, match="no column can be the base's angle"):
         guessed(tmp_path / "log.csv", ("Time [s]", "Torque [mNm]"), values, None)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_moves_as_a_torque_in_a_unit_that_nobody_knows_is_asked(
+    tmp_path: Path, rig: RigPart, moves: bool
+) -> None:
+    values = table()
+    if not moves:
+        values[:, 2] = np.random.default_rng(0).standard_normal(len(values))
+    names = ("time [s]", "F [deg]", "A [torqs]", "D [deg]", "B [deg]", "E [deg]", "C [deg]")
+    doubts = guessed(tmp_path / "log.csv", names, values, rig).doubts()
+    assert any("A [torqs] moves as one would: its unit 'torqs'" in doubt for doubt in doubts) == moves
+
+
+def test_the_smallest_numbers_there_are_explain_as_others_do() -> None:
+    values = table()
+    base, torque = (series_of(Column("", "", v), "daq", values[:, 0]) for v in values.T[1:3])
+    tiny = series_of(Column("", "", values[:, 2] * 1e-300), "daq", values[:, 0])
+    assert Driver(base).gain(tiny, torque=True) == pytest.approx(Driver(base).gain(torque, torque=True))

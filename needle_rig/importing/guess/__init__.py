@@ -92,7 +92,7 @@ def guess(
     trials, series = trials_of(series)
     clocks, series = on_one_clock(clocks, series)
     channels, reasons = channels_of(series, known, recordings, why)
-    channels = asked_torque(channels, [c for r in recordings for c in r.columns if c.fault])
+    channels = asked_torque(channels, [c for r in recordings for c in r.columns if c.fault], series)
     channels = doubt_dropouts(channels, series)
     why |= reasons
     clocks = {k: v for k, v in clocks.items() if any(c.clock == k for c in channels)}

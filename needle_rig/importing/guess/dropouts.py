@@ -17,6 +17,8 @@ NOTHING = 1e-12
 """Of the largest value: a number most of whose bytes are 0 is smaller."""
 EDGE = 2
 """Rows of a jump: where a number is overwritten in part, it stands between both sides."""
+FARTHER = 2.0
+"""Times the largest change elsewhere: a motion that is fastest where it begins is no jump."""
 MOVED = 0.01
 """Share of the base's span that it turns by at least where it moves."""
 
@@ -44,10 +46,10 @@ def doubt_dropouts(channels: Sequence[ChannelPart], series: Sequence[Series]) ->
 def dropout(values: Array, base: Array | None = None) -> tuple[int, int] | None:
     """Samples [begin, end) of `values` (samples,) in which a channel drops out; None where it does not.
 
-    It is 0 for longer than its other runs of equal values make likely, and enters or leaves by more than it
-    changes in as many samples elsewhere, or is 0 while its `base` (samples,) moves. Runs of a chance p for
-    each value are about ln N/ln(1/p) long in N samples, and longer ones as p to their length: so the longest
-    of the others says how long one may be.
+    It is 0 for longer than its other runs of equal values make likely. It enters or leaves by more than twice
+    what it changes in as many samples elsewhere, or is 0 while its `base` (samples,) moves. Runs of a chance
+    p for each value are about ln N/ln(1/p) long in N samples, and longer ones as p to their length: so the
+    longest of the others says how long one may be.
     """
     known = np.flatnonzero(np.isfinite(values))
     x = values[known]
@@ -73,7 +75,7 @@ def _jumps(x: Array, begin: int, end: int) -> bool:
     outside = np.r_[max(0, begin - EDGE) : begin, end : min(len(x), end + EDGE)]
     changes = np.abs(x[EDGE:] - x[:-EDGE])
     elsewhere = np.r_[changes[: max(0, begin - EDGE)], changes[end:]]
-    return len(elsewhere) > 0 and float(np.abs(x[outside]).max()) > float(elsewhere.max())
+    return bool(len(elsewhere) > 0 and np.abs(x[outside]).max() > FARTHER * elsewhere.max())
 
 
 def _moves(base: Array, begin: int, end: int) -> bool:
