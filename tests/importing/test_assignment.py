@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -191,3 +192,18 @@ def test_the_smallest_numbers_there_are_explain_as_others_do() -> None:
     base, torque = (series_of(Column("", "", v), "daq", values[:, 0]) for v in values.T[1:3])
     tiny = series_of(Column("", "", values[:, 2] * 1e-300), "daq", values[:, 0])
     assert Driver(base).gain(tiny, torque=True) == pytest.approx(Driver(base).gain(torque, torque=True))
+
+
+@pytest.mark.parametrize("kept", [4, 3])
+def test_a_sensor_of_the_layout_that_a_damaged_column_may_have_held_is_asked(
+    tmp_path: Path, rig: RigPart, kept: int
+) -> None:
+    values = table()
+    names = ("time_s", "motor_deg", "torque_nmm", *(f"hall_{k}" for k in range(1, kept + 1)))
+    mapping = guessed(tmp_path / "log.csv", names, values[:, : len(names)], rig)
+    lost = Column("hall_4", "", np.empty(0), fault="holds no numbers")
+    read = read_recording(tmp_path / "log.csv")
+    again = guess([dataclasses.replace(read, columns=(*read.columns, lost))], "mine", rig, Path())
+    told = "hall_4 is not there, and hall_4 holds no numbers; shall it be imported without?"
+    assert any(told in doubt for doubt in again.doubts()) == (kept == 3)
+    assert not any(told in doubt for doubt in mapping.doubts())

@@ -399,3 +399,22 @@ def test_a_classic_frame_that_says_more_than_eight_bytes_is_read(monkeypatch: py
     sent.dlc = 15
     monkeypatch.setattr(can, "BLFReader", lambda _: contextlib.nullcontext([sent]))
     assert [found.data for found in by_can("BLFReader")(Path("run.blf"))] == [bytes(8)]
+
+
+@pytest.mark.parametrize("damage", ["no properties", "no numbers"])
+def test_a_signal_of_matlab_that_cannot_be_read_is_told(
+    damage: str, source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matio = pytest.importorskip("matio")
+    file = made("simulink_dataset_73", source, tmp_path).files[0]
+    content = matio.load_from_mat(str(file), add_table_attrs=True)
+    logged = content["out"].reshape(-1)[0]["logsout"]
+    last = logged.properties["Storage_"].properties["Elements"].reshape(-1)[-1].properties["Values"]
+    if damage == "no properties":
+        last.properties = ()
+    else:
+        last.properties["Data_"] = np.empty((0, 1))
+    monkeypatch.setattr(matio, "load_from_mat", lambda *_, **__: content)
+    faults = {c.name: c.fault for c in read_recording(file).columns if c.fault}
+    assert list(faults) == ["hall_4"]
+    assert "no numbers that can be read" in faults["hall_4"]
