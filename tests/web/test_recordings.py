@@ -92,7 +92,8 @@ def test_the_kind_of_machine_is_chosen_where_no_layout_is_dropped(visit: Open, t
         doubt.check()
     page.get_by_role("button", name="Import").click()
     page.wait_for_selector(".map")
-    assert page.get_by_text("imported", exact=True).is_visible()
+    assert page.get_by_text("joint", exact=False).first.is_visible()
+    assert not page.get_by_role("alert").count()
 
 
 def test_what_cannot_be_imported_is_a_sentence_and_the_lines_stay(visit: Open, log: Path) -> None:
